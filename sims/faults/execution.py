@@ -129,10 +129,7 @@ def sequence_repeated(case: Case, severity: float, rng: np.random.Generator) -> 
 
 @injection("window_short", 0.2, "of the planned length")
 def window_short(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """One stationary window is too short: the rotation begins too early, or the recording of the sequence too late.
-
-    An end window is too short if the recording of the sequence stops too early.
-    """
+    """One stationary window is too short: the recording of its sequence begins too late or stops too early."""
     recording = case.recording
     number, at_end = int(rng.integers(len(_IDS))), bool(rng.integers(2))
     label = recording.sequences[number]

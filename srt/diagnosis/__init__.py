@@ -1,4 +1,4 @@
-"""Diagnosis of recordings: a catalogue of faults, a check for each, and the most likely cause in one sentence."""
+"""Diagnosis of recordings: a catalogue of faults, checks that find them, and one sentence on the most likely cause."""
 
 from __future__ import annotations
 

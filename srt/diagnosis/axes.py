@@ -1,9 +1,11 @@
-"""Axes and frames: swapped axes and wrong signs, from the labels and from gravity against the gyros.
+"""Axes and frames: swapped axes and wrong signs.
 
-The specific force of a body that only rotates is fixed to the Earth, so in body axes ``df/dt = f × ω``. The readings
-f̃ and ω̃ of the rotations therefore give ``K`` of ``df̃/dt = f̃ × (K ω̃)`` without labels. Correct readings give
-``K = I``. Gyro readings in a unit that is wrong by the factor c give ``K = I / c``. Signed permutations of the axes,
-``f̃ = Pa f`` and ``ω̃ = Pg ω``, give ``K = det(Pa) Pa Pg⁻¹``. A common sign of all accelerometers cancels.
+Two independent sources show them: the labels, and the rotation of gravity in the accelerometers against the gyros.
+The specific force of a body that only rotates is constant in Earth-fixed axes, so in body axes ``df/dt = f × ω``. The
+readings f̃ and ω̃ during rotations therefore determine the matrix ``K`` of ``df̃/dt = f̃ × (K ω̃)`` without labels.
+Correct readings give ``K = I``. Gyro readings in a unit that is wrong by the factor c give ``K = I / c``. Signed
+permutations of the axes, ``f̃ = Pa f`` and ``ω̃ = Pg ω``, give ``K = det(Pa) Pa Pg⁻¹``. The wrong sign of all three
+accelerometers does not change K.
 """
 
 from __future__ import annotations
@@ -41,7 +43,7 @@ _EYE: Final = np.eye(3)
     "frames_disagree",
 )
 def axis_permutations(evidence: Evidence) -> Iterator[Finding]:
-    """Name signed permutations of both triads against the labels; the rotation of gravity must agree with them."""
+    """Find signed permutations of both triads relative to the labels, if the rotation of gravity confirms them."""
     gyro, accel = gyro_axes(evidence), accel_axes(evidence)
     relation = None
     if gyro is None or accel is None or not (_is(gyro, _EYE) and _is(accel, _EYE)):
@@ -54,7 +56,7 @@ def axis_permutations(evidence: Evidence) -> Iterator[Finding]:
     if _is(gyro, _EYE) and _is(accel, _EYE):
         return
     if relation is not None and not _is(relation, np.linalg.det(accel) * accel @ gyro.T):
-        return  # the labels are wrong, not the axes
+        return  # the rotation of gravity contradicts the permutations: the labels are wrong, not the axes
     yield _permutation_finding(gyro, accel)
 
 
@@ -63,9 +65,9 @@ def _is(first: Array, second: Array) -> bool:
 
 
 def _relative_finding(relation: Array) -> Finding:
-    """Fault of the gyros relative to the accelerometers if no labels tell which is wrong: the simpler one."""
+    """Fault of the gyros relative to the accelerometers; without labels, the simplest fault that explains K."""
     proper = np.linalg.det(relation) > 0.0
-    # Improper gyros make K improper; improper accelerometers make K = -Pa, proper.
+    # An improper Pg makes K improper (determinant -1). An improper Pa makes K = -Pa, which is proper.
     if not proper:
         return _permutation_finding(relation.T, _EYE)
     other = _one_sensor("accel", -relation)
@@ -73,7 +75,7 @@ def _relative_finding(relation: Array) -> Finding:
 
 
 def _permutation_finding(gyro: Array, accel: Array) -> Finding:
-    """Fault of these two signed permutations."""
+    """Fault for the signed permutations of gyros and accelerometers."""
     if _is(accel, _EYE) and (one := _one_sensor("gyro", gyro)) is not None:
         return one
     if _is(gyro, _EYE) and (one := _one_sensor("accel", accel)) is not None:
@@ -87,7 +89,7 @@ def _permutation_finding(gyro: Array, accel: Array) -> Finding:
 
 
 def _one_sensor(sensor: str, axes: Array) -> Finding | None:
-    """Fault of one triad alone; None if it has no name of its own."""
+    """Fault for a signed permutation of one triad; None if the catalogue has no fault for it."""
     undo = mapping(axes)
     if _is(axes, -_EYE):
         return finding(f"{sensor}_sign_convention", mapping=undo)
@@ -100,32 +102,35 @@ def _one_sensor(sensor: str, axes: Array) -> Finding | None:
 
 
 _BLOCK_S: Final = 0.1
-"""Block, s, over which gyro readings are integrated and accelerometer readings averaged: long enough to suppress the
-noise of a sample, short enough for the rotation axis to be constant over two blocks."""
+"""Length of a block, s, over which gyro readings are integrated and accelerometer readings averaged: long enough to
+suppress the noise of a sample, short enough for a constant rotation axis over two blocks."""
 _LEAST_EIGENVALUE: Final = 1e-3
-"""Smallest over largest eigenvalue of the normal equations, below which one axis was hardly rotated."""
+"""Smallest ratio of the smallest to the largest eigenvalue of the normal equations: below it, the rotations hardly
+cover one axis."""
 _UNEXPLAINED_BY_LABELS: Final = 0.3
-"""Share of the power that the labels may leave unexplained: correct readings leave a few %, wrong labels most."""
+"""Largest share of the power of the readings that the fit to the labels may leave unexplained: it leaves a few per cent
+of correct readings, but most of the power if the labels are wrong."""
 _UNEXPLAINED_BY_GYROS: Final = 0.65
-"""Share that K may leave unexplained: the acceleration by a hand changes f about as much as the rotation does."""
+"""Largest share of the power of df/dt that K may leave unexplained: the acceleration of a unit turned by hand changes f
+about as much as the rotation does."""
 _FEWEST_BLOCKS: Final = 50
-"""Smallest number of blocks: with 50, nine coefficients explain 6 % of pure noise."""
+"""Fewest blocks for a fit of K: with 50 blocks, its nine coefficients explain 6 % of pure noise."""
 _AXIS_TOLERANCE: Final = 0.5
-"""Deviation of an element of a unit row that still belongs to the same axis: 30°."""
+"""Largest deviation of an element of a unit row from that of the nearest axis: 0.5 is an angle of 30°."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ManoeuvreReadings:
-    """Means of the stationary windows, and the samples of the manoeuvres between them, labelled or found.
+    """Means of the stationary windows, and the manoeuvres between them, from the labels or from the recognition.
 
     Attributes
     ----------
     rate, force : ndarray, shape (W, 3), rad/s and m/s²
         Mean readings of the windows.
     spans : ndarray of int, shape (K, 2)
-        First sample of each manoeuvre without a gap, and one past its last.
+        First sample of each manoeuvre without a gap, and one past its last sample.
     between : ndarray of int, shape (K, 2)
-        Window before and window after it.
+        Numbers of the windows before and after each manoeuvre.
     """
 
     rate: Array
@@ -135,7 +140,7 @@ class ManoeuvreReadings:
 
 
 def manoeuvre_readings(evidence: Evidence) -> ManoeuvreReadings | None:
-    """Readings of the labelled manoeuvres, or of those found in a recording without labels; None without any."""
+    """Readings of the labelled manoeuvres, or of the recognised ones without labels; None if there are none."""
     if evidence.has_labels:
         data = evidence.data
         if data is None:
@@ -193,12 +198,12 @@ def gravity_relation(evidence: Evidence) -> Array | None:
     if values[0] <= _LEAST_EIGENVALUE * values[-1]:
         return None
     relation = np.asarray(np.linalg.solve(matrix, right.ravel()), dtype=np.float64).reshape(3, 3)
-    # The power that least squares explains is the solution times the right-hand side.
+    # The power explained by least squares is the scalar product of the solution and the right-hand side.
     return relation if seen - float(np.sum(relation * right)) <= _UNEXPLAINED_BY_GYROS * seen else None
 
 
 def nearest_axes(matrix: Array) -> Array | None:
-    """Signed permutation nearest to the directions of the rows of a matrix; None if none is near."""
+    """Signed permutation nearest to the directions of the rows of a matrix; None if no permutation is near."""
     length = np.linalg.norm(matrix, axis=1, keepdims=True)
     if not (np.all(np.isfinite(length)) and np.all(length > 0.0)):
         return None
@@ -212,7 +217,7 @@ def nearest_axes(matrix: Array) -> Array | None:
 
 
 def gyro_axes(evidence: Evidence) -> Array | None:
-    """Signed permutation Pg of the gyros by the stated rotations; None if they do not determine it."""
+    """Signed permutation Pg of the gyros from the labelled rotations; None if they do not determine it."""
     if evidence.data is None or gyro_fit(evidence).rank < 3:
         return None
     _, _, turned = rotation_angles(evidence)
@@ -220,7 +225,7 @@ def gyro_axes(evidence: Evidence) -> Array | None:
 
 
 def accel_axes(evidence: Evidence) -> Array | None:
-    """Signed permutation Pa of the accelerometers by the stated poses; None if they do not determine it."""
+    """Signed permutation Pa of the accelerometers from the labelled poses; None if they do not determine it."""
     if evidence.data is None or accel_fit(evidence).rank < 3:
         return None
     _, reading = evidence.poses
@@ -233,7 +238,7 @@ def _fits(residual: Array, reading: Array) -> bool:
 
 
 def mapping(axes: Array) -> str:
-    """Axis map that undoes a signed permutation, in the form of ``srt convert --map-gyro``: "x,-y,z"."""
+    """Axis mapping that reverses a signed permutation, in the form of ``srt convert --map-gyro``: "x,-y,z"."""
     undo = axes.T
     columns = np.argmax(np.abs(undo), axis=1)
     return ",".join(("-" if undo[i, j] < 0.0 else "") + AXES[j] for i, j in enumerate(columns.tolist()))

@@ -1,8 +1,9 @@
-"""Comparison of the causes that could explain one set of residuals, by likelihood.
+"""Comparison of the possible causes of one set of residuals, by likelihood (Bayesian information criterion).
 
-Each cause predicts a pattern, a linear combination of its columns. With n normal residuals of one variance, the
-logarithm of the likelihood at the best combination is ``-n/2 log(RSS/n)``; each fitted parameter costs ``log(n)/2``
-(G. Schwarz, Estimating the dimension of a model, Annals of Statistics 6, 1978), and a choice among m places ``log m``.
+Each cause predicts a pattern: a linear combination of its columns. With n normal residuals of one variance, the
+logarithm of the likelihood at the best combination is ``-n/2 log(RSS/n)``, up to a constant. Each fitted parameter is
+penalised by ``log(n)/2`` (G. Schwarz, Estimating the dimension of a model, Annals of Statistics 6, 1978), and a choice
+among m possible places by ``log m``.
 """
 
 from __future__ import annotations
@@ -22,22 +23,23 @@ if TYPE_CHECKING:
     from srt.types import Array
 
 CLOSE: Final = math.log(20.0)
-"""Difference of the scores below which a runner-up is told: the best cause is less than 20 times as likely."""
+"""Difference of the scores below which the second cause is reported: the best one is less than 20 times as likely."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cause:
-    """Cause and the pattern that it predicts.
+    """Cause and the pattern of the residuals that it predicts.
 
     Attributes
     ----------
     fault : str
         Key of the catalogue of faults; empty for no fault.
     columns : ndarray, shape (n, k)
+        Effect of each of the k fitted parameters on the residuals.
     details : dict
         Values for the message.
     choices : int
-        Places, axes or times among which the columns were chosen.
+        Number of places, axes or times among which the columns were chosen.
     """
 
     fault: str
@@ -48,7 +50,7 @@ class Cause:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Explanation:
-    """Cause with its score.
+    """Cause with its score and the fit of its columns.
 
     Attributes
     ----------
@@ -56,11 +58,11 @@ class Explanation:
     score : float
         Logarithm of the likelihood, less the penalty.
     value, sigma : ndarray, shape (k,)
-        Coefficients of the columns, and their standard deviations by the scatter of what is left.
+        Coefficients of the columns, and their standard deviations from the scatter of the remaining residuals.
     square : float
-        Sum of the squares of what is left.
+        Sum of squares of the remaining residuals (RSS).
     freedom : int
-        Its degrees of freedom.
+        Degrees of freedom of the remaining residuals.
     """
 
     cause: Cause
@@ -72,7 +74,7 @@ class Explanation:
 
 
 def compare(values: Array, causes: Iterable[Cause], nuisance: Array | None = None) -> list[Explanation]:
-    """Explain residuals by each cause; the most likely first.
+    """Fit the residuals by each cause, and sort the explanations by likelihood, the most likely first.
 
     Parameters
     ----------
@@ -80,7 +82,7 @@ def compare(values: Array, causes: Iterable[Cause], nuisance: Array | None = Non
         Residuals of equal standard deviation.
     causes : iterable of Cause
     nuisance : ndarray, shape (n, p), optional
-        Columns that every cause may use.
+        Columns of nuisance parameters that are fitted together with every cause.
     """
     common = np.zeros((len(values), 0)) if nuisance is None else nuisance
     basis = _basis(common)
@@ -90,7 +92,7 @@ def compare(values: Array, causes: Iterable[Cause], nuisance: Array | None = Non
 
 
 def _basis(columns: Array) -> Array:
-    """Orthonormal basis of what the columns span."""
+    """Orthonormal basis of the span of the columns."""
     if columns.shape[1] == 0:
         return columns
     U, size, _ = np.linalg.svd(columns, full_matrices=False)
@@ -110,7 +112,7 @@ def _explanation(left: Array, cause: Cause, columns: Array, basis: Array) -> Exp
 
 
 def with_runner_up(finding: Finding, ranked: list[Explanation]) -> Finding:
-    """Finding with the most likely cause of another name, if it is nearly as likely."""
+    """Finding with the most likely other fault added, if that fault is nearly as likely."""
     own = next(e.score for e in ranked if e.cause.fault == finding.fault)
     for other in ranked:
         if other.cause.fault not in ("", finding.fault) and own - other.score < CLOSE:

@@ -29,22 +29,23 @@ if TYPE_CHECKING:
 
 
 _SAMPLES: Final = 20_000
-"""Rows used where all rows would tell no more."""
+"""Number of samples that suffices for the tests of whole columns: more would only take longer."""
 _PIECES: Final = 8
-"""Pieces of the recording from which these rows come."""
+"""Number of pieces, evenly spaced over the recording, from which these samples are taken."""
 _SAME: Final = 1e-9
-"""One minus the correlation of identical columns at most; conversion of units rounds by 1e-16."""
+"""Largest difference from 1 of the correlation of identical columns: the rounding of a unit conversion makes 1e-16."""
 _MANY: Final = 50
-"""Changes of a column, fewer of which give no useful correlation."""
+"""Fewest changes of a column for a useful correlation."""
 _SCALES: Final = 10.0
-"""Largest ratio of the values of a count on the axes of one triad."""
+"""Largest ratio between the count values of the axes of one triad."""
 _POLE: Final = 1.02
-"""Earth rate along gravity over the Earth rate, at the poles and with 2 % of scale error; elsewhere it is less."""
+"""Largest component of the Earth rate along gravity, in units of the Earth rate: at a pole, with 2 % of scale-factor
+error."""
 _GRAVITY: Final = 4.0
-"""Largest over smallest magnitude (of 99 % of the readings) of a triad that senses gravity: 50 % of scale error and of
-bias make 3.2, while gyros read many times their stationary reading in rotation."""
+"""Largest ratio of the largest to the smallest magnitude (of 99 % of the readings) of a triad that senses gravity:
+scale-factor errors and biases of 50 % make 3.2. Gyros exceed it, as they read far more in rotations than at rest."""
 _TURNED: Final = 0.95
-"""Magnitude of the mean vector over the mean magnitude, above which the direction hardly changed."""
+"""Magnitude of the mean vector over the mean magnitude, above which the direction of the vectors hardly changed."""
 
 
 def _columns(evidence: Evidence) -> list[Array]:
@@ -59,7 +60,7 @@ def _constant(column: Array) -> bool:
 
 @check("gyro_channel_dead", "accel_channel_dead")
 def dead_channels(evidence: Evidence) -> Iterator[Finding]:
-    """Find columns with one value throughout, where other columns are noisy or the axis was rotated."""
+    """Find constant columns, if other columns are noisy or the labels change the input of the axis."""
     for sensor, table, moved_axes in (
         ("gyro", evidence.recording.gyro, _turned_axes),
         ("accel", evidence.recording.accel, _tilted_axes),
@@ -67,7 +68,7 @@ def dead_channels(evidence: Evidence) -> Iterator[Finding]:
         dead = np.array([_constant(table[:, axis]) for axis in range(3)])
         if not dead.any():
             continue
-        # Readings without noise can be constant: a column is dead then only if its axis must have moved.
+        # Noise-free readings can be constant. Such a column is dead only if the labels change the input of its axis.
         noisy = any(_noisy(evidence, column) for column in _columns(evidence))
         moved = moved_axes(evidence)
         named = [axis for axis in range(3) if dead[axis] and (noisy or moved[axis])]
@@ -80,7 +81,7 @@ def dead_channels(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _noisy(evidence: Evidence, column: Array) -> bool:
-    """True if stationary readings scatter by more than rounding."""
+    """True if the stationary readings of a column scatter by more than rounding."""
     if evidence.data is None:
         return False
     a, b = evidence.data.windows.samples[0].tolist()
@@ -88,7 +89,7 @@ def _noisy(evidence: Evidence, column: Array) -> bool:
 
 
 def _turned_axes(evidence: Evidence) -> Mask:
-    """Axes about which the labels rotate the unit."""
+    """True for each axis about which the labels rotate the unit, shape (3,)."""
     if evidence.data is None or evidence.recording.fixture is None:
         return np.zeros(3, dtype=bool)
     turned = [np.abs(s.axes).max(axis=0) for s in evidence.data.catalogue if s is not None]
@@ -96,7 +97,7 @@ def _turned_axes(evidence: Evidence) -> Mask:
 
 
 def _tilted_axes(evidence: Evidence) -> Mask:
-    """Axes along which gravity changes by the labels."""
+    """True for each axis along which the gravity component differs between the labelled poses, shape (3,)."""
     if evidence.data is None or evidence.recording.fixture is None:
         return np.zeros(3, dtype=bool)
     nominal, _ = evidence.poses
@@ -112,7 +113,7 @@ def columns_repeat(evidence: Evidence) -> Iterator[Finding]:
     n = len(columns[0])
     length = max(2, min(n, _SAMPLES // _PIECES))
     starts = np.unique(np.linspace(0, n - length, _PIECES).astype(np.intp))
-    # Differences of neighbours hold the noise, which no two columns share, and no bias.
+    # Differences of successive readings contain the noise, which differs from column to column, but no bias.
     steps = np.array([np.concatenate([np.diff(c[a : a + length]) for a in starts.tolist()]) for c in columns])
     size = np.sqrt(np.einsum("cn,cn->c", steps, steps))
     changes = np.count_nonzero(steps, axis=1)
@@ -130,7 +131,12 @@ def columns_repeat(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _may_repeat(evidence: Evidence, i: int, j: int, factor: float) -> bool:
-    """True if proportional columns are a fault: without noise, rounding residues and the Earth rate are too."""
+    """True if proportional columns i and j are a fault.
+
+    In noise-free readings, rounding and the Earth rate make proportional columns, too. Columns of one triad are a fault
+    if the factor is a possible ratio of count values. Columns of two triads are a fault if the factor is larger than
+    that of the Earth rate relative to gravity, or if the readings are noisy.
+    """
     if i // 3 == j // 3:
         return 1.0 / _SCALES < abs(factor) < _SCALES
     earth = EARTH_RATE_RAD_S / STANDARD_GRAVITY_M_S2
@@ -139,7 +145,7 @@ def _may_repeat(evidence: Evidence, i: int, j: int, factor: float) -> bool:
 
 @check("sensors_exchanged")
 def sensors_exchanged(evidence: Evidence) -> Iterator[Finding]:
-    """Find gyro columns with a constant magnitude that rotates, and accelerometer columns without one."""
+    """Find gyro columns that read a rotating vector of constant magnitude, while the accelerometer columns do not."""
     recording = evidence.recording
     stride = max(1, len(recording.time) // _SAMPLES)
     gyro, accel = recording.gyro[::stride], recording.accel[::stride]
@@ -167,7 +173,7 @@ def _holds_gravity(vectors: Array) -> bool:
 
 @check("samples_stuck", "gyro_stuck", "accel_stuck", "gyro_axis_stuck", "accel_axis_stuck")
 def repeated_rows(evidence: Evidence) -> Iterator[Finding]:
-    """Find runs of equal rows, or of equal readings of one axis, that chance does not explain; the longest of each."""
+    """Find the longest runs of equal samples, in both triads, one triad or one axis, that chance does not explain."""
     names = ("samples_stuck", "gyro_stuck", "accel_stuck", *CHANNELS)
     longest = {
         name: max(runs, key=lambda run: run.count)
@@ -190,17 +196,19 @@ def repeated_rows(evidence: Evidence) -> Iterator[Finding]:
 
 
 _TWICE: Final = 3.0
-"""Ratio of repeated samples to those that chance explains, from which they count: pulses are not quite independent."""
+"""Smallest ratio of the number of repeated samples to the number expected by chance: the expected number assumes
+independent readings, but pulses are not quite independent."""
 _FEWEST_TWICE: Final = 3
-"""Repeated samples at least: the frame of a single one may have been sent twice."""
+"""Fewest repeated samples for a finding: a single data frame may have been sent twice."""
 
 
 @check("samples_duplicated")
 def duplicated_samples(evidence: Evidence) -> Iterator[Finding]:
-    """Find samples that repeat the one before in all channels: more than chance explains, or against the motion.
+    """Find samples that repeat the previous one in all channels, more often than by chance or against the motion.
 
-    Where the readings change, a repeated sample deviates from its neighbours as a spike does; where they are steady, it
-    turns the attitude too far by its angle. Pulses repeat by chance, but not there.
+    Where the rate changes, a repeated sample deviates from its neighbours like a spike. Where the rate is steady, an
+    additional sample makes an attitude error by its angle. Both show also in readings whose pulses often repeat by
+    chance.
     """
     for rows, expected in single_repeats(evidence):
         count = len(rows)
@@ -223,10 +231,10 @@ def _duplicated(evidence: Evidence, rows: Indices, expected: float) -> Finding:
 
 
 _LINE: Final = 8
-"""Samples on a line at least. Noise of one step of resolution leaves 0.16 of the second differences zero: all of six
-samples in six channels with p = 1e-28."""
+"""Fewest samples on a straight line for a finding. With noise of one quantization step, a second difference is zero
+with p = 0.16; six successive second differences in six channels are all zero with p = 1e-28."""
 _SLOPES: Final = 2
-"""Channels that change along the line: a constant one is a frozen one, or pulses at rest."""
+"""Fewest channels that must change along the line: constant channels are frozen, or have no pulses at rest."""
 
 
 @check("samples_interpolated")
@@ -256,25 +264,26 @@ def samples_interpolated(evidence: Evidence) -> Iterator[Finding]:
 
 
 _DEAD_SHARE: Final = 0.5
-"""Share of stationary readings at zero, from which a channel may have a dead band."""
+"""Smallest share of zeros in the stationary readings of a channel with a dead band."""
 _DEAD_STEPS: Final = 2.5
-"""Smallest reading other than zero over the quantization step: one without a dead band."""
+"""Smallest ratio of the smallest nonzero reading to the quantization step for a dead band; without one, it is 1."""
 
 _DEAD_PULSES: Final = 1.5
-"""The same for stated pulses, of which single ones are the rule at rest."""
+"""The same ratio for a stated pulse size: the step is then known."""
 _SAME_GRID: Final = 1e-3
-"""Distance of readings from multiples of a step, in steps, that rounding leaves."""
+"""Largest distance of a reading from a multiple of the step, in steps: rounding leaves less."""
 _DEAD_EDGE: Final = 0.1
-"""Smallest over median size of the stationary readings other than zero: those beyond a dead band begin at its edge."""
+"""Smallest ratio of the smallest to the median size of the nonzero stationary readings for a dead band: the readings
+outside the band begin at its edge."""
 
 
 @check("gyro_dead_band")
 def gyro_dead_band(evidence: Evidence) -> Iterator[Finding]:
-    """Find gyros that read zero when stationary, or in passing, and never between zero and a threshold."""
+    """Find gyros that read zero at rest or as the rate changes sign, but never a value between zero and a threshold."""
     if evidence.data is None or not any(_noisy(evidence, column) for column in _columns(evidence)[3:]):
         return
     if "gyro" in wrapped_readings(evidence):
-        return  # readings that overflow lie on several grids, which hides their step
+        return  # wrapped readings lie on several grids: their quantization step is not found
     found = suppressed_readings(evidence, "gyro") or _zero_at_rest(evidence)
     if found is not None:
         where = {"channel": CHANNELS[found.axis], "count": found.zeros}
@@ -282,24 +291,24 @@ def gyro_dead_band(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _zero_at_rest(evidence: Evidence) -> SuppressedReadings | None:
-    """First gyro that reads zero in most stationary samples, and otherwise far above its step."""
+    """First gyro that reads zero in most stationary samples, and otherwise far more than its quantization step."""
     assert evidence.data is not None
     windows = evidence.data.windows.samples.tolist()
     stationary = np.concatenate([evidence.rate[a:b] for a, b in windows])
     share = np.mean(stationary == 0.0, axis=0)
     for axis in np.flatnonzero(share > _DEAD_SHARE).tolist():
         size = np.abs(evidence.rate[:, axis])
-        # The limit at which a channel saturates is no multiple of its step.
+        # Readings at the largest size are left out: a saturation limit is not a multiple of the quantization step.
         moving = evidence.rate[(size > 0.0) & (size < size.max())]
         if len(moving) < _MANY:
             continue
         threshold = float(size[size > 0.0].min())
         shown = np.abs(stationary[stationary[:, axis] != 0.0, axis])
         if shown.size and threshold < _DEAD_EDGE * float(np.median(shown)):
-            continue  # the readings reach down to zero: pulses, and noise in some window
+            continue  # the nonzero readings reach down to zero: pulses, with noise in some window
         if shown.size and np.all(np.abs(shown / threshold - np.rint(shown / threshold)) < _SAME_GRID):
-            continue  # multiples of the smallest reading: pulses
-        # Pulses of several axes, mixed by a correction, differ by less than a pulse.
+            continue  # all readings are multiples of the smallest one: pulses
+        # In corrected samples, which mix the pulses of several axes, readings differ by less than a pulse.
         pulse = (evidence.recording.noise.gyro_quantization or 0.0) / evidence.dt
         step = max(pulse, float(smallest_step(moving[-_SAMPLES:])[axis]))
         if threshold > (_DEAD_PULSES if pulse else _DEAD_STEPS) * step:
@@ -309,7 +318,7 @@ def _zero_at_rest(evidence: Evidence) -> SuppressedReadings | None:
 
 @check("spikes")
 def spikes(evidence: Evidence) -> Iterator[Finding]:
-    """Find spikes; the message gives the largest one of the channel that has most."""
+    """Find spikes; the message states the largest spike of the channel with the most spikes."""
     there = find_spikes(evidence)
     if there.sample.size:
         own = ~there.of_repeats(evidence)

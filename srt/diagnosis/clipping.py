@@ -1,4 +1,4 @@
-"""Saturation: readings at the limit of a range, which make their sequence useless."""
+"""Saturation: readings at the limit of the measuring range. A sequence with such readings cannot be used."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @check("gyro_clipped", "accel_clipped")
 def clipping(evidence: Evidence) -> Iterator[Finding]:
-    """Find readings at the stated range, or runs of one extreme reading that noise would not make."""
+    """Find readings at the stated range, or runs of the same extreme reading that noise does not explain."""
     clipped = clipped_parts(evidence)
     for sensor in ("gyro", "accel"):
         mine = [(k, part) for k, parts in clipped for part in parts if part.channel.startswith(sensor)]
@@ -41,7 +41,7 @@ def clipping(evidence: Evidence) -> Iterator[Finding]:
 
 
 def clipped_parts(evidence: Evidence) -> list[tuple[int | None, tuple[Clipping, ...]]]:
-    """Sequences with saturated readings, and their channels; without labels, the whole recording (None)."""
+    """Numbers of the sequences with saturated readings, and their channels; None for all samples without labels."""
     recording = evidence.recording
     levels = clipping_levels(recording)
     if not (np.isfinite(levels.low).any() or np.isfinite(levels.high).any()):

@@ -11,19 +11,19 @@ from srt.recording.atomic_file import atomic_write_text
 
 _INTRODUCTION: Final = """# Faults of a recording
 
-The faults that a recording can have, causes before their consequences: of several findings, the first by this order is
-named as the cause. Words in braces are filled in from the recording. How reliably each fault is named is in
-[fault-detection.md](fault-detection.md).
+This page lists the faults that a recording can have. A fault is listed before the faults that it causes: of several
+findings, the first in this order is reported as the cause. The words in braces of a message are filled in from the
+recording. [fault-detection.md](fault-detection.md) has the detection rate of each fault.
 
-Effects: **exit 2**, the recording is refused on reading; **exit 1**, it cannot be calibrated; **warning**, it is
-calibrated with a warning; **note**, only `srt inspect` reports it.
+Effects: **exit 2**, the recording is refused on reading; **exit 1**, it is read, but not calibrated; **warning**, it is
+calibrated with a warning; **note**, only `srt inspect` reports the fault.
 
-This page is made from `srt/diagnosis/faults.toml` by `python -m srt.diagnosis.document`.
+`python -m srt.diagnosis.document` writes this page from `srt/diagnosis/faults.toml`.
 """
 
 
 def document() -> str:
-    """All faults as Markdown, one table for each stage."""
+    """Catalogue as a page in Markdown, with one table for each stage."""
     parts = [_INTRODUCTION]
     for stage, title in STAGES.items():
         rows = [_row(fault) for fault in FAULTS.values() if fault.stage == stage]

@@ -1,7 +1,7 @@
 """Evidence for the checks: readings, windows, rotations and static poses of a recording, each computed once on demand.
 
-No recording is refused here for its values: the checks find impossible readings. Readings are raw, in SI by the
-declared units; ``rate`` and ``force`` are rates for both kinds of recording.
+This module refuses no recording for its values: the checks find impossible readings. Readings are raw, and converted
+to SI by the declared units. ``rate`` and ``force`` are rates also for a recording of increments.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ class Evidence:
     Parameters
     ----------
     recording : Recording
-        Without labels, the recognised sequences or the free rotations found replace them.
+        If it has no labels, the recognised sequences or free rotations are used as labels.
     options : Options, optional
         Options of the calibration ``result``.
     result : Calibration, optional
-        Calibration of the recording, if known already.
+        Calibration of the recording, if it is already known.
     """
 
     def __init__(self, recording: Recording, options: Options | None = None, result: Calibration | None = None) -> None:
@@ -78,12 +78,12 @@ class Evidence:
 
     @cached_property
     def has_labels(self) -> bool:
-        """True if the recording came with labels."""
+        """True if the recording has labels of its own."""
         return bool(self.recording.sequences)
 
     @cached_property
     def labels(self) -> tuple[SequenceLabel, ...]:
-        """Labels of the recording, else of the recognised sequences or free rotations; may be empty."""
+        """Labels of the recording; without any, those of the recognised sequences or free rotations; may be empty."""
         if self.has_labels:
             return self.recording.sequences
         if self.recognition is None:
@@ -101,7 +101,7 @@ class Evidence:
 
     @cached_property
     def data(self) -> PreparedRecording | None:
-        """The labelled recording, prepared without checks; None if that is not possible."""
+        """Labelled recording, prepared for estimation without checks; None if it cannot be prepared."""
         try:
             return prepare(self._with_labels, self.labels, self.options.average)
         except DataError:
@@ -109,7 +109,7 @@ class Evidence:
 
     @cached_property
     def contiguous(self) -> Mask:
-        """True for sequences without a gap between their first and last sample, shape (K,)."""
+        """True for each sequence without a gap between its first and last sample, shape (K,)."""
         data = self._data
         first, last = data.windows.samples[data.start, 0], data.windows.samples[data.end, 1]
         gaps = self.recording.gaps
@@ -118,18 +118,18 @@ class Evidence:
     @property
     def _data(self) -> PreparedRecording:
         if self.data is None:
-            raise DataError("The recording holds no sequence with two windows.")
+            raise DataError("The recording has no sequence with two stationary windows: check the labels.")
         return self.data
 
     def title(self, sequence: int) -> str:
-        """Name of a sequence in messages: "sequence 7"."""
+        """Name of a sequence in messages, such as "sequence 7"."""
         data = self._data
         again = f" (occurrence {data.occurrences[sequence]})" if data.occurrences[sequence] > 1 else ""
         name = data.ids[sequence]
         return f"{name}{again}" if data.catalogue[sequence] is None else f"sequence {name}{again}"
 
     def sequence_at(self, sample: int) -> int | None:
-        """Sequence whose windows or rotation contain a sample; None if there is none."""
+        """Number of the sequence whose windows or rotation contain a sample; None if there is none."""
         if self.data is None:
             return None
         first = self.data.windows.samples[self.data.start, 0]
@@ -138,7 +138,7 @@ class Evidence:
         return int(inside[0]) if inside.size else None
 
     def place_title(self, sample: int) -> str:
-        """Name in messages of the sequence that contains a sample."""
+        """Name in messages of the sequence that contains a sample, or "that part" if there is none."""
         k = self.sequence_at(sample)
         return "that part" if k is None else self.title(k)
 
@@ -156,7 +156,7 @@ class Evidence:
 
     @cached_property
     def poses(self) -> tuple[Array, Array]:
-        """Nominal specific force and raw mean reading at start and end of each sequence of Table 1, (2 K', 3), m/s²."""
+        """Nominal and measured specific force at start and end of each known sequence, (2 K', 3) each, m/s²."""
         data = self._data
         nominal, reading = [], []
         for k, sequence in enumerate(data.catalogue):
@@ -171,7 +171,7 @@ class Evidence:
 
     @cached_property
     def result(self) -> Calibration | None:
-        """Calibration of the recording with the options; None if the data cannot support one."""
+        """Calibration of the recording with the options; None if the estimator fails."""
         from srt.estimation.registry import automatic_estimator, find_estimator
 
         try:
@@ -182,5 +182,5 @@ class Evidence:
 
 
 def plain(value: Any) -> Any:
-    """JSON value of numpy scalars and arrays."""
+    """Value with numpy scalars and arrays converted to Python numbers and lists, for JSON."""
     return value.tolist() if isinstance(value, np.ndarray | np.generic) else value

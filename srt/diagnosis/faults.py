@@ -1,7 +1,7 @@
 """Catalogue of the faults of a recording, read from ``faults.toml``: stages, names, messages and effects.
 
-The order is that of causes: a fault higher in the catalogue makes those below it appear, so the first finding by this
-order is named as the cause.
+A fault can cause findings of faults that are listed after it. Of several findings, the first in this order is therefore
+reported as the cause.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from importlib.resources import files
 from typing import Final, Literal
 
 Effect = Literal["exit 2", "exit 1", "warning", "note"]
-"""Refused on reading; refused by calibration; calibrated with a warning; told by ``srt inspect`` alone."""
+"""Refused on reading; refused by the calibration; calibrated with a warning; reported only by ``srt inspect``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,10 +28,11 @@ class Fault:
     title : str
         The fault in a few words.
     criterion : str
-        The data that reveal it.
+        Data that show the fault.
     sentence : str
-        Message with fields in braces that the finding fills: what was found, where, what is expected, what to do.
+        Message: what was found, where, what is expected, and what to do. The finding fills the fields in braces.
     effect : Effect
+        Effect on reading and calibration.
     """
 
     name: str
@@ -48,7 +49,7 @@ STAGES: Final[dict[str, str]] = _CATALOGUE["stages"]
 """Title of each stage of the checks, in the order in which they run."""
 
 FAULTS: Final = {row["name"]: Fault(**row) for row in _CATALOGUE["fault"]}
-"""All faults by name, causes before their consequences."""
+"""All faults by name, each before the faults that it causes."""
 
 RANK: Final = {name: rank for rank, name in enumerate(FAULTS)}
-"""Place of each fault in the order of causes."""
+"""Number of each fault in the order of the catalogue."""

@@ -1,4 +1,4 @@
-"""Findings, and the registry of checks: each check declares the faults that it can name."""
+"""Findings, and the registry of checks. Each check declares the faults that it can find."""
 
 from __future__ import annotations
 
@@ -12,26 +12,26 @@ if TYPE_CHECKING:
     from srt.diagnosis.evidence import Evidence
 
 FALSE_ALARM: Final = 3e-6
-"""False-alarm probability of each statistical test in a recording.
+"""False-alarm probability of each statistical test, for one recording.
 
-All checks and the selection of a drift together raise a finding in at most 1e-4 of the sound recordings. 15 tests at
-this probability make 4.5e-5: lost samples; lags; oscillation, bumps, creep, noise of windows; settling; joined units;
-drift of scale factors; absent Earth rate, latitude, north; drift of bias; noise of gyros and of accelerometers. The
-drift in a calibration adds 2e-5, clipping 1.4e-5, vibration and rotation in windows 8e-6, repeated rows 6e-6 and spikes
-5e-6. Tests of the options come on top.
+All checks together report a fault in at most 1e-4 of the recordings without faults. 15 tests at this probability add up
+to 4.5e-5: lost samples; lags; oscillation, bumps, creep and noise of windows; settling; joined units; drift of scale
+factors; absent Earth rate, latitude and north; drift of bias; noise of gyros and of accelerometers. The detection of a
+drift in a calibration adds 2e-5, clipping 1.4e-5, vibration and rotation in windows 8e-6, repeated samples 6e-6 and
+spikes 5e-6. The test of an omitted asymmetry, which only runs with the option that fixes it, is not included.
 """
 
 
 @dataclass(frozen=True, slots=True)
 class RunnerUp:
-    """Fault that explains the same data nearly as well, and by how much less: a difference of log-likelihoods."""
+    """Fault that explains the same data nearly as well, and its difference of log-likelihood from the best fault."""
 
     fault: str
     log_likelihood_lower: float
 
     @property
     def sentence(self) -> str:
-        """Remark for the reader."""
+        """Sentence that names the fault and the difference."""
         title = FAULTS[self.fault].title
         return f"Nearly as likely (log-likelihood lower by {max(0.0, self.log_likelihood_lower):.2g}): {title}."
 
@@ -46,9 +46,9 @@ class Finding:
         Key of :data:`srt.diagnosis.faults.FAULTS`.
     sentence : str
     details : dict
-        Values in the sentence, SI where the name carries no unit.
+        Values in the sentence, in SI units unless the key ends in another unit.
     runner_up : RunnerUp or None
-        Next cause, if it explains the data nearly as well.
+        Second most likely fault, if it explains the data nearly as well.
     """
 
     fault: str
@@ -63,7 +63,7 @@ class Finding:
 
     @property
     def stage(self) -> str:
-        """Stage of the checks that name the fault."""
+        """Stage of the checks that find the fault."""
         return FAULTS[self.fault].stage
 
 
@@ -77,16 +77,16 @@ CheckFunction = Callable[["Evidence"], Iterable[Finding]]
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One check and the faults that it can name.
+    """One check and the faults that it can find.
 
     Attributes
     ----------
     run : callable
-        Yields the findings of one recording.
+        Function that yields the findings of one recording.
     faults : tuple of str
     stage : str
     needs_result : bool
-        True: the check uses a calibration of the recording.
+        True if the check uses a calibration of the recording.
     """
 
     run: CheckFunction
@@ -96,16 +96,16 @@ class Check:
 
 
 CHECKS: Final[list[Check]] = []
-"""All checks; a module registers its own on import."""
+"""All checks; a module registers its checks on import."""
 
 
 def check(*faults: str, needs_result: bool = False) -> Callable[[CheckFunction], CheckFunction]:
-    """Register a check that can name these faults, all of one stage.
+    """Register a check that can find these faults, which must be of one stage.
 
-    A check yields at most one finding for each cause: several sequences with one cause are one finding.
+    A check yields at most one finding for each cause, also if the cause affects several sequences.
     """
     stages = {FAULTS[name].stage for name in faults}
-    assert len(stages) == 1, "a check belongs to one stage"
+    assert len(stages) == 1, "the faults of a check must be of one stage"
     stage = stages.pop()
 
     def register(run: CheckFunction) -> CheckFunction:
@@ -116,7 +116,7 @@ def check(*faults: str, needs_result: bool = False) -> Callable[[CheckFunction],
 
 
 def sort_by_cause(findings: Iterable[Finding]) -> tuple[Finding, ...]:
-    """Sort findings, causes before their consequences."""
+    """Sort findings in the order of the catalogue: each fault before the faults that it causes."""
     return tuple(sorted(findings, key=lambda finding: RANK[finding.fault]))
 
 

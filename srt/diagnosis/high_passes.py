@@ -1,8 +1,8 @@
-"""Readings behind a high-pass filter: gyros whose offset is tracked through rotations, and specific force less gravity.
+"""High-pass filtered readings: gyros whose offset is tracked during rotations, and specific force without gravity.
 
-A filter of first order takes the low-passed reading L from the true one, with dL/dt = r / τ, r being what is output. At
-rest the true reading is constant, and so is the sum of r and its integral over τ: in every window the reading falls by
-1/τ for each unit of its own integral. Nothing else ties the two to one another in all windows and axes.
+A first-order high-pass filter outputs r = y - L: the true reading y less its low-pass filtered value L, which follows
+dL/dt = r / τ. At rest y is constant, so that dr/dt = -r / τ: in every window, r is a constant less its own time
+integral divided by τ. No other effect makes this relation with the same τ in all windows and axes.
 """
 
 from __future__ import annotations
@@ -22,21 +22,23 @@ if TYPE_CHECKING:
     from srt.types import Array
 
 _EXPLAINED: Final = 0.9
-"""Share of the power of the changes within the windows that the filter must explain: rotations that reach into windows
-are explained to 0.6, a drift of the readings to less."""
+"""Smallest share of the variance within the windows that the filter must explain: it explains 0.6 of the variance if
+rotations extend into the windows, and less of a drift."""
 _LONGEST_S: Final = 200.0
-"""Longest time constant, s: a settling of 1e-3 of gravity within a window looks like one of 1e4 s."""
+"""Longest time constant of a filter, s: accelerometers that settle by 1e-3 of gravity within a window look like a
+filter with a time constant of 1e4 s."""
 _SHORTEST_S: Final = {"gyro": 0.5, "accel": 0.01}
-"""Shortest time constant, s: gyros behind a shorter one read no rotation, and windows hold the end of one instead."""
+"""Shortest time constant of a filter, s: gyros behind a faster one would hardly read a rotation, and a shorter decay in
+a window is the end of a rotation."""
 _FEWEST_WINDOWS: Final = 4
-"""Windows, fewer of which may do so by chance."""
+"""Fewest windows for a finding: fewer may show the relation by chance."""
 _LEAST: Final = {"gyro": 1e-3, "accel": 0.1}
-"""Least change of the readings in the windows, rad/s and m/s² (rms), that is a decay after rotations."""
+"""Smallest rms deviation of the readings from their mean in a window, rad/s and m/s², for a decay after rotations."""
 
 
 @check("gyro_high_passed", "gravity_removed")
 def high_passed(evidence: Evidence) -> Iterator[Finding]:
-    """Test the readings in the windows for a fall in proportion to their own integral."""
+    """Test the readings in the windows for a decrease in proportion to their own time integral."""
     for sensor, fault in (("gyro", "gyro_high_passed"), ("accel", "gravity_removed")):
         time_s = _time_constant(evidence, sensor)
         if time_s is not None:

@@ -1,11 +1,12 @@
-"""Properties of the IMU: temperature, bias drift, white noise against the stated figure, omitted asymmetry.
+"""Properties of the IMU: temperature, bias drift, white noise compared with its stated value, omitted asymmetry.
 
-The Allan variance of averages over τ is, for an IMU with the stated noise, ``A(τ) = N²/τ + 3 q²/τ² + B²`` (angle or
-velocity random walk N, angle quantization error q, bias instability B). Pairs of neighbouring averages of each octave
-of τ are independent for white noise, so their weighted sum estimates N² with a known chi-square distribution.
+For an IMU with the stated noise, the Allan variance at the averaging time τ is ``A(τ) = N²/τ + 3 q²/τ² + B²`` (angle or
+velocity random walk N, angle quantization error q, bias instability B). For white noise, the differences between
+successive averages are independent, also between octaves of τ. Their weighted sum of squares therefore estimates N²
+with a known chi-square distribution.
 
-Averages over less than :data:`SHORTEST_S` are not used: filters and coarse quantization dominate them. A window far
-noisier than the others is excluded.
+Averages over less than :data:`SHORTEST_S` are not used, because filters and coarse quantization dominate them. Windows
+that are far noisier than the others are excluded.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
 
 
 BENCH_C: Final = (-60.0, 90.0)
-"""Lowest and highest test temperature, °C: parts are specified for -40 to 85 °C, military ones from -55 °C."""
+"""Lowest and highest plausible temperature, °C: parts are specified for -40 to 85 °C, military ones from -55 °C."""
 _OTHER_UNITS: Final = (
     (150.0, "degrees Fahrenheit"),
     (200.0, "tenths of a degree, or raw counts"),
@@ -45,18 +46,20 @@ _OTHER_UNITS: Final = (
     (10_000.0, "hundredths of a degree, or raw counts"),
     (np.inf, "thousandths of a degree, or raw counts"),
 )
-"""Unit that the highest temperature suggests, up to each limit."""
+"""Upper limits of the highest value of the column, and the unit that a value below the limit suggests."""
 STEADY_C: Final = 2.0
-"""Range of the mean temperatures of the sequences, °C, that counts as constant: data sheets call ±1 °C constant."""
+"""Largest range of the mean temperatures of the sequences, °C, for a constant temperature: data sheets call ±1 °C
+constant."""
 NOISE_RATIO: Final = 1.5
-"""Largest ratio of noise and stated figure, either way, that counts as stated: units of one type differ by as much."""
+"""Largest ratio of measured to stated noise, or of stated to measured noise, that is no finding: units of one type
+differ by as much."""
 _NO_ASYMMETRY: Final = NAMES[GROUP_SLICES["gyro_asymmetry"]]
-"""Parameters that ``--no-asymmetry`` fixes, of the gyros."""
+"""Gyro parameters that ``--no-asymmetry`` fixes."""
 
 
 @check("temperature_unit", "temperature_drift")
 def temperature(evidence: Evidence) -> Iterator[Finding]:
-    """Test the range of the temperatures, and their means by sequence."""
+    """Test the range of the temperature column, and the mean temperatures of the sequences."""
     T = evidence.recording.temperature
     if T is None:
         return
@@ -83,7 +86,7 @@ def temperature(evidence: Evidence) -> Iterator[Finding]:
 
 @check("gyro_bias_drift")
 def gyro_bias_drift(evidence: Evidence) -> Iterator[Finding]:
-    """Test the trend of the stationary rates over time, less g-sensitivity and the Earth rate."""
+    """Test the stationary rates, after removal of g-sensitivity and Earth rate, for a trend over time."""
     fit = stationary_rate_fit(evidence)
     if fit is None:
         return
@@ -95,7 +98,7 @@ def gyro_bias_drift(evidence: Evidence) -> Iterator[Finding]:
 
 @check("accel_bias_drift", needs_result=True)
 def accel_bias_drift(evidence: Evidence) -> Iterator[Finding]:
-    """Report the drift of the accelerometers that the residuals of a calibration show."""
+    """Report the drift of the accelerometer biases that a calibration estimates from its residuals."""
     result = evidence.result
     for drift in () if result is None else result.diagnostics.get("drift", ()):
         if drift["sensor"] == "accel":
@@ -106,13 +109,13 @@ def accel_bias_drift(evidence: Evidence) -> Iterator[Finding]:
 
 @check("gyro_noise")
 def gyro_noise(evidence: Evidence) -> Iterator[Finding]:
-    """Test the angle random walk of the stationary windows against the stated figure."""
+    """Test the angle random walk of the stationary windows against its stated value."""
     yield from _noise(evidence, "gyro", DEG_PER_SQRT_H, ("Gyro {} shows", "The gyros show"))
 
 
 @check("accel_noise")
 def accel_noise(evidence: Evidence) -> Iterator[Finding]:
-    """Test the velocity random walk of the stationary windows against the stated figure."""
+    """Test the velocity random walk of the stationary windows against its stated value."""
     yield from _noise(evidence, "accel", MICRO_G, ("Accelerometer {} shows", "The accelerometers show"))
 
 
@@ -121,12 +124,12 @@ def _noise(evidence: Evidence, sensor: Sensor, unit: float, subjects: tuple[str,
     if shown is None:
         return
     ratio = shown.found / shown.stated
-    # Eight tests: above and below, three channels and the triad.
+    # Eight tests: too much and too little noise, of three channels and of the triad.
     odd = np.where(ratio > 1.0, shown.more, shown.less) < FALSE_ALARM / 8.0
     odd &= (ratio > NOISE_RATIO) | (ratio < 1.0 / NOISE_RATIO)
     if not odd.any():
         return
-    # The triad is named if it fails as a whole, else the channel that is farthest off.
+    # If the test of the triad fails, the triad is reported, else the channel with the largest ratio.
     distance = np.abs(np.log(np.maximum(ratio, 1e-9)))
     which = 3 if odd[3] else int(np.argmax(np.where(odd, distance, -1.0)))
     yield finding(
@@ -139,12 +142,13 @@ def _noise(evidence: Evidence, sensor: Sensor, unit: float, subjects: tuple[str,
 
 @check("asymmetry_omitted", needs_result=True)
 def asymmetry_omitted(evidence: Evidence) -> Iterator[Finding]:
-    """Test the gyro asymmetry that a calibration estimates, where the given one fixes it."""
+    """Test the gyro asymmetry that a second calibration estimates, if the options of the calibration fix it."""
     if not set(_NO_ASYMMETRY) <= set(evidence.options.fixed_names) or evidence.data is None:
         return
     held = evidence.result
     fit = stationary_rate_fit(evidence)
-    if held is None or held.status not in (*USABLE, "inconsistent") or fit is None:  # its omission is a misfit
+    # A calibration that omits an asymmetry may be inconsistent for this reason.
+    if held is None or held.status not in (*USABLE, "inconsistent") or fit is None:
         return
     free = _with_asymmetry(evidence, fit)
     if free is None or free.status not in USABLE:
@@ -155,7 +159,7 @@ def asymmetry_omitted(evidence: Evidence) -> Iterator[Finding]:
     sigma = np.sqrt(inflation * free.sigma[part] ** 2 + _of_g_sensitivity(evidence.data, fit) ** 2)
     off = free.errors.vector[part] - held.errors.vector[part]
     with np.errstate(invalid="ignore"):
-        ratio = np.nan_to_num(np.abs(off) / sigma)  # an asymmetry that is not observed has no sigma
+        ratio = np.nan_to_num(np.abs(off) / sigma)  # the sigma of an asymmetry that is not observable is NaN
     axis = int(np.argmax(ratio))
     if ratio[axis] > -stdtrit(fit.freedom, FALSE_ALARM / 6.0):
         yield finding(
@@ -168,20 +172,20 @@ def asymmetry_omitted(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _with_asymmetry(evidence: Evidence, fit: StationaryRateFit) -> Calibration | None:
-    """Calibrate with asymmetry, from gyro readings less their g-sensitivity.
+    """Calibrate with asymmetry, from gyro readings compensated for g-sensitivity.
 
-    A g-sensitivity is a bias in the windows that averages out over a rotation, in which gravity rotates, too: with a
-    pair of rotations in both senses it leaves a false asymmetry.
+    A g-sensitivity adds a bias in the windows, but averages out over a rotation, in which gravity rotates. If the bias
+    of the windows is subtracted from a pair of rotations in both senses, an apparent asymmetry remains.
     """
     from srt.estimation.registry import automatic_estimator, find_estimator
 
     recording = evidence.recording
     latitude = recording.site.latitude_rad
     vertical = 0.0 if latitude is None else -EARTH_RATE_RAD_S * float(np.sin(latitude))
-    # Stationary specific force is -g times the downward vertical, for increments as for rates.
+    # The stationary specific force is -g times the downward vertical. The formula holds for increments and for rates.
     gyro = recording.gyro + recording.accel @ (fit.gamma(vertical).T / recording.site.gravity_m_s2)
     changed = replace(recording, gyro=gyro, sequences=evidence.labels)
-    # Options of other estimators do not apply.
+    # Only the fixed parameters are taken over: the automatic estimator may not have the other options.
     options = Options(hold=tuple(name for name in evidence.options.hold if name not in _NO_ASYMMETRY))
     try:
         return find_estimator(automatic_estimator(changed))(changed, options)
@@ -190,7 +194,7 @@ def _with_asymmetry(evidence: Evidence, fit: StationaryRateFit) -> Calibration |
 
 
 def _of_g_sensitivity(data: PreparedRecording, fit: StationaryRateFit) -> float:
-    """Standard deviation of asymmetry due to that of the g-sensitivity: a rate over a full rotation."""
+    """Standard deviation of the asymmetry due to that of the g-sensitivity, over the duration of a full rotation."""
     samples, rotation = data.windows.samples, data.rotation
     duration = float(np.median(rotation[:, 1] - rotation[:, 0])) * data.recording.nominal_interval_s
     assert len(samples) > 0
@@ -198,35 +202,37 @@ def _of_g_sensitivity(data: PreparedRecording, fit: StationaryRateFit) -> float:
 
 
 SHORTEST_S: Final = 0.05
-"""Shortest averages that show the random walk, s."""
+"""Shortest averaging time at which random walk dominates the Allan variance, s."""
 _LEAST_AVERAGES: Final = 16
-"""Averages of a window at least; in shorter windows single samples are used."""
+"""Fewest averages in a window of median length; in shorter windows the averages are over less than SHORTEST_S."""
 _DOUBT: Final = 0.5
-"""Relative standard deviation of the quantization and bias-instability terms: they do not average out."""
+"""Relative standard deviation of the quantization and bias-instability terms, which do not average out."""
 _OUTLIER_PROBABILITY: Final = 1e-6
-"""Probability of excluding any window of a recording with normal noise."""
+"""Probability that any window of a recording with normal noise is excluded."""
 _MOST_OUTLIERS: Final = 0.3
-"""Share of windows excluded, above which all are used: the noise is not that of a few windows."""
+"""Largest share of windows that may be excluded: if more are noisy, all are used, as this is not the noise of a few
+windows."""
 _RESOLUTION_SAMPLES: Final = 4000
-"""Readings from which the quantization step is taken."""
+"""Number of readings from which the quantization step is taken."""
 _ONE_PULSE: Final = 0.5
-"""Power of one pulse in all windows, of which this share is none: scale factors are corrected by less."""
+"""Share of the power of a single pulse below which the readings of all windows count as constant; a correction of the
+scale factor changes the size of a pulse by less."""
 _COARSE: Final = 0.5
-"""Quantization step over the stated noise of a sample, above which the noise cannot be measured."""
+"""Largest ratio of the quantization step to the stated noise of a sample at which the noise can be measured."""
 
 
 @dataclass(frozen=True, slots=True)
 class WhiteNoiseTest:
-    """White noise of one triad against the stated figure, SI.
+    """White noise of one triad compared with its stated value, SI units.
 
     Attributes
     ----------
     stated : float
-        rad/√s or m/s²·√s.
+        Stated angle or velocity random walk, rad/√s or m/s²·√s.
     found : ndarray, shape (4,)
         Measured noise of x, y, z, and of all three.
     more, less : ndarray, shape (4,)
-        Probability of as much noise, or as little, for the stated noise.
+        p-values of the measured noise under the stated noise: probability of at least, and of at most, as much.
     """
 
     stated: float
@@ -236,7 +242,7 @@ class WhiteNoiseTest:
 
 
 def white_noise_test(evidence: Evidence, sensor: Sensor) -> WhiteNoiseTest | None:
-    """Test the stationary noise of a triad; None if none is stated or the windows cannot show it."""
+    """Test the stationary noise of a triad; None if no noise is stated, or if the windows do not determine it."""
     data = evidence.data
     stated = getattr(evidence.recording.noise, f"{sensor}_noise")
     if data is None or stated is None:
@@ -253,7 +259,8 @@ def white_noise_test(evidence: Evidence, sensor: Sensor) -> WhiteNoiseTest | Non
     total, count = power[kept].sum(axis=0), pairs[kept].sum(axis=0)  # (octaves, 3), (octaves,)
     used = count > 0
     tau, total, count = tau[used], total[used], count[used]
-    # Constant readings do not show that there is no noise; corrected ones hold what a pulse of another axis adds.
+    # Constant readings do not show the noise. Corrected readings are never quite constant: the correction adds parts of
+    # the pulses of the other axes.
     pulse = getattr(evidence.recording.noise, f"{sensor}_quantization") or 0.0
     if len(tau) == 0 or np.any(total[0] <= 0.5 * _ONE_PULSE * (pulse / tau[0]) ** 2):
         return None
@@ -271,7 +278,7 @@ def white_noise_test(evidence: Evidence, sensor: Sensor) -> WhiteNoiseTest | Non
         weight = 1.0 / (tau * variance)
         information = float(np.sum(weight / tau))
         found[i] = np.sqrt(max(0.0, float(weight @ (shown - beside)) / information))
-        # A weighted sum of squares is nearly a chi-square with as many degrees of freedom as give it its variance.
+        # The weighted sum of squares is approximated by a scaled chi-square with the same mean and variance.
         mean = float(weight @ expected) / information
         freedom = 2.0 * mean**2 * information
         at = float(weight @ shown) / information / mean * freedom
@@ -280,7 +287,7 @@ def white_noise_test(evidence: Evidence, sensor: Sensor) -> WhiteNoiseTest | Non
 
 
 def _step(evidence: Evidence, data: PreparedRecording, sensor: Sensor) -> Array:
-    """Quantization step of single readings, as a rate, shape (3,); zero for pulses of a running sum."""
+    """Quantization step of single readings, as a rate, shape (3,); zero for readings that are pulse counts."""
     if getattr(data.noise, f"{sensor}_edge").any():
         return np.zeros(3)
     table = getattr(evidence.recording, sensor)
@@ -290,15 +297,15 @@ def _step(evidence: Evidence, data: PreparedRecording, sensor: Sensor) -> Array:
 
 
 def _powers(evidence: Evidence, data: PreparedRecording, sensor: Sensor) -> tuple[Array, Array, Indices] | None:
-    """Halves of the squared differences of neighbouring averages.
+    """Half the squared differences between successive averages, by octave of the averaging time.
 
     Returns
     -------
     tau : ndarray, shape (octaves,), s
     power : ndarray, shape (W, octaves, 3)
-        Sums over the pairs of a window.
+        Sums over the pairs of averages of a window.
     pairs : ndarray of int, shape (W, octaves)
-        Number of pairs.
+        Number of pairs of averages.
     """
     table = getattr(evidence.recording, sensor)
     samples = data.windows.samples
@@ -325,7 +332,7 @@ def _powers(evidence: Evidence, data: PreparedRecording, sensor: Sensor) -> tupl
 
 
 def _noisy(power: Array, pairs: Indices) -> Mask:
-    """Windows whose power in some octave is above the chi-square limit, scaled by the median window, shape (W,)."""
+    """True for windows whose power in some octave exceeds the chi-square limit, scaled by the median window, (W,)."""
     freedom = np.maximum(3.0 * pairs, 1.0)
     summed = power.sum(axis=2)
     out = np.zeros(len(power), dtype=np.bool_)

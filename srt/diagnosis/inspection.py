@@ -36,11 +36,12 @@ if TYPE_CHECKING:
     from srt.types import Array, Indices
 
 _ON_AXIS: Final = 0.94
-"""Cosine (20°) above which a rotation is about a sensor axis; uncalibrated axes lie within some degrees."""
+"""Smallest cosine of the angle between a rotation and a sensor axis at which the axis is named: 20°, as uncalibrated
+axes deviate by some degrees."""
 _ENOUGH: Final = 1 << 19
-"""Stationary samples that give the noise to one per cent; of more, some windows are omitted."""
+"""Number of stationary samples that gives the noise to one per cent; if there are more, some windows are omitted."""
 _STEPS: Final = 256
-"""Small rotations into which a manoeuvre is cut for its product: enough for angles to one degree."""
+"""Number of small rotations into which a manoeuvre is divided for the net rotation: enough for one degree."""
 
 
 def inspect(recording: Recording, *, calibrating: bool = False, units: dict[str, str] | None = None) -> Inspection:
@@ -50,7 +51,7 @@ def inspect(recording: Recording, *, calibrating: bool = False, units: dict[str,
     ----------
     recording : Recording
     calibrating : bool
-        True: also run the checks that need a calibration.
+        True to run also the checks that need a calibration.
     units : dict, optional
         Declared units, see :func:`declared_units`.
 
@@ -88,12 +89,12 @@ def inspect(recording: Recording, *, calibrating: bool = False, units: dict[str,
 
 
 def declared_units(path: str | PathLike[str]) -> dict[str, str]:
-    """Units as ``recording.toml`` declares them.
+    """Units that ``recording.toml`` declares.
 
     Parameters
     ----------
     path : path-like
-        A readable recording.
+        Recording that can be read.
 
     Returns
     -------
@@ -116,9 +117,12 @@ def _is_free(recording: Recording, recognition: Recognition) -> bool:
 def _summary(recording: Recording, recognition: Recognition) -> str:
     if _is_free(recording, recognition):
         turns, rests = len(recognition.turns), len(recognition.windows)
-        return f"{turns} free turns between {rests} rests: no fixture is stated."
+        return f"{turns} free rotations between {rests} stationary windows; no fixture is stated."
     if recording.fixture is None:
-        return f"{recognition.summary} No fixture is stated, without which they are taken as free turns."
+        return (
+            f"{recognition.summary} No fixture is stated, so that a calibration uses them as free rotations: state "
+            "the fixture if one was used."
+        )
     return recognition.summary
 
 
@@ -148,7 +152,7 @@ def _stillness(recording: Recording, windows: Indices) -> StationarySummary | No
         return None
     dt = recording.nominal_interval_s
     per_rate = 1.0 if recording.kind == "rate" else 1.0 / dt
-    # A product with a constant vector is a mean, and faster than np.mean along short rows.
+    # The product with a constant vector is the mean; np.mean is slower for short rows.
     means = np.array(
         [
             [np.full(b - a, per_rate / (b - a)) @ table[a:b] for table in (recording.gyro, recording.accel)]
@@ -182,7 +186,7 @@ def _noise(recording: Recording, windows: Indices) -> tuple[NoiseSummary | None,
 
 
 def _short_figures(recording: Recording, windows: Indices) -> dict[str, dict[str, Any]]:
-    """Noise figures of windows too short for an Allan deviation, by channel and key."""
+    """Noise of windows that are too short for an Allan deviation, by channel and key."""
     lengths = windows[:, 1] - windows[:, 0]
     every = max(1, int(lengths.sum()) // _ENOUGH)
     kept = np.concatenate([np.arange(a, b) for a, b in windows[::every].tolist()])
@@ -236,7 +240,7 @@ def _leg(vector: Array) -> RotationSummary:
 
 
 def _net(angles: Array, factor: float) -> Array:
-    """Rotation vector of successive small rotations, shape (3,), rad; biases are not removed."""
+    """Rotation vector of the product of successive small rotations, shape (3,), rad; biases are not removed."""
     size = max(1, len(angles) // _STEPS)
     whole = len(angles) // size
     steps = np.einsum("nbc->cn", angles[: whole * size].reshape(whole, size, 3))
@@ -260,30 +264,31 @@ VERSION: Final = 1
 """Name and version of the JSON form."""
 
 _MOST_LEGS: Final = 8
-"""Rotations of a manoeuvre in a table: as many as sequence 6 has."""
+"""Largest number of rotations of a manoeuvre that a table lists: sequence 6 has as many."""
 _NEGLIGIBLE: Final = 0.03
-"""Share of a manoeuvre below which a rotation is due to an unsteady hand or non-orthogonal axes."""
+"""Share of the total angle of a manoeuvre below which a rotation is not listed: it is due to an unsteady hand or to
+non-orthogonal axes."""
 
 
 @dataclass(frozen=True, slots=True)
 class TimeStampSummary:
-    """Sampling by the time stamps.
+    """Sampling of a recording according to its time stamps.
 
     Attributes
     ----------
     samples : int
     first_s, duration_s : float
-        Start of the first sample, and time from there to the last stamp.
+        Start of the first sample, and time from it to the last stamp.
     rate_hz : float
     even : bool
-        True if the stamps are evenly spaced within their rounding; if not, each sample has its own interval.
+        True if the stamps are evenly spaced within their rounding; otherwise each sample has its own interval.
     jitter : float
-        Rms deviation of a step from the interval, in intervals, without gaps.
+        Rms deviation of the steps of the stamps from the nominal interval, in intervals; gaps are excluded.
     gaps : int
     missing_s : float
         Total duration of the gaps.
     longest_gap_s, longest_gap_at_s : float or None
-        Longest gap, and time of the first sample after it.
+        Duration of the longest gap, and time of the first sample after it.
     """
 
     samples: int
@@ -305,12 +310,13 @@ class StationarySummary:
     Attributes
     ----------
     windows_s : tuple of (float, float)
-        Start of the first sample and stamp of the last.
+        Start of the first sample and stamp of the last sample, by window.
     total_s : float
+        Total duration of the windows.
     force_g : (float, float, float)
-        Magnitude of the mean specific force by window: smallest, median, largest.
+        Smallest, median and largest magnitude of the mean specific force of a window.
     rate_deg_per_h : (float, float, float)
-        Mean reading of gyro x, y, z over all windows.
+        Mean readings of gyros x, y and z over all windows.
     """
 
     windows_s: tuple[tuple[float, float], ...]
@@ -331,11 +337,11 @@ class RotationSummary:
     Attributes
     ----------
     axis : str or None
-        Sensor axis; None if none is near.
+        Name of the sensor axis; None if the rotation axis is not near a sensor axis.
     direction : (float, float, float)
-        Unit vector of the rotation in sensor axes, about which the angle is positive.
+        Unit vector along the rotation axis, in sensor axes.
     angle_deg : float
-        Signed if the axis is named.
+        Angle about the direction; positive if no axis is named.
     """
 
     axis: str | None
@@ -355,17 +361,19 @@ class ManoeuvreSummary:
     ----------
     start_s, end_s : float
     legs : tuple of RotationSummary
-        Rotations about one sensor axis each; many small ones for a rotation by hand.
+        Rotations, each about one sensor axis; many small ones for a rotation by hand.
     net : RotationSummary
         Net rotation.
     fastest_deg_s : float
+        Largest magnitude of the rate.
     sequence : str or None
-        Recognised sequence of Table 1.
+        Recognised sequence (one of the 17); None if none was recognised.
     confidence : float
         Confidence of the recognition, 0 to 1.
     reason : str
+        Reason why no sequence was recognised, or why the confidence is low.
     labelled : str or None
-        Label in the recording, if any: an id, or "free turn".
+        Label in the recording: a sequence id, or "free turn"; None without a label.
     """
 
     start_s: float
@@ -380,7 +388,7 @@ class ManoeuvreSummary:
 
     @property
     def parts(self) -> tuple[RotationSummary, ...]:
-        """Rotations for tables: those about sensor axes, or the net rotation alone for a rotation by hand."""
+        """Rotations that a table lists: those about sensor axes, or only the net rotation for a rotation by hand."""
         path = sum(abs(leg.angle_deg) for leg in self.legs)
         legs = tuple(leg for leg in self.legs if abs(leg.angle_deg) > _NEGLIGIBLE * path)
         few = len(legs) <= _MOST_LEGS and all(leg.axis for leg in legs)
@@ -389,15 +397,16 @@ class ManoeuvreSummary:
 
 @dataclass(frozen=True, slots=True)
 class NoiseSummary:
-    """Noise of the stationary windows by channel.
+    """Noise in the stationary windows, by channel.
 
     Attributes
     ----------
     figures : dict
-        By channel, then by key of the section [imu] of ``recording.toml``: ``value``, with ``low`` and ``high`` (95 %
-        interval) from an Allan deviation; ``below``, an upper limit of a bias instability that was not reached.
+        Dictionaries by channel, then by key of the section [imu] of ``recording.toml``. ``value`` is the estimate;
+        ``low`` and ``high`` its 95 % interval, if it is from an Allan deviation; ``below`` the upper limit of a bias
+        instability that the windows are too short to show.
     stated : dict
-        Figures stated in the recording, by the same keys.
+        Values stated in the recording, by the same keys.
     note : str or None
         Reason why there is no Allan deviation.
     """
@@ -409,7 +418,7 @@ class NoiseSummary:
 
 @dataclass(frozen=True, slots=True)
 class TemperatureSummary:
-    """Temperature in °C; ``recorded`` is False if one value is stated for all samples."""
+    """Temperature in °C; ``recorded`` is False if one stated value holds for all samples."""
 
     first_c: float
     last_c: float
@@ -457,7 +466,7 @@ class Inspection(Presented):
 
     @property
     def not_looked_for(self) -> tuple[str, ...]:
-        """Names of the faults that only a calibration shows, if there was none."""
+        """Names of the faults that were not checked because their checks need a calibration."""
         needing = {fault for check in CHECKS if check.needs_result for fault in check.faults}
         return () if self.calibrated else tuple(fault for fault in FAULTS if fault in needing)
 

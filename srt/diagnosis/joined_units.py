@@ -1,8 +1,9 @@
-"""Recordings of two units, or of one that was restarted or switched, joined into one: steps between two sequences.
+"""Steps of the sensor errors between two sequences: one recording of two units, a restart, or a switched range.
 
-Three sets of residuals show them: the stationary rates, the magnitudes of the stationary specific force, which the
-attitude of the fixture does not enter, and the angles of the rotations. The first two are weighted by white noise and
-the stated bias instability. A step between two sequences competes with a drift of the same parameters.
+Three sets of residuals show a step: the stationary rates, the magnitudes of the stationary specific force (which do not
+depend on the fixture's attitude), and the angles of the rotations. White noise and the stated bias instability weight
+the first two sets. The likelihood of a step between two sequences is compared with that of a drift of the same
+parameters.
 """
 
 from __future__ import annotations
@@ -30,23 +31,23 @@ if TYPE_CHECKING:
     from srt.types import Array, Indices
 
 _LEAST_SEQUENCES: Final = 3
-"""Sequences on each side of a step at least: one alone is a disturbance."""
+"""Fewest sequences on each side of a step: a change of a single sequence is a disturbance."""
 _SLOWNESS: Final = (0.1, 0.3)
-"""Time constants of a warm-up tried beside a linear drift, relative to the test."""
+"""Time constants of an exponential drift (warm-up), the alternative to a linear one, over the test's duration."""
 _OUTLIER: Final = 8.0
 """Residual over the median residual, above which a rotation is an outlier."""
 _MOST_OUTLIERS: Final = 0.2
-"""Share of outliers from which they are none."""
+"""Share of outliers from which none is excluded: so many rotations are no outliers."""
 _LEAST_FREEDOM: Final = 8
-"""Degrees of freedom, fewer of which do not tell the scatter."""
+"""Fewest degrees of freedom for an estimate of the scatter."""
 
 
 @check("units_joined")
 def units_joined(evidence: Evidence) -> Iterator[Finding]:
-    """Compare steps between any two sequences with a drift, in gyros and accelerometers."""
+    """Test gyros and accelerometers for a step between two successive sequences, against a drift."""
     rates, data = stationary_rates(evidence), evidence.data
     if rates is None or data is None or not evidence.has_labels or _has_poses(evidence):
-        return  # single poses beside turns differ by more than noise: they are not all placed as accurately
+        return  # static poses without a rotation are placed less accurately: they differ by more than noise
     order = np.argsort(data.windows.samples[data.start, 0])
     place = np.zeros(len(data.windows.samples), dtype=np.intp)
     place[data.start[order]] = place[data.end[order]] = np.arange(data.K)
@@ -75,13 +76,13 @@ def units_joined(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _has_poses(evidence: Evidence) -> bool:
-    """True if some sequence is a pose without a rotation."""
+    """True if some sequence is a static pose without a rotation."""
     turned = raw_integrals(evidence)
     return turned is None or bool(np.any(turned.absolute.max(axis=1) < MIN_TURN_RAD))
 
 
 def _probability(null: Explanation, step: Explanation) -> float:
-    """Probability of as large a reduction of the residuals by chance (F test)."""
+    """p-value of the reduction of the residuals by a step (F test)."""
     more = null.freedom - step.freedom
     if more <= 0 or step.freedom < _LEAST_FREEDOM:
         return 1.0
@@ -89,7 +90,7 @@ def _probability(null: Explanation, step: Explanation) -> float:
 
 
 def _explained(values: Array, nuisance: Array, shapes: list[tuple[str, Array, int]], moved: Array) -> list[Explanation]:
-    """Explanations in the order of the shapes, after that by nothing; ``moved`` are the columns that a shape scales."""
+    """Null explanation, then one per shape in their order; ``moved @ shape`` are the columns of a shape."""
     causes = [Cause("", np.zeros((len(values), 0)), {"place": 0})]
     causes += [
         Cause(fault, moved @ shape, {"place": 1 + place}, choices)
@@ -99,7 +100,7 @@ def _explained(values: Array, nuisance: Array, shapes: list[tuple[str, Array, in
 
 
 def _gyros(evidence: Evidence, rates: StationaryRates, shapes: list[tuple[str, Array, int]]) -> list[Explanation]:
-    """Explanations of the stationary rates; empty without a stated bias instability, or with too few windows."""
+    """Explanations of the stationary rates; empty without a stated bias instability."""
     if evidence.recording.noise.gyro_bias_instability is None:
         return []
     W, columns = len(rates.rate), rates.columns
@@ -109,13 +110,24 @@ def _gyros(evidence: Evidence, rates: StationaryRates, shapes: list[tuple[str, A
     def whitened(table: Array) -> Array:
         return np.concatenate([solve_triangular(L, table[:, axis], lower=True) for axis, L in enumerate(roots)])
 
-    # The whitened effect of a bias of each window alone: shape (3 W, 3, W).
+    # Whitened effect of a separate bias in each window, shape (3 W, 3, W).
     own = (columns[:, :, BIAS, None] * np.eye(W)[:, None, None, :]).reshape(W, 3, -1)
     return _explained(whitened(rates.rate), whitened(fixed), shapes, whitened(own).reshape(3 * W, 3, W))
 
 
 class _Angles(NamedTuple):
-    """Rotations without outliers: sequences, angles, |nominal| by axis, columns of scale factor and asymmetry."""
+    """Rotations without outliers.
+
+    Attributes
+    ----------
+    sequence : ndarray of int, shape (L,)
+        Number of the sequence of each rotation.
+    measured : ndarray, shape (L,), rad
+    by_axis : ndarray, shape (L, 3), rad
+        Magnitudes of the components of the nominal rotation: columns of the scale factors.
+    fixed : ndarray, shape (L, 6), rad
+        Columns of the scale factors and asymmetries.
+    """
 
     sequence: Indices
     measured: Array
@@ -125,9 +137,9 @@ class _Angles(NamedTuple):
 
 @computed_once
 def _rotations(evidence: Evidence) -> _Angles | None:
-    """Measured angles of the rotations; None with too few on a fixture.
+    """Measured angles of the rotations; None without a fixture, or with too few rotations.
 
-    A rotation with lost samples, or of another angle, is an outlier, while a step changes many.
+    A rotation with lost samples, or by a wrong angle, is an outlier. A step of the scale factors changes many angles.
     """
     if evidence.data is None or evidence.recording.fixture is None:
         return None
@@ -144,7 +156,7 @@ def _rotations(evidence: Evidence) -> _Angles | None:
 
 
 def _angles(evidence: Evidence, windows: Indices, shapes: list[tuple[str, Array, int]]) -> list[Explanation]:
-    """Explanations of the measured angles by scale factors that change; empty with too few rotations on a fixture."""
+    """Explanations of the measured angles by scale-factor changes; empty without a fixture or with few rotations."""
     data, turns = evidence.data, _rotations(evidence)
     if data is None or turns is None:
         return []
@@ -154,7 +166,7 @@ def _angles(evidence: Evidence, windows: Indices, shapes: list[tuple[str, Array,
 
 @check("gyro_scale_drift")
 def gyro_scale_drift(evidence: Evidence) -> Iterator[Finding]:
-    """Test the measured angles of the rotations for scale factors that drift, common to the gyros."""
+    """Test the measured angles of the rotations for a drift of the scale factors that is common to the gyros."""
     data, turns = evidence.data, _rotations(evidence)
     if data is None or turns is None:
         return
@@ -173,7 +185,7 @@ def gyro_scale_drift(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _forces(evidence: Evidence, rates: StationaryRates, shapes: list[tuple[str, Array, int]]) -> list[Explanation]:
-    """Explanations of the magnitudes of specific force by face; empty without a stated bias instability."""
+    """Explanations of specific-force magnitudes, with a mean per upward face; empty without stated bias instability."""
     data, instability = evidence.data, evidence.recording.noise.accel_bias_instability
     if data is None or instability is None:
         return []
@@ -189,7 +201,7 @@ def _forces(evidence: Evidence, rates: StationaryRates, shapes: list[tuple[str, 
     white = float(np.mean(data.noise.accel_white**2)) / (rates.end - rates.start)
     edge = 2.0 * (float(np.mean(data.noise.accel_edge)) / (rates.end - rates.start)) ** 2
     covariance = instability**2 * (up @ up.T) * flicker_covariance(rates.start, rates.end) + np.diag(white + edge)
-    # An attitude that is off by the fixture's accuracy enters with the misalignments alone: rounding stands for it.
+    # Attitude errors of the fixture act only through the misalignments: a relative sigma of 1e-8 allows for them.
     L = np.linalg.cholesky(covariance + np.diag(1e-16 * size**2))
     own = dummies[:, :, None] * np.eye(len(up))[:, None, :]
     moved = solve_triangular(L, own.reshape(len(up), -1), lower=True).reshape(len(up), len(faces), len(up))

@@ -1,8 +1,8 @@
-"""Runs of repeated rows that are too long for chance.
+"""Runs of repeated samples that are longer than by chance.
 
-Coarse readings repeat, and a quantized gyro at a steady rate repeats for long: the recording itself gives the limit. A
-run counts only if it is longer than repeats as frequent as those next to it form by chance, and twice as long as the
-runs of the other windows (or rotations).
+Sound readings repeat, too: coarse readings often, and those of a quantized gyro at a steady rate for long. The limit
+therefore follows from the recording itself. A run counts only if it is longer than the runs expected by chance at the
+frequency of repeats next to it, and more than twice as long as the longest runs of the other windows (or rotations).
 """
 
 from __future__ import annotations
@@ -21,58 +21,60 @@ if TYPE_CHECKING:
 
 
 FALSE_ALARM: Final = 5e-7
-"""Probability of one false run in a recording, for each of nine kinds of run and two of single repeats, if repeats are
-independent. Pulses of a steady input come evenly, so the true probability is smaller."""
+"""False-alarm probability for one recording, for each of nine kinds of run and two kinds of single repeats. It assumes
+independent repeats. The pulses of a steady input are evenly spaced, so that the true probability is smaller."""
 _LONGER: Final = 2.0
-"""Ratio of a run to those of the other windows (or rotations) from which it counts: rotations of 180° and 360° last
-times a factor 2 apart, and in readings without noise a whole rotation is one run."""
+"""Smallest ratio of a run to the ordinary runs of the other windows (or rotations) for a finding. In noise-free
+readings a whole rotation is one run, and a rotation of 360° lasts twice as long as one of 180°."""
 _QUANTILE: Final = 0.9
-"""Quantile of the longest runs of windows (or rotations) that is ordinary."""
+"""Quantile of the longest runs of the windows (or rotations) that is taken as the ordinary run."""
 _FEWEST: Final = 3
-"""Windows (or rotations), fewer of which allow no comparison."""
+"""Fewest windows (or rotations) for a comparison of their runs."""
 _BESIDE: Final = (1, 3)
 _LEAST_BESIDE: Final = 100
-"""Rows counted on either side of a run: once its length, where readings coarser than their noise start and stop to
-repeat, and three times its length, at least a hundred."""
+"""Numbers of samples on each side of a run in which repeats are counted, relative to the length of the run. The shorter
+span shows where readings coarser than their noise begin to repeat; the longer one has at least 100 samples."""
 _PULSES: Final = 8.0
-"""Ratio of a run to those next to it from which it counts: where the pulses of a changing rate pass a whole number for
-each sample, they pause for up to five times as long as before and after."""
+"""Smallest ratio of a run to the longest run next to it for a finding: where a changing rate passes a whole number of
+pulses per sample, sound readings repeat for up to five times as long as before and after."""
 _SUPPORT: Final = 3
-"""Repeats added to those counted: with none seen, their rate may still be three over the number of rows."""
+"""Number of repeats added to those counted: if none is counted, the frequency of repeats may still be 3 divided by the
+number of samples (95 % upper limit)."""
 _CHUNK: Final = 50
-"""Rows over which a share of repeats is taken: a pause between rotations is as short."""
+"""Number of samples over which the frequency of repeats is averaged: a pause between rotations is as short."""
 _SHORT: Final = 3
-"""Longest run of repeats that is a sample written twice, or a few times."""
+"""Largest number of repeats in a row for a sample that was written twice or a few times."""
 _MOVED: Final = 0.25
-"""Noise of a sample in pulses, above which a steady input does not repeat: 50 equal readings have p = 1e-7."""
+"""Noise of a sample, in pulses, above which the readings of a steady input change: 50 equal readings have p = 1e-7."""
 _BESIDE_PULSES: Final = 10
-"""Samples on either side of a run that tell the rate before and after it."""
+"""Number of samples on each side of a run from which the rate before and after it is taken."""
 _IN_PART: Final = 0.9
-"""Share of a run in a window or rotation, from which it is one of this part."""
+"""Smallest share of a run that must lie in a window or rotation for a comparison with this part alone."""
 _STEADY: Final = 1.5
-"""Pulses by which a steady rate differs from one sample to the next at most: one, and rounding."""
+"""Largest difference of successive readings at a steady rate, in pulses: one pulse, and a margin for rounding."""
 _GOES_ON: Final = 0.9
-"""Share of the other sensor's rows that repeat, above which that sensor is frozen, too."""
+"""Share of repeated samples of the other sensor from which that sensor counts as frozen, too."""
 
 _COMPANIONS: Final = (None, 2, 1, 1, 1, 1, 2, 2, 2)
-"""For each row of :func:`_repeats`, the row that must change meanwhile: the other sensor; of a channel, its triad."""
+"""Row of :func:`_repeats` that must change during a run, for each row: the other sensor, or the triad of a channel."""
 _FIRST_CHANNEL: Final = 3
-"""First row of a single channel."""
+"""Number of the first row of :func:`_repeats` that is for a single channel."""
 
 
 @dataclass(frozen=True, slots=True)
 class RepeatRun:
-    """Run of repeated rows: ``count`` samples equal sample ``first``."""
+    """Run of repeated samples: the ``count`` samples after sample ``first`` equal it."""
 
     first: int
     count: int
 
 
 def repeated_runs(evidence: Evidence) -> list[list[RepeatRun]]:
-    """Runs too long for chance, a list for each row of :func:`_repeats`: all, gyros, accelerometers, single channels.
+    """Runs longer than by chance: a list for all channels, the gyros, the accelerometers, and each single channel.
 
-    A run of one sensor is given only where the other sensor changes, that of one channel where its triad changes and
-    not at the channel's extremes, where it saturates. Without windows there are none.
+    A run of one triad is listed only if the other triad changes meanwhile, a run of one channel only if its triad
+    changes. Runs at the largest or smallest reading are left out, as the channel saturates there. Without stationary
+    windows, the lists are empty.
     """
     found: list[list[RepeatRun]] = [[] for _ in _COMPANIONS]
     if evidence.data is None:
@@ -105,7 +107,7 @@ def repeated_runs(evidence: Evidence) -> list[list[RepeatRun]]:
 
 
 def _at_extreme(evidence: Evidence, which: int, run: RepeatRun) -> bool:
-    """True for a run of one channel, or of all of a triad, at its largest or smallest reading."""
+    """True if a run of one channel, or of all channels of a triad, is at their largest or smallest readings."""
     if which == 0:
         return False
     channel = which - _FIRST_CHANNEL
@@ -116,12 +118,12 @@ def _at_extreme(evidence: Evidence, which: int, run: RepeatRun) -> bool:
 
 
 def _goes_on(evidence: Evidence, which: int, run: RepeatRun) -> bool:
-    """True for pulses of one channel that are as many before and after a run as in it, or fill its window or rotation.
+    """True if the pulses of one channel continue before and after a run as in the run: the channel is not frozen.
 
-    A steady input near a whole number of pulses for each sample repeats for any time, unless noise moves it: no length
-    tells a freeze from it. A run in one window or rotation, whose edges are known to some samples, is compared with it
-    alone. Where the rate changes from a run on, it does so by no more than from the next sample on; a freeze ends with
-    a jump.
+    A steady input near a whole number of pulses per sample repeats for any time if the noise is small, so that the
+    length of a run does not show a freeze. A freeze ends with a jump of the reading, but a changing rate changes no
+    faster at the end of the run than at the next sample. If most of the run lies in one window or rotation, only
+    samples of that part are compared.
     """
     channel, data = which - _FIRST_CHANNEL, evidence.data
     noise = evidence.recording.noise
@@ -146,7 +148,7 @@ def _goes_on(evidence: Evidence, which: int, run: RepeatRun) -> bool:
         column[last : min(b, last + _BESIDE_PULSES)],
     ):
         changes = np.abs(np.diff(part[:2], prepend=value))
-        # The median: an edge may lie within a sample.
+        # The median, because the edge of a window may lie within a sample.
         steady = len(part) == 0 or abs(float(np.median(part)) - value) < most
         if not (steady or (len(changes) == 2 and changes[0] <= changes[1] + most)):
             return False
@@ -154,14 +156,14 @@ def _goes_on(evidence: Evidence, which: int, run: RepeatRun) -> bool:
 
 
 def _ordinary(longest: Indices) -> float:
-    """Longest ordinary run of windows, or of rotations."""
+    """Longest run that is ordinary, by the longest runs of the windows or of the rotations."""
     return _LONGER * float(np.quantile(longest, _QUANTILE)) if len(longest) >= _FEWEST else math.inf
 
 
 def _repeats(recording: Recording, a: int, b: int) -> Mask:
-    """True for each of the rows a + 1 to b - 1 that equals the row before it, shape (9, b - a - 1).
+    """True for each of the samples a + 1 to b - 1 that equals the previous sample, shape (9, b - a - 1).
 
-    In all channels, in those of the gyros, in those of the accelerometers, and in each of the six.
+    The rows are for all channels, the gyros, the accelerometers, and each of the six channels.
     """
     out = np.empty((9, max(b - a - 1, 0)), dtype=np.bool_)
     every, gyro, accel = out[:_FIRST_CHANNEL]
@@ -175,7 +177,7 @@ def _repeats(recording: Recording, a: int, b: int) -> Mask:
 def _longest(same: Mask) -> tuple[Indices, Indices]:
     """Starts and lengths of the longest runs of True in the rows of an array (R, n), shape (R,) each."""
     rows, n = same.shape
-    # All rows as one, with a False between them.
+    # All rows are joined into one, with a False between them.
     padded = np.zeros((rows, n + 1), dtype=np.bool_)
     padded[:, :n] = same
     joined = np.concatenate(([False], padded.ravel()))
@@ -191,7 +193,7 @@ def _longest(same: Mask) -> tuple[Indices, Indices]:
 
 
 def _by_chance(evidence: Evidence, which: int, run: RepeatRun, total: int) -> float:
-    """Length of the runs that repeats as frequent as those next to a run form by chance, by the more frequent side."""
+    """Longest run expected by chance at the frequency of repeats next to a run, on the side with more repeats."""
     recording = evidence.recording
     n, after = len(recording.time), run.first + run.count + 1
     rate, longest = 0.0, 0
@@ -210,10 +212,11 @@ def _by_chance(evidence: Evidence, which: int, run: RepeatRun, total: int) -> fl
 
 
 def single_repeats(evidence: Evidence) -> list[tuple[Indices, float]]:
-    """Rows that repeat the row before them in all channels, in runs of at most three, and how many chance explains.
+    """Samples that repeat the previous one in all channels, in runs of at most three, and their number by chance.
 
-    In the windows, and in the rotations, where pulses hardly repeat. Where gyros and accelerometers repeat
-    independently, rows repeat as often as the product of both shares says, chunk by chunk: both repeat at rest.
+    One pair is for the windows, the other for the rotations, in which pulses hardly repeat. The expected number assumes
+    that gyros and accelerometers repeat independently: it is the product of both frequencies, summed over chunks, as
+    both frequencies are higher at rest.
     """
     data = evidence.data
     if data is None:

@@ -1,4 +1,4 @@
-"""Readings of the rotations: integrals, means over blocks, and the measured angles of single rotations."""
+"""Readings during the rotations: integrals, averages over blocks, and the measured angles of single rotations."""
 
 from __future__ import annotations
 
@@ -26,23 +26,23 @@ if TYPE_CHECKING:
 
 _T = TypeVar("_T")
 _STEP_S: Final = 0.01
-"""Length of a block of samples, s: a rotation at 1 rad/s covers 10 mrad in it."""
+"""Length of a block of samples, s: at 1 rad/s the unit rotates by 10 mrad per block."""
 _MARGIN_S: Final = 0.5
 """Stationary time used before and after a rotation, s."""
 _ROUNDS: Final = 12
-"""Reweightings of a robust fit."""
+"""Number of reweightings of a robust fit."""
 _ROTATING: Final = 0.05
-"""Share of the rate of a rotation above which a window is not stationary: a bump or a creep is far slower."""
+"""Rate range in a window over that of the rotations, above which it is not stationary: bumps and creep are slower."""
 _BY_NOISE: Final = 4e-6
-"""Probability that noise alone rotates some window of a recording: that of the other tests."""
+"""False-alarm probability, for one recording, that noise alone classifies a window as rotating."""
 _MAD: Final = 1.4826
 """Standard deviation over median absolute deviation of a normal distribution."""
 _SLOWEST_RAD_S: Final = 0.05
-"""Slowest rotation of a manoeuvre, rad/s: half a turn in a minute."""
+"""Slowest rotation of a manoeuvre, rad/s: 180° in a minute."""
 _OTHER_UNIT: Final = 8.0
-"""Largest rate of one axis over that of the others, from which its readings have another unit."""
+"""Largest rate of an axis over the median of the three, above which its readings are in another unit."""
 _MANY_WINDOWS: Final = 12
-"""Windows, fewer of which do not give a g-sensitivity: three times the unknowns, one bias and three slopes."""
+"""Fewest windows for a fit of g-sensitivity: three times its four unknowns, one bias and three slopes."""
 
 
 def computed_once(work: Callable[[Evidence], _T]) -> Callable[[Evidence], _T]:
@@ -61,13 +61,13 @@ def computed_once(work: Callable[[Evidence], _T]) -> Callable[[Evidence], _T]:
 
 
 def cross(a: Array, b: Array) -> Array:
-    """Cross product along the last axis; shapes broadcast (numpy's own takes ten times as long for a few vectors)."""
+    """Cross product along the last axis; shapes broadcast. For few vectors, ``numpy.cross`` takes ten times as long."""
     ahead, behind = [1, 2, 0], [2, 0, 1]
     return np.asarray(a[..., ahead] * b[..., behind] - a[..., behind] * b[..., ahead])
 
 
 def invert_readings(matrix: Array, readings: Array) -> Array:
-    """True values of readings ``matrix @ value``, both of shape (n, 3)."""
+    """Values whose readings are ``matrix @ value``; readings and values have shape (n, 3)."""
     return np.asarray(readings @ np.linalg.inv(matrix).T)
 
 
@@ -79,14 +79,14 @@ def nominal_end_attitude(sequence: RotationSequence) -> Array:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RawIntegrals:
-    """Raw readings of each sequence, integrated over the rotation and averaged over the windows.
+    """Raw readings of each sequence: gyros integrated over the rotations, accelerometers averaged over the windows.
 
     Attributes
     ----------
     signed, absolute : ndarray, shape (K, 3), rad
-        Integral of the gyro reading less the mean of both windows, and of its absolute value.
+        Integrals of the gyro readings less the mean of both windows, and of their absolute values.
     before, after : ndarray, shape (K, 3), m/s²
-        Mean accelerometer reading of the windows.
+        Mean accelerometer readings of the start window and of the end window.
     """
 
     signed: Array
@@ -116,7 +116,7 @@ def raw_integrals(evidence: Evidence) -> RawIntegrals | None:
 
 @cache
 def nominal_integrals(sequence: RotationSequence) -> tuple[Array, Array, Array, Array]:
-    """Integrals of a sequence for a perfect IMU: signed and absolute (rad), and up before and after it."""
+    """Integrals of a sequence for a perfect IMU, signed and absolute (rad); unit vector up in B before and after."""
     vectors = sequence.axes * sequence.angles_rad[:, None]
     up = -nominal_attitude(sequence)[2]
     return vectors.sum(axis=0), np.abs(vectors).sum(axis=0), up, nominal_end_attitude(sequence).T @ up
@@ -124,9 +124,10 @@ def nominal_integrals(sequence: RotationSequence) -> tuple[Array, Array, Array, 
 
 @computed_once
 def bias_per_force(evidence: Evidence) -> Array:
-    """Slope of the raw stationary rate over the raw specific force, (3, 3), rad/s per m/s²: g-sensitivity, Earth rate.
+    """Slope of raw stationary rate over raw specific force, (3, 3), rad/s per m/s²: g-sensitivity, vertical Earth rate.
 
-    Zero if the windows do not determine it. A rotation passes through attitudes of neither of its windows.
+    Zero if the windows do not determine it. During a rotation it gives the change of the rate offset, because the
+    attitudes of the rotation differ from those of its windows.
     """
     data = evidence.data
     if data is None or len(evidence.stationary_force) < _MANY_WINDOWS:
@@ -139,19 +140,20 @@ def bias_per_force(evidence: Evidence) -> Array:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BlockAverages:
-    """Raw readings of the rotations in means over about 10 ms, with half a second of stationary time around each.
+    """Raw readings averaged over blocks of about 10 ms, from 0.5 s before each manoeuvre to 0.5 s after it.
 
     Attributes
     ----------
     sequence : ndarray of int, shape (m,)
-        Sequence of each block; sequences with a gap are omitted.
+        Number of the sequence of each block; sequences with a gap are omitted.
     starts : ndarray of int, shape (K' + 1,)
-        First block of each of the K' sequences, and one past the last of all.
+        Number of the first block of each of the K' sequences, and the number of blocks.
     first_sample : ndarray of int, shape (m,)
+        Number of the first sample of each block.
     step_s : float
         Length of a block.
     rate : ndarray, shape (m, 3), rad/s
-        Less the mean of the sequence's windows and the effect of specific force.
+        Mean rate, less the stationary rate of the sequence's windows and the effect of specific force.
     force : ndarray, shape (m, 3), m/s²
     """
 
@@ -165,7 +167,7 @@ class BlockAverages:
 
 @computed_once
 def block_averages(evidence: Evidence) -> BlockAverages | None:
-    """Block means of all rotations; None if there are none."""
+    """Block averages of all manoeuvres without a gap; None if there are none."""
     data = evidence.data
     if data is None or not evidence.contiguous.any():
         return None
@@ -201,7 +203,7 @@ def block_averages(evidence: Evidence) -> BlockAverages | None:
 def turning_windows(evidence: Evidence) -> Mask:
     """True for windows in which the unit rotates as in a manoeuvre, shape (W,): their labels are wrong.
 
-    Smaller motion has other causes: :mod:`srt.diagnosis.window_disturbances`.
+    Slower motion has other causes, see :mod:`srt.diagnosis.window_disturbances`.
     """
     data = evidence.data
     assert data is not None
@@ -213,7 +215,7 @@ def turning_windows(evidence: Evidence) -> Mask:
         first, last = int(samples[s, 0]), int(samples[e, 1])
         count = (last - first) // size
         blocks = evidence.recording.gyro[first : first + count * size].reshape(count, size, 3)
-        means = np.median(blocks, axis=1)  # a spike is no rotation
+        means = np.median(blocks, axis=1)  # the median, so that a spike is not taken for a rotation
         in_turns[k] = _rate_range(means).max()
         for w in (s, e):
             inside = slice(-(-(int(samples[w, 0]) - first) // size), (int(samples[w, 1]) - first) // size)
@@ -221,7 +223,7 @@ def turning_windows(evidence: Evidence) -> Mask:
             if len(means[inside]):
                 scatter[w] = _MAD * np.median(np.abs(means[inside] - np.median(means[inside], axis=0)), axis=0)
             blocks_in_windows += len(means[inside])
-    # Poses placed one by one have no rotation to compare with: their noise is none either.
+    # Without rotations (static poses only) the median is noise: the slowest rotation is its lower limit.
     slowest = _SLOWEST_RAD_S * (1.0 if evidence.per_rate == 1.0 else evidence.dt)
     slowest = _ROTATING * max(float(np.median(in_turns)), slowest)
     noise = -2.0 * float(ndtri(_BY_NOISE / max(1, 6 * blocks_in_windows))) * np.median(scatter, axis=0)
@@ -234,16 +236,16 @@ def _rate_range(means: Array) -> Array:
 
 @computed_once
 def rotation_angles(evidence: Evidence) -> tuple[Indices, Array, Array]:
-    """Rotations of the sequences that have as many of them as their label.
+    """Rotations of the sequences in which as many rotations are found as their label states.
 
-    A rotation begins where the axis changes, or after a pause between two about one axis. Sequences with a gap are left
-    out.
+    A rotation begins where the axis changes, or after a pause. Sequences with a gap are left out.
 
     Returns
     -------
     sequence : ndarray of int, shape (L,)
+        Number of the sequence of each rotation.
     nominal, turned : ndarray, shape (L, 3), rad
-        Stated rotation (signed angle times axis), and its raw measurement.
+        Nominal rotation (signed angle times axis), and the raw gyro readings integrated over the rotation.
     """
     data, path = evidence.data, block_averages(evidence)
     numbers, nominal, turned = [np.zeros(0, dtype=np.intp)], [np.zeros((0, 3))], [np.zeros((0, 3))]
@@ -251,7 +253,7 @@ def rotation_angles(evidence: Evidence) -> tuple[Indices, Array, Array]:
         return numbers[0], nominal[0], turned[0]
     largest = np.abs(path.rate).max(axis=0)
     typical = float(np.median(largest))
-    # One axis in a smaller unit than the others would hold their rotations by its misalignment.
+    # An axis in a smaller unit, as deg/s, would have the largest reading in rotations about the others.
     unit = np.where(largest > _OTHER_UNIT * typical, largest / max(typical, 1e-300), 1.0)
     for s, e in pairwise(path.starts.tolist()):
         k = int(path.sequence[s])
@@ -270,7 +272,9 @@ def rotation_angles(evidence: Evidence) -> tuple[Indices, Array, Array]:
 
 
 def robust_fit(x: Array, y: Array) -> Array:
-    """Solve ``y ≈ x @ b`` for the smallest sum of lengths of the residuals (least absolute deviations), by reweighting.
+    """Solve ``y ≈ x @ b`` for least absolute deviations, by iteratively reweighted least squares.
+
+    The solution minimises the sum of the lengths of the residual vectors.
 
     Parameters
     ----------

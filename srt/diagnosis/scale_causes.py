@@ -1,9 +1,11 @@
 """Causes of wrong scales, compared by likelihood: factors on gyros, accelerometers and clock.
 
-A cause shifts the logarithms of the ratios of reading and truth of the three gyros and of the three accelerometers, by
-a known amount (another unit) or by an unknown one (a sample rate), and the Earth rate that the windows show: it is
-measured in true angles over stated time, and only a wrong clock changes it. What is left are the scale errors of the
-unit: independent from axis to axis, normal, of a standard deviation that is not known and is averaged over.
+The measurements are the ratios of reading to truth of the three gyros and of the three accelerometers, and the Earth
+rate in the stationary windows. A cause shifts the logarithms of the ratios by a known amount (another unit) or by an
+unknown one (a sample rate). The Earth rate is measured with the gyro scale factors from the rotations, so that a factor
+on the gyros cancels: only a wrong clock changes it. The remaining deviations of the ratios are the scale-factor errors
+of the unit. They are modelled as normal and independent from axis to axis; the likelihood is averaged over their
+unknown standard deviation.
 """
 
 from __future__ import annotations
@@ -28,35 +30,35 @@ if TYPE_CHECKING:
     from srt.types import Array
 
 _GRID: Final = np.geomspace(1e-4, 1.0, 25)
-"""Standard deviations of the scale errors of a unit, from the best to the worst."""
+"""Standard deviations of the scale-factor errors of a unit over which the likelihood is averaged."""
 _USUAL: Final = 0.02
-"""Standard deviation of the scale errors, above which units are the rarer the larger it is: uncalibrated MEMS."""
+"""Standard deviation of scale-factor errors above which the prior weight falls with its square: uncalibrated MEMS."""
 _WEIGHT: Final = 1.0 / (1.0 + (_GRID / _USUAL) ** 2)
 _LOG_WEIGHT: Final = np.log(_WEIGHT / _WEIGHT.sum())
 _ROUNDING: Final = 1e-4
-"""Least standard deviation of a ratio: labels and windows are not better."""
+"""Smallest standard deviation of the logarithm of a ratio: labels and windows are not more accurate."""
 _GRAVITY: Final = 0.0035
-"""Standard deviation of the stated gravity, relative: a third of its variation over the Earth (9.76 to 9.84 m/s²)."""
+"""Relative standard deviation of the stated gravity: 0.4 of its variation over the Earth (9.76 to 9.84 m/s²)."""
 _SITE_WRONG: Final = 1e-2
-"""Probability of a wrong latitude, which makes the Earth rate no evidence."""
+"""Prior probability of a wrong latitude, for which the Earth rate does not distinguish the causes."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScaleCause:
-    """One cause, or one of each triad.
+    """Cause of the scales of both triads: one fault, or one fault of each triad.
 
     Attributes
     ----------
     faults : tuple of str
-        Keys of the catalogue of faults; none for scale errors of the unit.
+        Keys of the catalogue of faults; empty for the scale-factor errors of a sound unit.
     gyro, accel : float or ndarray, shape (3,)
-        Logarithm of reading over truth.
+        Known part of the logarithm of reading over truth.
     clock : float
         Logarithm of the stated interval over the true one.
     unknown : mapping of sensor to (float, float)
-        Triads with a further, unknown logarithm: its range, and the factor with which it is added to ``clock``.
+        Triads whose logarithm has an unknown part: its range, and the factor by which it contributes to ``clock``.
     prior : float
-        Probability, relative to that of no fault.
+        Prior probability, relative to that of no fault.
     details : mapping by fault
         Values for the messages.
     """
@@ -84,7 +86,15 @@ class ScaleCause:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Triad:
-    """Logarithms of the ratios of a triad; for each standard deviation of its errors their variance and weight."""
+    """Logarithms of the ratios of a triad, and their variance for each standard deviation of the scale-factor errors.
+
+    Attributes
+    ----------
+    ratio : ndarray, shape (n,)
+    variance : ndarray, shape (25,)
+    common : float
+        Standard deviation of an error that is common to the axes.
+    """
 
     ratio: Array
     variance: Array
@@ -99,9 +109,10 @@ class _Triad:
         return _Triad(ratio, _GRID**2 + scatter**2 + _ROUNDING**2, common)
 
     def terms(self, shift: float | Array, width: float | None) -> tuple[Array, Array, Array]:
-        """Log-likelihood, the mean off the shift, and its variance; over the standard deviations of the errors.
+        """Log-likelihood, mean deviation of the ratios from the shift, and variance of that mean.
 
-        With a width, any mean within it is equally likely.
+        Each is an array over the standard deviations of the scale-factor errors. If ``width`` is given, the shift has
+        an unknown part that is uniformly distributed over it.
         """
         n, s2 = len(self.ratio), self.variance
         if n == 0:
@@ -115,14 +126,14 @@ class _Triad:
 
 
 def score(cause: ScaleCause, gyro: ScaleRatios, accel: ScaleRatios, earth: tuple[Array, Array, Array] | None) -> float:
-    """Logarithm of the probability of a cause with all that is measured, up to a constant.
+    """Logarithm of the posterior probability of a cause, given all measurements, up to a constant.
 
     Parameters
     ----------
     cause : ScaleCause
     gyro, accel : ScaleRatios
     earth : (found, sigma, true) or None
-        Vertical and horizontal Earth rate measured, their standard deviations, and the true ones, each of shape (2,).
+        Measured vertical and horizontal Earth rate, their standard deviations, and their true values, (2,) each.
     """
     total, clock, doubt = np.zeros((1, 1)), np.full((1, 1), cause.clock), np.zeros((1, 1))
     for sensor, triad, shift, axis in (
@@ -139,8 +150,8 @@ def score(cause: ScaleCause, gyro: ScaleRatios, accel: ScaleRatios, earth: tuple
 
 
 def _earth_term(clock: Array, doubt: Array, found: Array, sigma: Array, true: Array) -> Array:
-    """Log-likelihood of the Earth rate, for the logarithm of a wrong clock and its variance, of any shape."""
-    # A slow clock raises all rates, and their noise with them.
+    """Log-likelihood of the measured Earth rate, for the logarithm of the clock factor and its variance (any shape)."""
+    # A stated interval that is too short raises all rates and their noise.
     sigma = sigma * np.maximum(1.0, np.exp(-clock))[..., None]
     expected = np.exp(-clock)[..., None] * true / sigma
     left = found / sigma - expected
@@ -154,7 +165,7 @@ def _earth_term(clock: Array, doubt: Array, found: Array, sigma: Array, true: Ar
 def most_likely(
     causes: Iterable[ScaleCause], evidence: Evidence, gyro: ScaleRatios, accel: ScaleRatios
 ) -> tuple[ScaleCause, RunnerUp | None]:
-    """Most likely of some causes, and the next one with another first fault, if it is nearly as likely."""
+    """Most likely cause, and the second most likely one with another first fault, if it is nearly as likely."""
     earth = earth_rate_components(evidence)
     ranked = sorted(((score(cause, gyro, accel, earth), cause) for cause in causes), key=lambda row: -row[0])
     (top, best), rest = ranked[0], ranked[1:]

@@ -1,4 +1,4 @@
-"""Ratios of readings and truth of each triad: rotations against labels or gravity, specific force against gravity."""
+"""Ratios of reading to truth of each triad: rotations against labels or gravity, specific force against gravity."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ _MAD: Final = 1.4826
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScaleRatios:
-    """Ratio of reading and truth of one triad.
+    """Ratios of reading to truth of one triad.
 
     Attributes
     ----------
     typical : float
-        Median of the triad; NaN if unknown.
+        Median ratio of the triad; NaN if unknown.
     axes : ndarray, shape (3,)
         Ratio of each sensor axis; NaN where unknown.
     axis_scatter : float
-        Standard deviation of the logarithm of the ratio of one rotation or pose about that of its axis.
+        Scatter of single rotations or poses: standard deviation of the logarithm of their ratio to that of their axis.
     """
 
     typical: float
@@ -51,41 +51,44 @@ class ScaleRatios:
 
     @property
     def common(self) -> float:
-        """Mean logarithm of the three axes."""
+        """Mean of the logarithms of the three axes."""
         return float(np.mean(np.log(self.axes)))
 
     @property
     def scatter(self) -> float:
-        """Standard deviation of the logarithm of an axis about the others, the scatter within axes included."""
+        """Standard deviation of the logarithm of the ratio over the three axes, including the scatter of one axis."""
         return math.hypot(float(np.std(np.log(self.axes), ddof=1)), self.axis_scatter)
 
 
 _MOST_AGREE: Final = 0.8
 _MOST_AGREE_SIGMA: Final = 1.2816
-"""Share of the rotations that must agree on a factor, and the sigmas within which it lies."""
+"""Quantile of the deviations from which their standard deviation is taken, and the normal deviate of this quantile: a
+factor that holds for more than a fifth of the rotations increases the scatter."""
 _ROUNDS: Final = 3
-"""Rounds in which the ratios of the axes are separated."""
+"""Number of iterations that assign rotations to axes and compute the ratios of the axes."""
 _LEAST_RATIO: Final = 0.125
-"""Ratio of an axis to the others below which it was not rotated."""
+"""Smallest reading of an axis relative to the median axis: an axis with less was not rotated."""
 _RELATION_SIGMA: Final = 0.02
-"""Standard deviation of the logarithm of an axis by the rotation of gravity: motion by hand, and misalignment."""
+"""Standard deviation of the logarithm of a ratio from the rotation of gravity, due to acceleration and misalignment."""
 _AGREE: Final = 0.2
-"""Logarithm of the ratio within which labels and the rotation of gravity agree; a factor of two is 0.69."""
+"""Largest difference of the logarithms of the ratios from labels and from gravity at which both agree; a factor of two
+is 0.69."""
 _FEWEST_POSES: Final = 9
-"""Poses from which scale factors and biases of three accelerometers are told, with three to spare."""
+"""Fewest poses for a fit of three accelerometer scale factors and three biases: three more than unknowns."""
 _LEAST_SPREAD: Final = 0.1
-"""Smallest singular value of such a fit over the root of the number of poses; of poses all around it is 0.37."""
+"""Smallest permitted singular value of that fit over the square root of the number of poses; for poses in all
+directions it is 0.37."""
 _UNSEEN: Final = np.full(3, np.nan)
 UNKNOWN: Final = ScaleRatios(float("nan"), _UNSEEN, float("nan"))
-"""Ratios of a triad of which the data tell nothing."""
+"""Ratios of a triad that the data do not determine."""
 
 
 @computed_once
 def gyro_scale_ratios(evidence: Evidence) -> ScaleRatios:
-    """Ratios of measured and stated angles; for free rotations, of the gyros and the rotation of gravity.
+    """Ratios of measured to labelled angles; for free rotations, of the gyros to the rotation of gravity.
 
-    Medians of magnitudes, each assigned to the gyro that measured most of it: wrong axes, signs, senses and a few wrong
-    labels do not matter.
+    The ratios to labelled angles are medians of magnitudes, each assigned to the gyro with the largest reading. Wrong
+    axes, signs and senses, and a few wrong labels, do not affect them.
     """
     by_labels = _by_labels(evidence)
     if evidence.has_labels and by_labels.known:
@@ -95,7 +98,7 @@ def gyro_scale_ratios(evidence: Evidence) -> ScaleRatios:
         return by_labels
     axes = 1.0 / np.linalg.norm(relation, axis=0)
     by_gravity = ScaleRatios(float(np.median(axes)), axes, _RELATION_SIGMA)
-    # Angles recognised as multiples of 90° may be off by a factor of two.
+    # Without labels, angles are recognised as multiples of 90° and may be wrong by a factor of two.
     agree = by_labels.known and abs(math.log(by_labels.typical / by_gravity.typical)) < _AGREE
     return by_labels if agree else by_gravity
 
@@ -107,7 +110,8 @@ def _by_labels(evidence: Evidence) -> ScaleRatios:
     if len(nominal) == 0:
         return UNKNOWN
     size = np.linalg.norm(nominal, axis=1)
-    # An axis in a smaller unit than the others holds their rotations by its misalignment: each is measured in its own.
+    # An axis in a smaller unit than the others, and misaligned, would have the largest reading in their rotations: each
+    # axis is divided by its own ratio.
     axes = np.max(np.abs(turned) / size[:, None], axis=0)
     axes = np.maximum(axes, max(_LEAST_RATIO * float(np.median(axes)), 1e-300))
     for _ in range(_ROUNDS):
@@ -122,7 +126,7 @@ def _by_labels(evidence: Evidence) -> ScaleRatios:
         return ScaleRatios(float(np.median(ratio)), axes, math.inf)
     if np.all(axes > 0.0):
         ratio = axes[most] * np.linalg.norm(turned / axes, axis=1) / size
-    # A factor that holds for a part of the rotations is none of the triad: a fifth of them tells.
+    # A factor on only a part of the rotations is not a scale of the triad: it increases the scatter.
     off = np.quantile(np.abs(np.log(ratio / axes[most])), _MOST_AGREE)
     fixture = evidence.recording.fixture
     fixture_scatter = 0.0 if fixture is None else fixture.rotation_sigma_rad / math.pi
@@ -131,9 +135,10 @@ def _by_labels(evidence: Evidence) -> ScaleRatios:
 
 @computed_once
 def accel_scale_ratios(evidence: Evidence) -> ScaleRatios:
-    """Ratios of stationary specific force and gravity; by axis if the poses span space, stated or many.
+    """Ratios of the stationary specific force to gravity, for each axis if the poses determine them.
 
-    Without a stationary window, that of all readings: motion by hand leaves them near gravity.
+    The poses do so if their labels span space, or if there are enough poses for a fit of their magnitudes. Without a
+    stationary window, the ratio is that of all readings: in motion by hand they remain near gravity.
     """
     turns = manoeuvre_readings(evidence)
     gravity = evidence.recording.site.gravity_m_s2
@@ -157,9 +162,9 @@ def accel_scale_ratios(evidence: Evidence) -> ScaleRatios:
 
 
 def _by_magnitude(force: Array) -> ScaleRatios | None:
-    """Ratios of an ellipsoid with axes along those of the sensors, fitted to specific forces (n, 3) over gravity.
+    """Ratios from an ellipsoid fit to specific forces in units of gravity, (n, 3), with its axes along the sensor axes.
 
-    None with too few poses, or with poses that leave its axes open.
+    None with too few poses, or with poses that do not determine the axes of the ellipsoid.
     """
     size = float(np.median(np.linalg.norm(force, axis=1)))
     design = np.hstack([(force / size) ** 2, force / size])
@@ -178,7 +183,7 @@ def _by_magnitude(force: Array) -> ScaleRatios | None:
 
 
 def stationary_force_scatter(evidence: Evidence) -> float:
-    """Logarithm of the ratio of the quartiles of the stationary specific force; infinite without stationary windows."""
+    """Logarithm of upper over lower quartile of the stationary specific force; infinite without stationary windows."""
     turns = manoeuvre_readings(evidence)
     if turns is None or len(turns.force) == 0:
         return math.inf

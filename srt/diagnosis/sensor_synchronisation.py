@@ -1,7 +1,8 @@
-"""Synchronisation of gyros and accelerometers: time offset between the sensors, and samples lost in rotation.
+"""Synchronisation of gyros and accelerometers: time offset between the sensors, and samples lost in rotations.
 
-The gyros transform the measured specific force to the frame at the start of each sequence, where it should be constant.
-Its deviation along the direction in which gravity rotates is an angle by which gyros and accelerometers disagree.
+The attitude from the gyros transforms the measured specific force to B_Strt, the body frame at the start of the
+sequence, in which it should be constant. Its change in the direction in which gravity rotates, divided by gravity, is
+the angle between the rotations that gyros and accelerometers measure.
 """
 
 from __future__ import annotations
@@ -30,23 +31,23 @@ if TYPE_CHECKING:
 
 
 _FEWEST_TURNS: Final = 4
-"""Rotations, fewer of which do not tell the scatter of the offset."""
+"""Fewest rotations for an estimate of the scatter of the offset."""
 _LEAST_OFFSET: Final = 0.02
-"""Smallest offset in sampling intervals: the effective time of a reading is not known better."""
+"""Smallest offset for a finding, in sampling intervals: the effective time of a reading is not known better."""
 _OBSERVED: Final = 1e-9
-"""Relative singular value from which a combination of accelerometer errors is observed; far above rounding."""
+"""Smallest relative singular value of an observable combination of accelerometer errors; far above rounding."""
 _SURE: Final = 5.0
-"""Sigmas of the accelerometer errors that a step must exceed, where a few rotations hardly determine them."""
+"""Smallest step, in units of its sigma due to the accelerometer errors, which few rotations hardly determine."""
 _COARSE: Final = 5
-"""Blocks averaged for the offset, which is constant over a rotation."""
+"""Number of blocks that are averaged for the estimate of the offset, which is constant during a rotation."""
 _MOVING: Final = 0.2
-"""Share of the highest rate above which a block belongs to a rotation."""
+"""Smallest rate of a block in a rotation, relative to the highest rate."""
 _SIDE: Final = 20
-"""Blocks used on each side of a step."""
+"""Number of blocks used on each side of a step."""
 _HALF_A_SAMPLE: Final = 0.5
-"""Smallest step in angles of one sample: at least one sample is lost."""
+"""Smallest angle of a step, in angles of rotation per sample: a loss is at least one sample."""
 _WHOLE: Final = 0.25
-"""Distance of a step from the angle of a whole number of samples, relative to it, that noise explains."""
+"""Largest deviation of a step from a whole number of samples, relative to that number: noise causes no more."""
 _RAYLEIGH_MEDIAN: Final = 1.1774
 """Median of the Rayleigh distribution in sigma."""
 
@@ -60,17 +61,17 @@ class TimeOffset:
     late_s, sigma_s : float
         Mean lag of the accelerometers behind the gyros over the rotations, and its standard deviation.
     typical_s : float
-        Median lag, which a rotation with lost samples does not affect.
+        Median lag, which a single rotation with lost samples does not affect.
     by_turn : ndarray, shape (n,), s
-        Lag of each rotation used.
+        Lag in each rotation used.
     axes : ndarray, shape (n, 3)
-        Its axis, unit vectors in B.
+        Axis of each rotation, unit vectors in B.
     by_accel : ndarray, shape (n, 3)
-        Lag that it would show for an accelerometer of x, y or z that lags by one second.
+        Lag estimated in each rotation if only accelerometer x, y or z lags, by one second.
     errors : ndarray, shape (15,)
-        Accelerometer errors, columns of :func:`_error_columns`.
+        Accelerometer errors, in the order of the columns of :func:`_error_columns`.
     spread : ndarray, shape (r, 15)
-        Root S of the covariance of these errors, SᵀS.
+        Square root S of the covariance SᵀS of these errors.
     """
 
     late_s: float
@@ -97,9 +98,9 @@ def time_offset(evidence: Evidence) -> TimeOffset | None:
     n = len(chosen)
     if n < _FEWEST_TURNS:
         return None
-    # The accelerometer errors are common. Each rotation has its own offset, initial angle and gyro scale error; their
-    # scatter over the rotations contains all that is not modelled. The unknowns of single rotations are projected out,
-    # so the cost grows only linearly.
+    # The accelerometer errors are common to all rotations. Each rotation has its own offset, initial angle and gyro
+    # scale-factor error; the scatter of the offsets includes all unmodelled effects. The unknowns of single rotations
+    # are projected out, so that the computing time grows only linearly with the number of rotations.
     projected = []
     for columns, angles, _ in chosen:
         own, _ = np.linalg.qr(columns[:, :3])
@@ -108,7 +109,7 @@ def time_offset(evidence: Evidence) -> TimeOffset | None:
     stacked = np.concatenate(projected)
     seen, wanted = stacked[:, :-4], stacked[:, -4:]
     common, spread = _solution(seen, wanted[:, 0], freedom=len(stacked) - 3 * n)
-    # Lags of single accelerometers pass through the same estimate: errors take over a part of them.
+    # Lags of single accelerometers are put through the same estimation: the accelerometer errors absorb a part of them.
     every = np.column_stack([common, np.linalg.lstsq(seen, wanted[:, 1:], rcond=_OBSERVED)[0]])
     lags = np.array(
         [
@@ -122,7 +123,7 @@ def time_offset(evidence: Evidence) -> TimeOffset | None:
 
 
 def _solution(columns: Array, values: Array, *, freedom: int) -> tuple[Array, Array]:
-    """Least squares of smallest norm, and the root of its covariance with the scatter of the residuals."""
+    """Least-squares solution of smallest norm, and the square root of its covariance from the scatter of residuals."""
     U, size, Vt = np.linalg.svd(columns, full_matrices=False)
     seen = size > _OBSERVED * size[0]
     root = Vt[seen] / size[seen, None]
@@ -132,10 +133,16 @@ def _solution(columns: Array, values: Array, *, freedom: int) -> tuple[Array, Ar
 
 
 def _equations(path: StabilisedForce, turns: BlockAverages, s: int, e: int) -> tuple[Array, Array, Array] | None:
-    """Equations of a sequence with one rotation about a horizontal axis.
+    """Linear equations of a sequence with one rotation about a horizontal axis; None for any other sequence.
 
-    Columns (offset, start, scale, errors); the angle, and those for each accelerometer late by 1 s; axis in B. None for
-    any other sequence.
+    Returns
+    -------
+    columns : ndarray, shape (n, 18)
+        Columns of offset, initial angle, gyro scale-factor error, and the 15 accelerometer errors.
+    angles : ndarray, shape (n, 4)
+        Measured angle, and the angle if only accelerometer x, y or z lags by 1 s.
+    axis : ndarray, shape (3,)
+        Rotation axis, unit vector in B.
     """
     if e - s < 2 * _COARSE:
         return None
@@ -160,10 +167,10 @@ def _equations(path: StabilisedForce, turns: BlockAverages, s: int, e: int) -> t
 
 
 def _error_columns(along: Array, up: Array, rate: Array, step_s: float) -> Array:
-    """Change of the specific force along a direction in B by accelerometer errors, over gravity; shape (n, 15).
+    """Effect of accelerometer errors on the specific force in a direction in B, in units of gravity; shape (n, 15).
 
-    Symmetric matrix (6), bias (3), asymmetry (3), and lever arm of the accelerometers (3), in s². A rotation of the
-    whole triad adds a constant to the angle, which is the initial angle.
+    The columns are for a symmetric matrix (6), bias (3), asymmetry (3), and lever arm of the accelerometers over
+    gravity (3, in s²). A rotation of the whole triad needs no columns: it only changes the initial angle.
     """
     change = np.gradient(rate, step_s, axis=0)
     ahead = [1, 2, 0]
@@ -173,7 +180,7 @@ def _error_columns(along: Array, up: Array, rate: Array, step_s: float) -> Array
 
 
 def _expected(path: StabilisedForce, turns: BlockAverages, errors: Array, late_s: float) -> Array:
-    """Change of the specific force in B by accelerometer errors and a time offset, over gravity, shape (m, 3)."""
+    """Effect of accelerometer errors and a time offset on the specific force in B, in units of gravity, (m, 3)."""
     e, up, rate = errors, path.up_body, path.rate
     symmetric = np.array([[e[0], e[3], e[5]], [e[3], e[1], e[4]], [e[5], e[4], e[2]]])
     change = np.gradient(rate, turns.step_s, axis=0)  # sequences begin and end at rest
@@ -187,9 +194,9 @@ def _coarser(values: Array) -> Array:
 
 
 def _lag_causes(seen: TimeOffset) -> list[Cause]:
-    """Patterns of the lag of accelerometers behind gyros over the rotations, for a lag of 1 s of some channels.
+    """Possible causes of a lag, with their patterns: lag of accelerometers behind gyros by rotation, for a lag of 1 s.
 
-    In a rotation about one axis only the gyro of that axis turns.
+    A rotation about one axis is measured only by the gyro of that axis.
     """
     n, by_gyro = len(seen.axes), seen.axes**2
     causes = [Cause("", np.zeros((n, 0)), {}), Cause("sensor_time_offset", np.ones((n, 1)), {})]
@@ -201,7 +208,7 @@ def _lag_causes(seen: TimeOffset) -> list[Cause]:
 
 @computed_once
 def lag(evidence: Evidence) -> Finding | None:
-    """Lag of the rotation of gravity behind the gyros, of all channels of a sensor or of one; None if there is none."""
+    """Finding of a lag between gyros and rotation of gravity, of a triad or of one channel; None if there is none."""
     seen = time_offset(evidence)
     if seen is None:
         return None
@@ -218,7 +225,7 @@ def lag(evidence: Evidence) -> Finding | None:
 
 @check("sensor_time_offset", "gyro_axis_delayed", "accel_axis_delayed")
 def sensor_time_offset(evidence: Evidence) -> Iterator[Finding]:
-    """Test for a lag of the rotation of gravity behind the gyros: of all channels of a sensor, or of one."""
+    """Test for a lag between the gyros and the rotation of gravity, of a triad or of one channel."""
     told = lag(evidence)
     if told is not None:
         yield told
@@ -226,16 +233,16 @@ def sensor_time_offset(evidence: Evidence) -> Iterator[Finding]:
 
 @dataclass(frozen=True, slots=True)
 class AttitudeStep:
-    """Step of the gyro-stabilised specific force in a rotation.
+    """Step of the gyro-stabilised specific force during a rotation.
 
     Attributes
     ----------
     block : int
-        Block of :func:`block_averages` before which the attitude steps.
+        Block of :func:`block_averages` before which the attitude error changes.
     height : float
-        Angle, rad.
+        Angle of the step, rad.
     duration_s : float
-        Time in which the rotation turns by it; negative where the gyros read too large an angle.
+        Time in which the unit rotates by this angle; negative if the gyros measured too large an angle.
     """
 
     block: int
@@ -245,7 +252,7 @@ class AttitudeStep:
 
 @computed_once
 def attitude_step(evidence: Evidence) -> AttitudeStep | None:
-    """Largest significant step; None if there is none, or without a fixture: a hand accelerates in steps, too."""
+    """Largest significant step; None if there is none, or without a fixture, as the acceleration by hand has steps."""
     path, turns = stabilised_force(evidence), block_averages(evidence)
     if path is None or turns is None or evidence.recording.fixture is None:
         return None
@@ -255,7 +262,7 @@ def attitude_step(evidence: Evidence) -> AttitudeStep | None:
     moving = speed > _MOVING * speed.max()
     left = path.force_start - path.up
     if seen is not None:
-        # A time offset would make steps of the beginning and the end of a rotation.
+        # Without this correction, a time offset makes a step at the beginning and at the end of a rotation.
         left -= _levelled(path, _expected(path, turns, seen.errors, seen.typical_s))
     left -= np.einsum("ma,ma->m", left, path.up)[:, None] * path.up
     steps, whole = _steps(left, turns.starts)
@@ -263,14 +270,14 @@ def attitude_step(evidence: Evidence) -> AttitudeStep | None:
     height = np.linalg.norm(steps[places], axis=1)
     if len(height) == 0:
         return None
-    # Most places hold no step: their median gives the noise.
+    # At most places there is no step: the median height gives the noise.
     scale = float(np.median(height)) / _RAYLEIGH_MEDIAN
     limit = math.sqrt(-2.0 * math.log(FALSE_ALARM / len(height))) * scale
     excess = height / np.maximum(limit, _HALF_A_SAMPLE * speed[places] * evidence.dt)
     if excess.max() > 1.0 and seen is not None:
         excess = height / np.hypot(height / excess, _SURE * _step_doubt(path, turns, seen)[places])
     if excess.max() > 1.0:
-        # A sequence with clipped gyro readings is void; the angle that it lacks is not of lost samples.
+        # Sequences with clipped gyro readings are excluded: clipping causes their missing angle, not lost samples.
         void = [k for k, _ in clipped_parts(evidence) if k is not None]
         excess[np.isin(turns.sequence[places], void)] = 0.0
     best = int(np.argmax(excess))
@@ -283,7 +290,7 @@ def attitude_step(evidence: Evidence) -> AttitudeStep | None:
 
 
 def sample_twice(evidence: Evidence) -> int | None:
-    """Sample that repeats the one before and turns the attitude too far by its angle; None if there is none."""
+    """Sample that repeats the previous one and causes an attitude error by its angle; None if there is none."""
     step, turns = attitude_step(evidence), block_averages(evidence)
     if step is None or turns is None:
         return None
@@ -300,7 +307,7 @@ def sample_twice(evidence: Evidence) -> int | None:
 
 @check("samples_lost")
 def samples_lost(evidence: Evidence) -> Iterator[Finding]:
-    """Report a step of the gyro-stabilised specific force that no repeated sample explains."""
+    """Report a step of the gyro-stabilised specific force that a repeated sample does not explain."""
     step, turns = attitude_step(evidence), block_averages(evidence)
     if step is None or turns is None or sample_twice(evidence) is not None:
         return
@@ -314,20 +321,20 @@ def samples_lost(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _levelled(path: StabilisedForce, in_body: Array) -> Array:
-    """Changes of the specific force in B, transformed to the frame at the start of the sequence, shape (m, 3)."""
+    """Changes of the specific force in B, transformed to B_Strt of the sequence, shape (m, 3)."""
     return np.asarray(np.einsum("mab,mb->ma", path.attitude, in_body))
 
 
 def _step_doubt(path: StabilisedForce, turns: BlockAverages, seen: TimeOffset) -> Array:
-    """Standard deviation of the height of a step before each block, by that of the accelerometer errors, shape (m,)."""
+    """Standard deviation of the height of a step before each block due to the accelerometer errors, shape (m,)."""
     steps = (_steps(_levelled(path, _expected(path, turns, errors, 0.0)), turns.starts)[0] for errors in seen.spread)
     return np.asarray(np.sqrt(sum(np.einsum("ma,ma->m", step, step) for step in steps)))
 
 
 def _steps(values: Array, starts: Indices) -> tuple[Array, Mask]:
-    """Height of a step before each block, fitted with a straight line through its surroundings, shape (m, 3).
+    """Height of a step before each block, from a fit of a step and a straight line to the blocks around it, (m, 3).
 
-    The mask, shape (m,), is true where the surroundings belong to one sequence.
+    The mask, shape (m,), is true where these blocks belong to one sequence.
     """
     shortest = int(np.diff(starts).min())
     side = min(_SIDE, shortest // 4)

@@ -1,4 +1,4 @@
-"""Sequences and labels: shifted windows, and rotations that differ from their labels."""
+"""Sequences and labels: shifted labels, rotations that differ from their labels, and missing or repeated sequences."""
 
 from __future__ import annotations
 
@@ -37,34 +37,34 @@ if TYPE_CHECKING:
 
 
 _BESIDE_S: Final = 2.0 * BLOCK_S
-"""Largest distance of the edges of the stationary windows found from the true ones, s: one or two blocks."""
+"""Largest error of the edges of the stationary windows found in the samples, s: one or two blocks."""
 _SLACK_S: Final = 0.03
-"""Stationary time per window, s, that a smaller shift may lose against the best one."""
+"""Stationary time per window, s, by which a smaller shift may be worse than the best shift and still be preferred."""
 _SOME_WINDOWS: Final = 40
-"""Windows by which a common shift is judged."""
+"""Largest number of windows for which the stationary time after a common shift is computed."""
 _FEW_WINDOWS: Final = 8
-"""Windows whose edges propose the common shifts: it is that of all of them."""
+"""Number of windows whose edges give the candidates for the common shift, which is the same for all windows."""
 _STILL: Final = 0.9
-"""Share of the labelled time that must be stationary after a common shift."""
+"""Smallest share of the labelled time that is stationary after a common shift."""
 _FAR: Final = 1.0
-"""Squared distance between two sequences, in half turns and in verticals. The nearest two of Table 1 are 2 apart (one
-half turn more, or about another axis); a unit with errors of 10 % is within 0.1 of its own."""
+"""Squared distance above which a manoeuvre is another sequence; rotation angles in units of 180°, verticals as unit
+vectors. The two most similar of the 17 sequences are 2 apart; a unit with errors of 10 % is within 0.1 of its own."""
 _SIGMAS: Final = 6.0
 """Allowed error of an angle in sigma of the fixture, as in :func:`srt.sequences.manoeuvres.wrong_rotation_angles`."""
 _AGREE: Final = 0.5
-"""Share of an angular error that may be missing in the accelerometers: an error of the gyros alone, by lost samples or
-asymmetric scale factors, is missing there entirely."""
+"""Largest share of an angle error of the gyros that the accelerometers may contradict: they contradict the whole of an
+error due to lost samples or asymmetric scale factors, but nothing of a rotation by a wrong angle."""
 _RAW_SCALE: Final = 0.015
-"""Scale-factor error of uncalibrated MEMS gyros, 1 sigma."""
+"""Scale-factor error of uncalibrated MEMS gyros, 1-sigma."""
 _NOTHING: Final = 1e-12
-"""Specific force, m/s², that any stationary accelerometer exceeds."""
+"""Specific force below that of any stationary accelerometer, m/s²: avoids a division by zero."""
 _SHORT: Final = 0.5
-"""Share of the median length below which a window is short: its mean is noisier by √2."""
+"""Ratio of the length of a window to the median length, below which it is short: its mean is noisier by √2."""
 
 
 @check("labels_shifted")
 def labels_shifted(evidence: Evidence) -> Iterator[Finding]:
-    """Compare labelled windows with rotation in them to the stationary windows found in the samples."""
+    """Compare the labelled windows that include rotation with the stationary windows found in the samples."""
     seen = _shift(evidence)
     if seen is not None and evidence.data is not None:
         yield finding("labels_shifted", shift=seen[0], count=seen[1], of=len(evidence.data.windows.samples))
@@ -78,7 +78,7 @@ def _shift(evidence: Evidence) -> tuple[float, int] | None:
 
 
 def _block_shift(evidence: Evidence) -> tuple[float, int] | None:
-    """Shift of the labels by the rotations in block means: a coarse search; None if the labels are not shifted."""
+    """Shift of the labels from block means, a coarse search; None if the labels are not shifted."""
     data = evidence.data
     if data is None or not evidence.has_labels:
         return None
@@ -101,9 +101,9 @@ def _block_shift(evidence: Evidence) -> tuple[float, int] | None:
 
 
 def _common_shift(labelled: Array, rest: Array) -> float | None:
-    """Smallest time by which all labels are late, s: correcting it, and nothing less, makes the windows stationary."""
+    """Smallest common time by which all labels are late, s, whose correction makes the windows stationary."""
     some = labelled[np.unique(np.linspace(0, len(labelled) - 1, _SOME_WINDOWS).astype(int))]
-    # The best shift is among those that make an edge of a label meet an edge of a stationary window.
+    # The best shift is one of those that move an edge of a label to an edge of a stationary window.
     late = np.unique(np.append((some[:_FEW_WINDOWS, None, :, None] - rest[None, :, None, :]).ravel(), 0.0))
     edges = rest.ravel()
     still_until = np.repeat(np.concatenate([[0.0], np.cumsum(rest[:, 1] - rest[:, 0])]), 2)[1:-1]
@@ -117,13 +117,13 @@ def _common_shift(labelled: Array, rest: Array) -> float | None:
 
 
 def _intrusions(labelled: Array, rest: Array) -> Array:
-    """Time by which single labels are late (early: negative) against the stationary window they overlap most, s."""
+    """Time by which each label is late (negative: early), s, relative to the stationary window it overlaps most."""
     out = []
     for a, b in labelled.tolist():
         shared = np.minimum(b, rest[:, 1]) - np.maximum(a, rest[:, 0])
         low, high = rest[int(np.argmax(shared))].tolist()
         late, early = max(0.0, b - high), max(0.0, low - a)
-        # A window with a bump in it is no wrong label, nor is one that is too long.
+        # The label is not wrong if its window has a bump in it, or if it is too long on both sides.
         beside = np.clip(np.minimum(b, rest[:, 1]) - np.maximum(a, rest[:, 0]), 0.0, None).sum() - shared.max()
         if shared.max() > 0.0 and min(late, early) <= _BESIDE_S and beside < 0.5 * max(late, early):
             out.append(late if late > early else -early)
@@ -132,9 +132,9 @@ def _intrusions(labelled: Array, rest: Array) -> Array:
 
 @check("labels_exchanged", "wrong_direction", "wrong_angle")
 def rotations_against_labels(evidence: Evidence) -> Iterator[Finding]:
-    """Compare each rotation with its label: another sequence, the opposite sense, another angle."""
+    """Compare each rotation with its label: find another sequence, the opposite sense, or another angle."""
     data = evidence.data
-    if data is None or _shift(evidence) is not None:  # no rotation fits shifted labels
+    if data is None or _shift(evidence) is not None:  # with shifted labels, no rotation agrees with its label
         return
     exchanged = _exchanged(evidence) if evidence.has_labels else {}
     if exchanged:
@@ -166,7 +166,7 @@ def rotations_against_labels(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _exchanged(evidence: Evidence) -> dict[int, str]:
-    """Sequences whose rotations and verticals are those of another sequence of Table 1, by number, with its name."""
+    """Names of the sequences that were executed, by the numbers of the sequences with another name as their label."""
     data, seen = evidence.data, raw_integrals(evidence)
     assert data is not None
     assert seen is not None
@@ -177,7 +177,7 @@ def _exchanged(evidence: Evidence) -> dict[int, str]:
     signed, absolute, before, after = (np.array([row[i] for row in table]) for i in range(4))
     names = list(SEQUENCES)
     own = np.array([names.index(data.ids[k]) for k in places])
-    # Exchanged labels leave the total rotation of each axis unchanged, which gives the scales of the raw readings.
+    # Exchanged labels do not change the total rotation about each axis, which gives the scales of the raw readings.
     stated = absolute[own].sum(axis=0)
     scale = np.where(stated > 1.0, seen.absolute[places].sum(axis=0) / np.maximum(stated, 1.0), 1.0)
     gravity = float(np.median(np.linalg.norm(np.concatenate([seen.before, seen.after]), axis=1)))
@@ -195,24 +195,24 @@ def _exchanged(evidence: Evidence) -> dict[int, str]:
     rows = np.arange(len(places))
     off = (best != own) & (distance[rows, own] > _FAR) & (distance[rows, best] < 0.5 * _FAR)
     swapped = Counter(own[off].tolist()) == Counter(best[off].tolist())
-    # A sequence rotated in the opposite sense equals another of Table 1 where that holds both. Unless the other one
-    # took its place, the sense is wrong and not the label.
+    # Some sequences of Table 1 differ only in sense. If two such sequences were not exchanged, one was executed in the
+    # wrong sense, and its label is right.
     opposite = np.all(np.abs(signed[own] + signed[best]) < 1e-9, axis=1) & np.all(before[own] == before[best], axis=1)
     return {places[i]: names[best[i]] for i in np.flatnonzero(off & (swapped | ~opposite)).tolist()}
 
 
 def _wrong_angles(evidence: Evidence, known: Mask, excess: Array) -> Iterator[Finding]:
-    """Rotations of a fixture by a wrong angle, on which gyros and accelerometers agree."""
+    """Find rotations on a fixture by a wrong angle, as gyros and accelerometers both measure it."""
     fixture = evidence.recording.fixture
     if fixture is None:
         return
     numbers, nominal, _ = rotation_angles(evidence)
-    # Rotations about too few axes leave the scale factors in their angles.
+    # If the rotations do not cover all axes, the angles include uncorrected scale factors.
     scale = 0.0 if gyro_fit(evidence).rank == 3 else _RAW_SCALE * np.linalg.norm(nominal, axis=1)
     allowed = _SIGMAS * np.hypot(math.hypot(fixture.rotation_sigma_rad, 2.0 * fixture.alignment_sigma_rad), scale)
     off = np.flatnonzero(known & (np.abs(excess) > allowed))
     if off.size and lag(evidence) is not None:
-        # Gyros that lag read the end of a rotation in the next one of the sequence.
+        # A lagging gyro measures the end of a rotation during the next rotation of the sequence.
         off = off[np.bincount(numbers)[numbers[off]] == 1]
     left = _end_mismatch(evidence)
     off = off[[left.get(int(k), math.inf) < _AGREE * abs(e) for k, e in zip(numbers[off], excess[off], strict=True)]]
@@ -230,7 +230,7 @@ def _wrong_angles(evidence: Evidence, known: Mask, excess: Array) -> Iterator[Fi
 
 
 def _end_mismatch(evidence: Evidence) -> dict[int, float]:
-    """Angle between the vertical propagated by the gyros and the one measured at the end of each sequence, rad."""
+    """Angle between the vertical propagated by the gyros and the measured one, at the end of each sequence, rad."""
     data, path, turns = evidence.data, stabilised_force(evidence), block_averages(evidence)
     if data is None or path is None or turns is None:
         return {}
@@ -245,12 +245,12 @@ def _end_mismatch(evidence: Evidence) -> dict[int, float]:
 
 
 def _signed(rotation: Array) -> float:
-    """Angle of a rotation about one axis, with its sign, rad."""
+    """Signed angle of a rotation about one axis, rad."""
     return float(rotation[np.argmax(np.abs(rotation))])
 
 
 def _turn_title(evidence: Evidence, leg: int) -> str:
-    """Name of a rotation at the beginning of a message."""
+    """Name of a rotation, with a capital letter for the beginning of a message."""
     numbers = rotation_angles(evidence)[0]
     k = int(numbers[leg])
     title = evidence.title(k)
@@ -283,7 +283,7 @@ def sequence_missing(evidence: Evidence) -> Iterator[Finding]:
 
 @check("sequence_repeated")
 def sequence_repeated(evidence: Evidence) -> Iterator[Finding]:
-    """Find sequences run more than once."""
+    """Find sequences that were executed more than once."""
     often = {name: count for name, count in Counter(_catalogue_ids(evidence)).items() if count > 1}
     if often:
         listed = ", ".join(f"{name} ({count} times)" for name, count in often.items())
@@ -291,7 +291,7 @@ def sequence_repeated(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _catalogue_ids(evidence: Evidence) -> list[str]:
-    """Sequences of Table 1 by name, in the order of the run; none without a fixture."""
+    """Names of the sequences that are among the 17, in the order of the recording; none without a fixture."""
     if evidence.recording.fixture is None or evidence.data is None:
         return []
     return [name for name in evidence.data.ids if name in SEQUENCES]
@@ -299,7 +299,7 @@ def _catalogue_ids(evidence: Evidence) -> list[str]:
 
 @check("window_short")
 def window_short(evidence: Evidence) -> Iterable[Finding]:
-    """Compare the lengths of the windows with their median; on a fixture, as free rotations have no planned length."""
+    """Compare the lengths of the windows with their median; only on a fixture, as free rotations have no plan."""
     data = evidence.data
     if data is None or evidence.recording.fixture is None or _shift(evidence) is not None:
         return

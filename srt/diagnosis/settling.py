@@ -1,8 +1,10 @@
 """Settling of the accelerometers after a change of specific force.
 
-The reading approaches its final value as ``f + s (L - f)``, where L lags behind f with a time constant τ. In the window
-after a rotation this leaves ``s (L0 - f) exp(-t/τ)``, L0 being L at the start of the window; L before the sequence is
-that of its first window. Each window and channel gives one estimate of s, whose scatter contains all other changes.
+The model of the reading is ``f + s (L - f)``, where L follows f with a time constant τ (first-order low-pass filter)
+and s is the share that settles. In the window after a rotation, the deviation is ``s (L0 - f) exp(-t/τ)`` with the
+value L0 of L at the start of the window. At the start of a sequence, L equals the mean reading of the first window.
+Each window and channel gives one estimate of s. The scatter of these estimates includes all other changes of the
+readings.
 """
 
 from __future__ import annotations
@@ -26,17 +28,18 @@ if TYPE_CHECKING:
     from srt.types import Array
 
 _TIMES_S: Final = (1.0, 2.0, 4.0, 8.0)
-"""Time constants tried, s; a factor of 1.4 off, a pattern still correlates by more than 0.95."""
+"""Time constants that are tried, s: for a true value that differs by a factor of up to 1.4, the pattern still has a
+correlation above 0.95."""
 _FEWEST: Final = 6
-"""Windows after a rotation, fewer of which do not tell the scatter."""
+"""Fewest windows after a rotation for an estimate of the scatter."""
 _LEAST_LAG: Final = 0.05
-"""Lag over gravity from which a window counts as one after a rotation."""
+"""Smallest lag L0 - f, in units of gravity, at which a window counts as a window after a rotation."""
 _SMALLEST: Final = 1e-7
-"""Share from which settling matters: 0.1 µg of a change of 1 g. Rounding of noise-free readings has a pattern, too."""
+"""Smallest share for a finding, 0.1 µg for a change of 1 g: rounding of noise-free readings makes patterns, too."""
 _LARGEST: Final = 0.1
-"""Largest share that is settling: more is motion."""
+"""Largest share for a finding: a larger deviation is motion."""
 _REACH: Final = 5.0
-"""Time constants over which the lag is followed back."""
+"""Time before the window from which the lag is computed, in time constants."""
 
 
 @check("accel_settling")
@@ -67,9 +70,9 @@ def accel_settling(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _patterns(evidence: Evidence, averages: WindowAverages, time_s: float) -> tuple[Array, Array] | None:
-    """Projections of the windows' readings on the decay, and their values for a share of 1; (n,) and (n, 3).
+    """Projections of the readings of the windows on the decay, (n,), and their values for a share of 1, (n, 3).
 
-    Each of unit variance by the noise of the blocks; None with too few windows.
+    Both are divided by the standard deviation of the projections due to noise. None with too few windows.
     """
     data = evidence.data
     assert data is not None
@@ -107,7 +110,7 @@ def _lags(evidence: Evidence, sequences: Array, time_s: float) -> Array:
     for row, k in enumerate(sequences.tolist()):
         first, stop = int(samples[data.start[k], 0]), int(samples[data.end[k], 0])
         begin = max(first, stop - round(_REACH * time_s / dt))
-        # Weights of a first-order lag; what came before stood at the reading of the first window.
+        # Weights of a first-order lag. Earlier readings are taken as the mean of the first window.
         weight = -np.expm1(-dt / time_s) * np.exp(-dt / time_s * np.arange(stop - begin)[::-1])
         before = evidence.stationary_force[data.start[k]]
         out[row] = weight @ evidence.force[begin:stop] + (1.0 - weight.sum()) * before

@@ -1,16 +1,16 @@
-"""Site: gravity, latitude and heading against one another and against the stationary gyro rates.
+"""Site: consistency of gravity, latitude and heading with one another and with the stationary gyro rates.
 
-Over the windows w of a recording, on the sensor axes (uncompensated) and with ``u_w`` the vertical (down) in
-table-mounted axes::
+The model of the mean rate in window w, in uncompensated sensor axes, is::
 
     rate_w = b + d t_w + Γ u_w + M (v u_w + x e_x,w + y e_y,w) + noise
 
-b is the bias, d its change during the test (t runs from -1/2 to 1/2), Γ the g-sensitivity, (x, y, v) the Earth rate in
-fixture base axes and M the raw gyro matrix from the rotations. A multiple of the identity in Γ equals v: Γ is fitted
-without trace, and its other eight components tell how large the trace may be.
+b is the bias, d its change during the test (t runs from -1/2 to 1/2), Γ the g-sensitivity, and M the raw gyro matrix
+from the rotations. (x, y, v) is the Earth rate in fixture base axes, along the unit vectors e_x, e_y and u (down),
+which are given in table-mounted axes. A multiple of the identity in Γ has the same effect as v. Γ is therefore fitted
+without its trace; the size of the other eight components limits how large the trace may be.
 
-The noise is white noise plus flicker noise of the stated bias instability, correlated from window to window; it weights
-the least squares. Residuals above this noise inflate all sigmas.
+The noise is white noise plus flicker noise of the stated bias instability, which is correlated from window to window.
+Its covariance weights the least-squares fit. Residuals above this noise enlarge all sigmas.
 """
 
 from __future__ import annotations
@@ -39,18 +39,21 @@ if TYPE_CHECKING:
     from srt.types import Array, Indices
 
 HEIGHTS_M: Final = (5000.0, -500.0)
-"""Highest and lowest test site, m."""
+"""Highest and lowest plausible height of a test site, m."""
 ANOMALY_M_S2: Final = 1e-3
-"""Largest gravity anomaly, m/s²: 100 mGal, exceeded on very little land."""
+"""Largest plausible gravity anomaly, m/s²: 100 mGal, which is exceeded in few places on land."""
 _SITE_SIGMAS: Final = 3.0
-"""Distance in sigma within which stated gravity, and the latitude that the gyros see, may lie."""
+"""Tolerance of the stated gravity, and of the latitude from the gyros, in sigma."""
 _GRID_DEG: Final = 0.01
-"""Step of the latitudes tried, °: far below what gyros resolve."""
+"""Step of the latitudes that are tried, °: far below the resolution of gyros."""
 
 
 @check("gravity")
 def gravity(evidence: Evidence) -> Iterator[Finding]:
-    """Test stated gravity against normal gravity at all heights; a wrong latitude explains it, if the gyros see one."""
+    """Test the stated gravity against normal gravity at the stated latitude, for all plausible heights.
+
+    There is no finding if the gyros show another latitude, at which the stated gravity is plausible.
+    """
     site = evidence.recording.site
     if site.latitude_rad is None:
         return
@@ -68,7 +71,7 @@ def gravity(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _gravity_range(latitude_rad: float) -> tuple[float, float]:
-    """Least and largest gravity at a latitude, m/s²."""
+    """Smallest and largest plausible gravity at a latitude, m/s²."""
     low, high = (float(normal_gravity_m_s2(latitude_rad, height)) for height in HEIGHTS_M)
     return low - ANOMALY_M_S2, high + ANOMALY_M_S2
 
@@ -87,9 +90,10 @@ def _earth_rate(evidence: Evidence) -> list[Finding]:
 def _wrong_earth_rate(evidence: Evidence) -> Iterator[Finding]:
     """Test the stated latitude and heading against the Earth rate in the stationary windows.
 
-    Likelihood ratio: the latitude is wrong if the best one explains the vertical component and the horizontal magnitude
-    significantly better; the heading likewise by the direction of the horizontal component. If no Earth rate at all
-    explains the readings significantly better than any latitude does, the unit removes it.
+    The tests are likelihood-ratio tests. The stated latitude is wrong if the best latitude explains the vertical
+    component and the horizontal magnitude significantly better. The stated heading is wrong if the direction of the
+    horizontal component differs significantly. If an Earth rate of zero explains the readings significantly better than
+    any latitude, the unit removes the Earth rate.
     """
     site, fixture = evidence.recording.site, evidence.recording.fixture
     if site.latitude_rad is None or fixture is None:
@@ -133,7 +137,7 @@ def _wrong_earth_rate(evidence: Evidence) -> Iterator[Finding]:
         latitude = float(latitudes[best])
     if fixture.heading_rad is None:
         return
-    # In base axes north lies at minus the heading.
+    # In base axes, the azimuth of north is minus the heading.
     seen = float(np.arctan2(-y, x))
     off = float(np.angle(np.exp(1j * (seen - fixture.heading_rad))))
     level = EARTH_RATE_RAD_S * float(np.cos(latitude))
@@ -147,7 +151,7 @@ def _wrong_earth_rate(evidence: Evidence) -> Iterator[Finding]:
 
 
 class EarthRateFactor(NamedTuple):
-    """Measured Earth rate over the true one at the stated latitude, its standard deviation, and chi-square left."""
+    """Measured over true Earth rate at the stated latitude, its standard deviation, and chi-square of the residuals."""
 
     value: float
     sigma: float
@@ -156,9 +160,9 @@ class EarthRateFactor(NamedTuple):
 
 @computed_once
 def earth_rate_components(evidence: Evidence) -> tuple[Array, Array, Array] | None:
-    """Vertical and horizontal Earth rate measured, their standard deviations, and those at the stated latitude.
+    """Measured vertical and horizontal Earth rate, their standard deviations, and the values at the stated latitude.
 
-    Each of shape (2,), rad/s; None if they are not measured.
+    Each has shape (2,), rad/s; None if the Earth rate is not observable.
     """
     site, fixture, fit = evidence.recording.site, evidence.recording.fixture, stationary_rate_fit(evidence)
     if site.latitude_rad is None or fixture is None or fit is None or fit.horizontal is None:
@@ -169,9 +173,10 @@ def earth_rate_components(evidence: Evidence) -> tuple[Array, Array, Array] | No
 
 
 def earth_rate_factor(evidence: Evidence) -> EarthRateFactor | None:
-    """Factor of the Earth rate that explains the stationary rates at the stated latitude; None if it is not measured.
+    """Factor on the Earth rate that fits the stationary rates at the stated latitude; None if it is not observable.
 
-    A wrong sample rate changes both components by the same factor, a wrong latitude leaves their sum of squares.
+    A wrong sample rate multiplies both components by the same factor. A wrong latitude does not change the sum of their
+    squares.
     """
     components = earth_rate_components(evidence)
     if components is None:
@@ -185,16 +190,17 @@ def earth_rate_factor(evidence: Evidence) -> EarthRateFactor | None:
 
 
 def _component_sigmas(fit: StationaryRateFit, fixture: Fixture) -> tuple[float, float]:
-    """Standard deviations of the vertical and of the horizontal Earth rate, alignment included."""
+    """Standard deviations of the vertical and the horizontal Earth rate, including those due to the alignment."""
     align = EARTH_RATE_RAD_S * fixture.alignment_sigma_rad
     return float(np.hypot(_vertical_sigma(fit), align)), float(np.hypot(fit.horizontal_sigma, align))
 
 
 def _vertical_sigma(fit: StationaryRateFit) -> float:
-    """Standard deviation of the vertical component, with the trace of the g-sensitivity that it contains.
+    """Standard deviation of the vertical component, including the effect of the unknown trace of the g-sensitivity.
 
-    If the nine components of Γ are of one size, the other eight estimate that of the trace, with the tails of a t
-    distribution of eight degrees of freedom. The factor turns these into normal tails at the false-alarm probability.
+    The nine components of Γ are assumed to have one standard deviation. The eight components that are fitted estimate
+    it, so that the trace has a t distribution with eight degrees of freedom. The factor makes a normal distribution
+    equal to it at the false-alarm probability.
     """
     hidden = np.mean(fit.g_sensitivity**2) / 3.0
     factor = stdtrit(8, 0.5 * FALSE_ALARM) / ndtri(0.5 * FALSE_ALARM)
@@ -202,15 +208,15 @@ def _vertical_sigma(fit: StationaryRateFit) -> float:
 
 
 LEAST_FREEDOM: Final = 12
-"""Degrees of freedom, fewer of which do not tell the scatter."""
+"""Fewest degrees of freedom for an estimate of the scatter."""
 _RANK: Final = 1e-3
 """Smallest over largest singular value of the scaled design matrix, below which some component is not observable."""
 _OUTLIER: Final = 8.0
 """Residual over the median residual, above which a window is an outlier, for instance after a bump."""
 _MOST_OUTLIERS: Final = 0.2
-"""Share of outliers above which none is down-weighted: they are not the exception."""
+"""Share of outliers above which none is down-weighted: so many windows are no outliers."""
 _MOST_WINDOWS: Final = 400
-"""Windows used, evenly spaced; the computing time grows with their third power."""
+"""Largest number of windows used, evenly spaced: the computing time grows with the third power of the number."""
 
 
 def _traceless() -> Array:
@@ -226,27 +232,28 @@ def _traceless() -> Array:
 
 _BASIS: Final = _traceless()
 _H_COLUMNS: Final = 17
-"""Columns with the horizontal Earth rate."""
+"""Number of columns if the horizontal Earth rate is fitted."""
 BIAS, DRIFT, _G, _V, _H = slice(0, 3), slice(3, 6), slice(6, 14), 14, slice(15, 17)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StationaryRateFit:
-    """Components of the stationary rates; all in rad/s, uncompensated sensor axes.
+    """Fitted components of the stationary rates, in rad/s and uncompensated sensor axes.
 
     Attributes
     ----------
     drift, drift_sigma : ndarray, shape (3,)
         Change of the bias from the first window to the last.
     g_sensitivity : ndarray, shape (8,)
-        Components of the traceless Γ on the orthonormal basis.
+        Components of the traceless part of Γ in an orthonormal basis.
     g_sensitivity_sigma : ndarray, shape (8,)
     vertical, vertical_sigma : float
-        Rate about the downward vertical: the Earth rate, and the trace of Γ. The sigma is due to noise alone.
+        Rate about the downward vertical: sum of the vertical Earth rate and the effect of the trace of Γ. The sigma is
+        that due to noise only.
     horizontal : ndarray, shape (2,), or None
         Earth rate along base x and y; None if the attitudes are not known.
     horizontal_sigma : float
-        Standard deviation of each.
+        Standard deviation of each horizontal component.
     freedom : int
         Degrees of freedom of the residuals.
     """
@@ -262,20 +269,20 @@ class StationaryRateFit:
     freedom: int
 
     def gamma(self, earth_vertical: float) -> Array:
-        """Γ, shape (3, 3), rad/s per g along the downward vertical, for a known vertical Earth rate."""
+        """Γ for a known vertical Earth rate, shape (3, 3), in rad/s per g of downward gravity."""
         matrix: Array = np.tensordot(self.g_sensitivity, _BASIS, 1) + (self.vertical - earth_vertical) * np.eye(3)
         return matrix
 
 
 @computed_once
 def stationary_rate_fit(evidence: Evidence) -> StationaryRateFit | None:
-    """Fit the stationary rates; None if the windows are too few or their poses too much alike."""
+    """Fit the stationary rates; None if there are too few windows, or if their poses are too similar."""
     return None if evidence.data is None else _fit(evidence, evidence.data)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StationaryRates:
-    """Stationary rates and the columns that explain them.
+    """Stationary rates and the design matrix of their model.
 
     Attributes
     ----------
@@ -284,9 +291,9 @@ class StationaryRates:
     start, end : ndarray, shape (W,), s
     rate : ndarray, shape (W, 3), rad/s
     columns : ndarray, shape (W, 3, 15 or 17)
-        Bias, drift, g-sensitivity, vertical rate; horizontal Earth rate if the attitudes are known.
+        Columns of bias, drift, g-sensitivity and vertical rate; with known attitudes also of the horizontal Earth rate.
     covariance : ndarray, shape (3, W, W), (rad/s)²
-        By axis.
+        Covariance of the rates of each axis over the windows.
     """
 
     window: Indices
@@ -304,7 +311,7 @@ class StationaryRates:
 
 @computed_once
 def stationary_rates(evidence: Evidence) -> StationaryRates | None:
-    """Stationary rates of the windows; None if they are too few or their poses too much alike."""
+    """Stationary rates of the windows; None if there are too few windows, or if a vertical cannot be measured."""
     data = evidence.data
     if data is None:
         return None
@@ -319,7 +326,7 @@ def stationary_rates(evidence: Evidence) -> StationaryRates | None:
         turned = poses @ gyro_fit(evidence).matrix.T  # rows: base axes in uncompensated sensor axes
         down = poses[:, 2]
     else:
-        # Free rotations: the vertical is measured, the horizontal Earth rate counts as noise.
+        # Free rotations: the vertical is measured, and the horizontal Earth rate is treated as noise.
         size = np.linalg.norm(force, axis=1, keepdims=True)
         if np.any(size == 0.0):
             return None
@@ -354,7 +361,7 @@ def _fit(evidence: Evidence, data: PreparedRecording) -> StationaryRateFit | Non
     value, P, chi_square = solved
     instability = data.recording.noise.gyro_bias_instability
     if instability is None:
-        # Bias instability is not stated: as much flicker noise as explains the residuals.
+        # The bias instability is not stated: it is estimated as the flicker noise that explains the residuals.
         solved = _with_flicker(X, rate, covariance, flicker_covariance(rates.start, rates.end), freedom)
         value, P, chi_square = solved
     sigma = np.sqrt(np.diag(P) * max(1.0, chi_square / freedom))
@@ -372,7 +379,7 @@ def _fit(evidence: Evidence, data: PreparedRecording) -> StationaryRateFit | Non
 
 
 def _poses(data: PreparedRecording) -> Array | None:
-    """Base axes in table-mounted axes at each window, C_T,base transposed: row i is base axis i, shape (W, 3, 3)."""
+    """Base axes in table-mounted axes at each window, shape (W, 3, 3): row i is base axis i (C_T,base transposed)."""
     if data.recording.fixture is None or any(s is None for s in data.catalogue):
         return None
     out = np.empty((len(data.windows.duration_s), 3, 3))
@@ -388,7 +395,7 @@ def _covariance(data: PreparedRecording, start: Array, end: Array, *, known: boo
     noise, T = data.noise, end - start
     instability = data.recording.noise.gyro_bias_instability or 0.0
     fixture = data.recording.fixture
-    # Each pose is off its nominal attitude, and so is the Earth rate in its axes.
+    # Each pose differs from its nominal attitude, which rotates the Earth rate in sensor axes by the same angle.
     doubt = fixture.rotation_sigma_rad if known and fixture is not None else 1.0
     white = noise.gyro_white[:, None] ** 2 / T + 2.0 * (noise.gyro_edge[:, None] / T) ** 2
     white = white + (doubt * EARTH_RATE_RAD_S) ** 2
@@ -399,7 +406,7 @@ def _covariance(data: PreparedRecording, start: Array, end: Array, *, known: boo
 def _solve(X: Array, rate: Array, covariance: Array) -> tuple[Array, Array, float] | None:
     """Weighted least squares: values, covariance and chi-square; None if some component is not observable.
 
-    Outlying windows, for instance after a bump, lose their weight.
+    Outliers among the windows, for instance after a bump, get a negligible weight.
     """
     W = len(X)
     weak = np.zeros(W, dtype=np.bool_)
@@ -427,7 +434,7 @@ def _solve(X: Array, rate: Array, covariance: Array) -> tuple[Array, Array, floa
 
 
 def _with_flicker(X: Array, rate: Array, covariance: Array, flicker: Array, freedom: int) -> tuple[Array, Array, float]:
-    """Solve with the level of flicker noise that explains the residuals, by bisection of its logarithm."""
+    """Solve with the level of flicker noise that explains the residuals, found by bisection of its logarithm."""
     wanted = freedom * (1.0 - 2.0 * np.sqrt(2.0 / freedom)) if freedom > 18 else 0.5 * freedom
     level = float(np.trace(covariance.mean(axis=0)) / np.trace(flicker))
     low, high = level * 1e-4, level * 1e6

@@ -1,8 +1,8 @@
 """Spikes: single readings that deviate from their neighbours by far more than the noise around them.
 
-A cubic through the two readings before and the two after predicts each reading. If these four disagree on a slope, the
-unit moves abruptly, and the reading is no spike. A bump that rotates the unit within one sample looks like a spike of
-the gyros, but it shows in several of them, and gravity stays rotated by its angle.
+A cubic through the two readings before and the two readings after predicts each reading. If the slopes between these
+four readings differ much, the unit moves abruptly, and the reading is not a spike. A bump that rotates the unit within
+one sample looks like a spike of the gyros, but the direction of gravity stays rotated by its angle.
 """
 
 from __future__ import annotations
@@ -21,40 +21,41 @@ if TYPE_CHECKING:
 
 
 _SIGMAS: Final = 7.5
-"""Deviation in sigma that makes a spike, p = 6e-14; with noise known to 10 %, from 500 readings, p = 2e-11: 5e-6 for
-300 000 readings, 4e-4 for twenty million."""
+"""Smallest deviation of a spike, in sigma. p = 6e-14 for a known sigma, and p = 2e-11 for a sigma from 500 readings
+(known to 10 %): the false-alarm probability is 5e-6 for 300 000 readings, 4e-4 for twenty million."""
 _JERK: Final = 3.0
-"""Deviation over the disagreement of the neighbours' slopes; a step or a kink of the motion gives at most 1."""
+"""Smallest deviation of a spike, in units of the range of the slopes of its neighbours; a step or a kink of the motion
+gives at most 1."""
 _QUANTILE: Final = 0.9
-"""Share of the deviations whose largest gives the noise: the rest may be spikes."""
+"""Quantile of the magnitudes of the deviations from which the noise is taken: larger ones may be spikes."""
 _NORMAL: Final = 1.6449
-"""Sigmas within which this share of a normal distribution lies."""
+"""The same quantile for a normal distribution, in sigma."""
 _FOR_NOISE: Final = 500
-"""Readings from which the noise of a part is taken."""
+"""Number of readings from which the noise of a window or rotation is taken."""
 _FEW: Final = 8
-"""Windows from which the quantization step is taken."""
+"""Number of windows from which the quantization step is taken."""
 _FOR_STEP: Final = 4000
-"""Readings in motion from which it is taken if the windows show none."""
+"""Number of readings of the whole recording from which the step is taken if the windows do not show it."""
 _ROUNDING: Final = 1e-9
-"""Rounding of the readings, relative to the largest."""
+"""Rounding of the readings, relative to the largest reading."""
 _MISPLACED: Final = 2
-"""Windows with rotation in them, from which the labels are wrong rather than the unit disturbed."""
+"""Fewest windows with rotation from which the labels are wrong, and not the unit disturbed."""
 _MEAN_S: Final = 4.0
-"""Longest average of specific force before and after a bump, s."""
+"""Longest time over which the specific force is averaged before and after a bump, s."""
 _SEEN: Final = 3.0
-"""Change of gravity by a bump in sigma, from which the accelerometers decide."""
+"""Smallest change of gravity due to a bump, in sigma, that the accelerometers can confirm or disprove."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Spikes:
-    """Spikes of one sequence.
+    """Spikes of one sequence or of a recording.
 
     Attributes
     ----------
     sample, channel : ndarray of int, shape (n,)
-        Sample, and channel from 0 to 5: gyro x, y, z, accelerometer x, y, z.
+        Number of the sample, and of the channel from 0 to 5: gyro x, y, z, accelerometer x, y, z.
     jump : ndarray, shape (n,)
-        Reading less its prediction, as stored.
+        Reading less its prediction, in the units of the stored values.
     """
 
     sample: Indices
@@ -62,7 +63,7 @@ class Spikes:
     jump: Array
 
     def of_repeats(self, evidence: Evidence) -> Mask:
-        """True for readings that deviate because their sample repeats a neighbour in all channels, shape (n,)."""
+        """True for spikes whose sample equals the previous or the next one in all channels, shape (n,)."""
         recording = evidence.recording
         same = np.all(np.diff(recording.gyro, axis=0) == 0.0, axis=1)
         same &= np.all(np.diff(recording.accel, axis=0) == 0.0, axis=1)
@@ -74,7 +75,7 @@ _NONE: Final = Spikes(np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.intp), np
 
 @computed_once
 def find_spikes(evidence: Evidence) -> Spikes:
-    """Spikes inside the sequences, without bumps."""
+    """Spikes inside the sequences; bumps are excluded."""
     data = evidence.data
     parts = [_NONE]
     if data is not None:
@@ -88,15 +89,15 @@ def find_spikes(evidence: Evidence) -> Spikes:
         np.concatenate([part.jump for part in parts]),
     )
     if np.any(channel < 3) and turning_windows(evidence).sum() >= _MISPLACED:
-        # The labels are shifted, and the fixture also makes moves as short as a sample.
+        # The labels are shifted, so that they include fast moves of the fixture, which look like spikes of the gyros.
         sample, channel, jump = sample[channel >= 3], channel[channel >= 3], jump[channel >= 3]
     return Spikes(sample, channel, jump)
 
 
 def _least_noise(evidence: Evidence) -> Array:
-    """Least noise of each channel, shape (6,): stationary noise, quantization step, and rounding.
+    """Lower limit of the noise of each channel, shape (6,): stationary noise, quantization step, or rounding.
 
-    In a rotation, a saturated channel or evenly spaced pulses hardly scatter.
+    It is needed in rotations, in which saturated readings or evenly spaced pulses hardly scatter.
     """
     assert evidence.data is not None
     windows = [(a, min(b, a + _FOR_NOISE)) for a, b in evidence.data.windows.samples.tolist() if b - a > 8]
@@ -109,17 +110,17 @@ def _least_noise(evidence: Evidence) -> Array:
         (recording.gyro, stated.gyro_quantization),
         (recording.accel, stated.accel_quantization),
     ):
-        # The median excludes a disturbed window.
+        # The median excludes disturbed windows.
         noise = np.median([_noise(np.abs(_off(table[a:b]))) for a, b in windows], axis=0)
         some = table[:: max(1, len(table) // _FOR_STEP)]
-        # Pulses that were corrected hold finer steps, those of the other axes: a stated pulse is the step.
+        # Corrected readings have finer steps, as the correction mixes the pulses of the axes: a stated pulse is used.
         step = np.maximum(_step(table, windows, some), (pulse or 0.0) * per_pulse)
         out.append(np.maximum(np.maximum(noise, step), _ROUNDING * np.abs(some).max()))
     return np.concatenate(out)
 
 
 def _step(table: Array, windows: list[tuple[int, int]], some: Array) -> Array:
-    """Quantization step, by the median of a few windows; from motion for channels that show none when stationary."""
+    """Quantization step: median over a few windows; from ``some`` for channels that are constant in the windows."""
     few = windows[:: max(1, len(windows) // _FEW)]
     steps = np.array([quantization_step(table[a:b]) for a, b in few])
     seen = np.array([np.median(s[s > 0.0]) if np.any(s > 0.0) else 0.0 for s in steps.T])
@@ -127,19 +128,19 @@ def _step(table: Array, windows: list[tuple[int, int]], some: Array) -> Array:
 
 
 def _off(x: Array) -> Array:
-    """Readings less their prediction, without the first two and the last two, shape (n - 4, 3)."""
+    """Readings less their predictions, without the first two and the last two readings, shape (n - 4, 3)."""
     return np.asarray(x[2:-2] - (4.0 * (x[1:-3] + x[3:-1]) - x[:-4] - x[4:]) / 6.0)
 
 
 def _noise(size: Array) -> Array:
-    """Standard deviation of columns from their magnitudes."""
+    """Standard deviation of each column, from a quantile of the magnitudes ``size``."""
     some = size[:: max(1, len(size) // _FOR_NOISE)].T.copy()
     rank = int(_QUANTILE * (some.shape[1] - 1))
     return np.asarray(np.partition(some, rank, axis=1)[:, rank] / _NORMAL)
 
 
 def _in_sequence(evidence: Evidence, bounds: tuple[int, int, int, int], least: Array) -> Spikes:
-    """Spikes of one sequence: windows [a, turn) and [still, b), the rotation between them."""
+    """Spikes of one sequence with the windows [a, turn) and [still, b) and the rotation between them."""
     a, turn, still, b = bounds
     if b - a < 8:
         return _NONE
@@ -147,7 +148,7 @@ def _in_sequence(evidence: Evidence, bounds: tuple[int, int, int, int], least: A
     off = np.concatenate([_off(table[a:b]) for table in tables], axis=1)
     suspects = []
     edges = np.array([0, turn - a - 2, still - a - 2, b - a - 4]).clip(0, b - a - 4)
-    by_hand = evidence.recording.fixture is None  # set down with a bump
+    by_hand = evidence.recording.fixture is None  # rotations by hand include bumps, as when the unit is set down
     for part_of, (lo, hi) in enumerate(zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True)):
         if hi - lo < 4 or (by_hand and part_of == 1):
             continue
@@ -178,7 +179,10 @@ def _is_bump(
     channels: Indices,
     off: Array,
 ) -> bool:
-    """True if a spike of the gyros in a window is a bump: gravity then stays rotated."""
+    """True if a spike of the gyros in a window is a bump: gravity stays rotated by its angle.
+
+    If the accelerometers cannot measure this angle, a spike of several gyros counts as a bump.
+    """
     a, turn, still, b = bounds
     together = channels[sample == at]
     if np.any(together >= 3) or turn <= at < still:

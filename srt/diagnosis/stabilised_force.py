@@ -1,4 +1,4 @@
-"""Gyro-stabilised specific force during the rotations, in the frame at the start of each sequence."""
+"""Gyro-stabilised specific force during the rotations: transformed to B_Strt, the body frame at the start."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StabilisedForce:
-    """Gyro-stabilised specific force: transformed by the gyros to the frame at the start of each sequence, by block.
+    """Specific force averaged over blocks of about 10 ms, transformed by the gyros to B_Strt of its sequence.
 
     Attributes
     ----------
     attitude : ndarray, shape (m, 3, 3)
-        B to B_Strt at the middle of the block.
+        Attitude at the middle of the block, from the gyros: B to B_Strt.
     rate : ndarray, shape (m, 3), rad/s
-        In B, less the stationary mean.
+        Rate in B, less the stationary mean.
     force : ndarray, shape (m, 3)
-        In B, over gravity.
+        Specific force in B, in units of gravity.
     up : ndarray, shape (m, 3)
         Measured vertical at the start of the block's sequence, unit vectors in B_Strt.
     up_body : ndarray, shape (m, 3)
-        The same in B, by the gyros.
+        The same vertical in B at the middle of the block, by the attitude from the gyros.
     force_start : ndarray, shape (m, 3)
-        In B_Strt, over gravity; constant for a perfect IMU.
+        Specific force in B_Strt, in units of gravity; constant for a perfect IMU.
     """
 
     attitude: Array
@@ -64,11 +64,11 @@ def stabilised_force(evidence: Evidence) -> StabilisedForce | None:
 
 
 def _attitudes(angle: Array, starts: Indices) -> Array:
-    """Attitude at the middle of each step of chains of rotation vectors, from the start of its chain, (n, 3, 3)."""
+    """Attitude at the middle of each step, relative to the start of its chain of rotation vectors, (n, 3, 3)."""
     half = rotations.from_rotation_vector(np.ascontiguousarray(0.5 * angle.T))
     ends = rotations.prefix_product(rotations.multiply(half, half))
     begins = np.concatenate([[[1.0], [0.0]], ends[:, starts[1:-1] - 1]], axis=1)
-    # One product over all chains: multiplied by the inverse at the start of each, and by half a step backwards.
+    # One product over all chains, times the inverse attitude at the start of each chain and of half the last step.
     back = np.repeat(rotations.conjugate(begins), np.diff(starts), axis=1)
     middle = rotations.multiply(rotations.multiply(back, ends), rotations.conjugate(half))
     return np.ascontiguousarray(np.moveaxis(rotations.to_matrix(middle), 2, 0))

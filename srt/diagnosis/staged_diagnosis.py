@@ -1,4 +1,4 @@
-"""Diagnosis in stages: a fatal fault ends it, because data with that fault would mislead the later checks."""
+"""Diagnosis in stages. A fatal fault ends the diagnosis, because it would cause wrong findings in later stages."""
 
 from __future__ import annotations
 
@@ -60,9 +60,9 @@ class Diagnosis:
     Attributes
     ----------
     findings : tuple of Finding
-        Causes before consequences.
+        Findings in the order of the catalogue: each fault before the faults that it causes.
     judgement : Verdict or None
-        Verdict on the calibration of the recording; None without one.
+        Verdict on the calibration of the recording; None without a calibration.
     """
 
     findings: tuple[Finding, ...]
@@ -70,12 +70,12 @@ class Diagnosis:
 
     @property
     def first(self) -> Finding | None:
-        """First cause; None for a recording without faults. Notes are not causes."""
+        """First finding that is not a note; None for a recording without faults."""
         return next((f for f in self.findings if f.effect != "note"), None)
 
     @property
     def refusal(self) -> Finding | None:
-        """First fatal fault; None if the recording can be calibrated."""
+        """First finding of a fatal fault; None if the recording can be calibrated."""
         return next((f for f in self.findings if f.effect.startswith("exit")), None)
 
     def as_dicts(self) -> list[dict[str, Any]]:
@@ -93,7 +93,7 @@ class Diagnosis:
 
 
 class StagedDiagnosis:
-    """Checks of one recording in two parts, before and after its calibration.
+    """Diagnosis of one recording in two parts, before and after its calibration.
 
     Parameters
     ----------
@@ -123,7 +123,7 @@ class StagedDiagnosis:
         return Diagnosis(sort_by_cause(self._findings))
 
     def with_calibration(self, result: Calibration | None = None) -> Diagnosis:
-        """Run the checks that need a calibration of this recording with these options; None makes one."""
+        """Run the checks that need a calibration of this recording with these options; None computes one."""
         if not self._refused:
             if result is not None:
                 self.evidence.result = result
@@ -154,7 +154,7 @@ def diagnose(
     options : Options, optional
         Options of the calibration that the last checks use.
     calibrating : bool
-        False: run only the checks that need no calibration.
+        False to run only the checks that need no calibration.
     recognition : Recognition, optional
         Sequences recognised in the recording, if known already.
 

@@ -1,4 +1,4 @@
-"""Time stamps: unit, jitter, and samples missing inside a sequence."""
+"""Time stamps: unit, jitter, drift, and gaps inside a sequence."""
 
 from __future__ import annotations
 
@@ -21,24 +21,24 @@ if TYPE_CHECKING:
     from srt.types import Indices
 
 _FEW_STEPS: Final = 100
-"""Samples, fewer of which do not tell the jitter."""
+"""Fewest samples for an estimate of the jitter."""
 _PARTS: Final = 10
-"""Parts of a recording whose mean intervals are compared."""
+"""Number of parts of a recording whose mean intervals are compared."""
 _LEAST_DRIFT: Final = 1e-3
-"""Relative change of the interval from which it matters: crystals keep 1e-4 over all temperatures."""
+"""Smallest relative change of the interval for a finding: crystals are stable to 1e-4 over all temperatures."""
 _BURSTS: Final = 0.05
-"""Share of long steps, above which they are not interruptions."""
+"""Share of long steps above which these are not gaps, but pauses between bursts of samples."""
 _TURNING: Final = 0.2
-"""Share of the highest rate above which the unit rotates."""
+"""Smallest rate of a rotating unit, relative to the highest rate."""
 _SAMPLES: Final = 20_000
-"""Rows used where all rows would tell no more."""
+"""Number of samples from which median and highest rate are taken: more would only take longer."""
 _NO_GAP: Final = 8.0
-"""Jitter of a step in sigma that does not occur by chance: p = 1e-15 each."""
+"""Deviation of a step, in sigma of the jitter, above which it is a gap: p = 1e-15 per step."""
 
 
 @check("time_unit")
 def time_unit(evidence: Evidence) -> Iterator[Finding]:
-    """Test the time unit: the interval is impossible, or all integrals over time are off by the same factor."""
+    """Test the time unit: the interval is impossible, or all integrals over time are wrong by the same factor."""
     interval = evidence.dt
     if SHORTEST_INTERVAL_S <= interval <= LONGEST_INTERVAL_S:
         yield from (found for found in scale_findings(evidence) if found.fault == "time_unit")
@@ -49,7 +49,11 @@ def time_unit(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _unit(evidence: Evidence, interval: float) -> tuple[float, str, str]:
-    """Time unit that makes an interval a usual one, by the integrals over time if several do, else the nearest."""
+    """Time unit for which the interval is usual: row of ``TIME_UNITS``.
+
+    If several units do so, the rotation angles (of increments: gravity) decide. If none does, it is the unit whose
+    interval is nearest to the usual ones.
+    """
     middle = math.sqrt(USUAL_S[0] * USUAL_S[1])
     usual = [row for row in TIME_UNITS if USUAL_S[0] <= interval * row[0] <= USUAL_S[1]]
     if not usual:
@@ -63,7 +67,10 @@ def _unit(evidence: Evidence, interval: float) -> tuple[float, str, str]:
 
 
 def _jitter(evidence: Evidence) -> tuple[float, float]:
-    """Standard deviation of the stamps about an even rate, and its interval, s; 0 for even or merely rounded stamps."""
+    """Standard deviation of the stamps about an even rate, and the interval of that rate, s.
+
+    The standard deviation is 0 for stamps that are evenly spaced within their rounding.
+    """
     recording = evidence.recording
     if recording.sample_rate_hz is not None or len(recording.time) < _FEW_STEPS:
         return 0.0, evidence.dt
@@ -72,19 +79,20 @@ def _jitter(evidence: Evidence) -> tuple[float, float]:
     if isinstance(recording.interval_s, float) and not bursts:
         return 0.0, even
     steps = np.diff(recording.time)
-    # Stamps set on the arrival of packets come in bursts. The long steps between the bursts belong to the jitter, and
-    # the median step lies inside a burst.
+    # Stamps that are set on the arrival of packets come in bursts. The long steps between the bursts are jitter, not
+    # gaps. As the median step is one inside a burst, the interval is the mean step.
     if bursts:
         even = float(recording.time[-1] - recording.time[0]) / steps.size
     else:
         steps = np.delete(steps, gaps - 1)
-    # Differences of steps exclude a slow drift of the rate; for white jitter their variance is six times its own.
+    # Second differences of the stamps exclude a slow drift. For white jitter, their variance is six times that of the
+    # jitter.
     return float(np.sqrt(np.mean(np.diff(steps) ** 2) / 6.0)), even
 
 
 @check("stamp_jitter")
 def stamp_jitter(evidence: Evidence) -> Iterator[Finding]:
-    """Find stamps that scatter by more than rounding: each is taken as given, and the scatter enters the rotations."""
+    """Find stamps that scatter by more than rounding: each stamp is used as it is, so that angles have its error."""
     sigma, interval = _jitter(evidence)
     if sigma > 0.5 * ROUNDING_FRACTION * interval:
         yield finding("stamp_jitter", jitter=sigma / interval, interval=interval)
@@ -100,7 +108,7 @@ def clock_drift(evidence: Evidence) -> Iterator[Finding]:
     means = np.array([part.mean() for part in np.array_split(steps, _PARTS)])
     place = np.arange(_PARTS) - 0.5 * (_PARTS - 1)
     slope = float(place @ means) / float(place @ place)
-    # Second differences hold the noise of the means; for white noise their variance is six times its own.
+    # Second differences of the means exclude the drift. For white noise, their variance is six times that of the means.
     noise = float(np.diff(means, 2).std()) / math.sqrt(6.0)
     sigma = noise / math.sqrt(float(place @ place))
     change = slope * (_PARTS - 1) / float(means.mean())
@@ -110,7 +118,7 @@ def clock_drift(evidence: Evidence) -> Iterator[Finding]:
 
 @check("gap_in_sequence")
 def gap_in_sequence(evidence: Evidence) -> Iterator[Finding]:
-    """Find steps of the stamps that are too long between the first and the last sample of a sequence."""
+    """Find gaps of the time stamps between the first and the last sample of a sequence."""
     time, gaps = evidence.recording.time, evidence.recording.gaps
     if gaps.size == 0:
         return
@@ -128,7 +136,7 @@ def gap_in_sequence(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _inside_labelled(evidence: Evidence, gaps: Indices) -> tuple[Indices, str, int]:
-    """Gaps of the first sequence that has any, its name, and the number of others with gaps."""
+    """Gaps of the first sequence that has gaps, its name, and the number of other sequences with gaps."""
     data = evidence.data
     if data is None:
         return gaps[:0], "", 0
@@ -142,7 +150,10 @@ def _inside_labelled(evidence: Evidence, gaps: Indices) -> tuple[Indices, str, i
 
 
 def _inside_rotations(evidence: Evidence, gaps: Indices) -> tuple[Indices, str, int]:
-    """Gaps with rotation on both sides; without labels, other gaps may lie between sequences."""
+    """Gaps with rotation on both sides, "A rotation" as their name, and the number of such gaps after the first one.
+
+    Without labels, gaps in stationary windows may lie between sequences and are no fault.
+    """
     gyro = evidence.recording.gyro
     some = np.linalg.norm(gyro[:: max(1, len(gyro) // _SAMPLES)], axis=1)
     rest, fastest = np.median(some), some.max()

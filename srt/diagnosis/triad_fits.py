@@ -1,9 +1,8 @@
-"""Raw triads of gyros and accelerometers from the stated rotations and poses, by two fits.
+"""Raw matrices of the gyro and accelerometer triads from the labelled rotations and poses, by two fits.
 
-* Least squares (:func:`gyro_fit`, :func:`accel_fit`): the residuals tell whether the labels explain the readings, and
-  the rank whether they determine a triad.
-* Least absolute deviations (:func:`raw_triads`): a few sequences that were run otherwise than labelled do not bias the
-  triads, with which the readings of the others are then judged.
+* Least squares (:func:`gyro_fit`, :func:`accel_fit`): the residuals show if the labels explain the readings, and the
+  rank shows if the labels determine the matrix.
+* Least absolute deviations (:func:`raw_triads`): a few sequences with wrong labels do not bias the matrices.
 """
 
 from __future__ import annotations
@@ -22,9 +21,9 @@ if TYPE_CHECKING:
 
 
 _RIDGE: Final = 1e-9
-"""Relative singular value below which a direction counts as not observed; far above rounding, below any rotation."""
+"""Relative singular value below which a direction is not observable; far above rounding, far below any rotation."""
 _RANK: Final = 0.1
-"""Singular value of the unit vectors below which they do not span a direction: it lies within 6° of the others."""
+"""Smallest singular value of the unit vectors for full rank: below it, they lie within 6° of a plane."""
 _SOUND: Final = 10.0
 """Condition number of a triad's matrix above which its fit has failed."""
 
@@ -40,7 +39,7 @@ class LinearFit:
     offset : ndarray, shape (3,)
     residual : ndarray, shape (n, 3)
     rank : int
-        3 when the nominal vectors span space.
+        Rank of the nominal vectors; 3 if they span space.
     """
 
     matrix: Array
@@ -51,14 +50,14 @@ class LinearFit:
 
 @computed_once
 def gyro_fit(evidence: Evidence) -> LinearFit:
-    """Measured against stated rotations: raw gyro matrix in the nominal frame; residuals in rad."""
+    """Fit of measured to nominal rotations: raw gyro matrix in the nominal frame; residuals in rad."""
     _, nominal, turned = rotation_angles(evidence)
     return _fit(nominal, turned, with_offset=False)
 
 
 @computed_once
 def accel_fit(evidence: Evidence) -> LinearFit:
-    """Stationary readings against the nominal vertical: raw accelerometer matrix and bias, m/s²."""
+    """Fit of stationary readings to the nominal specific force: raw accelerometer matrix, and bias in m/s²."""
     return _fit(*evidence.poses, with_offset=True)
 
 
@@ -75,7 +74,7 @@ def _fit(x: Array, y: Array, *, with_offset: bool) -> LinearFit:
 
 
 class RawTriads(NamedTuple):
-    """Raw reading over truth of both sensors: gyro matrix, accelerometer matrix, and accelerometer bias in m/s²."""
+    """Raw sensor model of both triads: gyro matrix, accelerometer matrix, and accelerometer bias in m/s²."""
 
     gyro: Array
     accel: Array
@@ -86,8 +85,9 @@ class RawTriads(NamedTuple):
 def raw_triads(evidence: Evidence) -> RawTriads:
     """Raw gyro matrix, and raw accelerometer matrix and bias, in the nominal frame.
 
-    Identity and zero if the rotations are not stated, or cover too few directions. If only one sensor is observed, its
-    matrix is given in the unit's own frame, which the other sensor, taken as perfect, shares up to its misalignments.
+    The result is identity and zero if the rotations are not labelled or cover too few directions. If the labels
+    determine only one of both triads, the other one is taken as perfect. The matrix is then given without its rotation
+    relative to the nominal frame, so that both triads refer to the same frame except for misalignments.
     """
     gyro: Array = np.eye(3)
     accel: Array = np.eye(3)
@@ -98,7 +98,7 @@ def raw_triads(evidence: Evidence) -> RawTriads:
     angle = np.linalg.norm(nominal, axis=1, keepdims=True)
     gyro_seen = bool(len(angle) and np.linalg.matrix_rank(nominal, tol=_RANK) == 3)
     if gyro_seen:
-        # Divided by the angle, so that full rotations do not outweigh the half ones.
+        # Rotations are divided by their angles, so that large rotations do not have more weight than small ones.
         gyro = robust_fit(nominal / angle, turned / angle).T
     vertical, reading = evidence.poses
     gravity = evidence.data.gravity
@@ -110,6 +110,6 @@ def raw_triads(evidence: Evidence) -> RawTriads:
     if not all(np.linalg.cond(matrix) < _SOUND for matrix in (gyro, accel)):
         return RawTriads(np.eye(3), np.eye(3), np.zeros(3))
     if not (gyro_seen and accel_seen):
-        # A test that has only begun: the nominal frame of one sensor would differ from that of the other by the mount.
+        # At the beginning of a test: in the nominal frame, only one of the matrices would include the mounting.
         gyro, accel = (polar(matrix, side="left")[1] for matrix in (gyro, accel))
     return RawTriads(gyro, accel, bias)

@@ -1,9 +1,9 @@
-"""Units, count values, sample rate and time unit: factors of the readings against labels and gravity.
+"""Units, count values, sample rate and time unit: ratios of the readings to the labels and to gravity.
 
-A ratio is examined where it is impossible for a unit (its errors may be tens of per cent), or where the axes of a triad
-share a factor that independent scale errors do not have. All causes that this admits are compared by likelihood
-(:mod:`srt.diagnosis.scale_causes`). If one axis disagrees with itself over the rotations and poses, labels or windows
-are wrong, and nothing is said about factors.
+The readings of a triad have a wrong scale if their ratio to the truth is impossible for an IMU (scale-factor errors may
+be tens of per cent), or if all axes have a common factor that independent scale-factor errors do not explain. All
+causes that are possible for such a ratio are compared by likelihood (:mod:`srt.diagnosis.scale_causes`). If the ratios
+of one axis differ between rotations or poses, labels or windows are wrong, and no cause of a wrong scale is reported.
 """
 
 from __future__ import annotations
@@ -39,12 +39,14 @@ _G: Final = STANDARD_GRAVITY_M_S2
 
 
 _MATCH: Final = math.log(1.8)
-"""Logarithm of the distance within which a factor is recognised through the errors of an uncalibrated IMU."""
+"""Largest distance of a ratio from a known factor, as a logarithm: allows for the errors of an uncalibrated IMU."""
 _BOTH: Final = math.log(1.7)
-"""Logarithm of the ratio within which gyros and accelerometers share one factor: scale errors of ±25 % make 1.67."""
+"""Largest distance between the factors of gyros and accelerometers, as a logarithm, at which they count as equal:
+scale-factor errors of ±25 % make a ratio of 1.67."""
 _TIGHT: Final = 0.07
-"""Logarithm of the distance within which whole numbers are a unit and not counts: mg are often logged without decimals,
-and pulses of a fraction of an arc second are whole numbers of deg/h (but not all of them)."""
+"""Largest distance from the factor of a unit, as a logarithm, at which whole numbers are readings in that unit and not
+counts: readings in mg are often logged without decimals, and pulses of a fraction of an arc second can be whole numbers
+of deg/h."""
 _PRIORS: Final = {
     "unit": 1e-2,
     "kind": 1e-2,
@@ -55,13 +57,14 @@ _PRIORS: Final = {
     "time": 1e-3,
     "factor": 1e-3,
 }
-"""Probabilities of kinds of causes relative to none. Only their ratios count, and little against a scale of 1 %.
+"""Prior probabilities of the kinds of causes, relative to no fault. Only their ratios matter, and they have less weight
+than a ratio that is known to 1 %.
 
-That of counts is for whole numbers, which other causes make with 1e-6 (:data:`_WHOLE`)."""
+The value for counts applies to whole numbers, which have a probability of 1e-6 for other causes (:data:`_WHOLE`)."""
 _CLOCKS: Final = 2.0 * math.log(100.0)
 _FACTORS: Final = 2.0 * math.log(16.0)
 _COUNTS: Final = math.log(1e9)
-"""Ranges of the logarithms of unknown factors: of a clock, of the full scale of a unit, of counts per unit."""
+"""Widths of the ranges of the logarithms of unknown factors: of the clock, of a triad, and of counts per SI unit."""
 TIME_UNITS: Final = (
     (1e-3, "milliseconds", "seconds"),
     (1e-6, "microseconds", "seconds"),
@@ -76,40 +79,41 @@ TIME_UNITS: Final = (
 USUAL_S: Final = (1e-4, 0.11)
 """Usual sampling intervals, s: 10 kHz to a little less than 10 Hz."""
 _UNUSUAL: Final = 1e-3
-"""Probability of other intervals."""
+"""Prior probability of other sampling intervals, relative to usual ones."""
 _MOST_THINNED: Final = 16
 """Largest number of increments of which one is kept."""
 _POWERS: Final = tuple(k for k in range(-4, 5) if k)
-"""Exponents of two between the ranges of one IMU: a factor of 16 at most (125 to 2000 °/s, 2 to 32 g)."""
+"""Logarithms to base 2 of the ratios between the measuring ranges of one IMU: at most a factor of 16 (125 to 2000 °/s,
+2 to 32 g)."""
 _POWER_DISTANCE: Final = 0.04
-"""Logarithm of the distance of the mean factor from a power of two: 1e-5 of uncalibrated MEMS (1.5 % 1-sigma) exceed
-it, 1e-4 of units with errors of tens of per cent are within it by chance."""
+"""Largest distance of the mean factor of a triad from a power of two, as a logarithm. For uncalibrated MEMS (1.5 %,
+1-sigma), 1e-5 of the units exceed it. Of units with errors of tens of per cent, 1e-4 are within it by chance."""
 _POWER_SCATTER: Final = 0.05
-"""Largest scatter of the logarithms of the axes about that mean."""
+"""Largest standard deviation of the logarithms of the three axes about their mean for a common factor."""
 _COMMON_SIGMAS: Final = 8.0
-"""Common factor over the scatter of the axes that is significant together with :data:`_COMMON`: independent errors
-exceed it in 0.5 % of all units, but with errors above 5 % only in those off by tens of per cent."""
+"""Smallest common factor, as a logarithm over the scatter of the axes, for a finding together with :data:`_COMMON`.
+Independent errors exceed it in 0.5 % of all units, but exceed both only in units with errors of tens of per cent."""
 _COMMON: Final = 0.05
-"""Logarithm of a common scale error that no class of units has: uncalibrated MEMS are within 3 % (2-sigma)."""
+"""Smallest common factor, as a logarithm, for a finding: uncalibrated MEMS are within 3 % (2-sigma)."""
 _COMMON_SIGMAS_ALONE: Final = 57.7
-"""Common factor over the scatter that is significant alone, p = 1e-4: Student's t with two degrees of freedom exceeds
-100, over √3."""
+"""Smallest common factor, as a logarithm over the scatter of the axes, for a finding whatever its size: p = 1e-4, where
+Student's t with two degrees of freedom, which is √3 times this ratio, exceeds 100."""
 _EARTH_LEAST: Final = 0.005
-"""Smallest common scale error that the Earth rate confirms."""
+"""Smallest common factor, as a logarithm, that the Earth rate may confirm."""
 _EARTH_SIGMAS: Final = 5.0
-"""Deviation of the Earth rate that is no chance, p = 6e-7."""
+"""Smallest deviation of the Earth rate for a finding, in sigma: p = 6e-7."""
 _GRAVITY_VARIATION: Final = 0.01
-"""Largest relative difference of gravity on the Earth's surface (9.76 to 9.84 m/s²) from 9.80 m/s²."""
+"""Largest relative difference between two values of gravity on the Earth's surface (9.76 to 9.84 m/s²), rounded up."""
 _WHOLE: Final = 1e-6
-"""Largest distance from a whole number, by rounding."""
+"""Largest distance from a whole number, due to rounding."""
 _READINGS: Final = 4000
-"""Readings from which a common step is taken."""
+"""Number of readings from which a common step is taken."""
 _COARSEST_COUNT: Final = 16
-"""Largest common divisor of raw counts, of which some low bits may be constant; larger ones are pulses in a unit."""
+"""Largest common divisor of raw counts, whose lowest bits may be constant; a larger divisor is that of pulses."""
 _FEWEST_COUNTS: Final = 10.0
-"""Range of the readings in counts, below which whole numbers are chance."""
+"""Smallest range of the readings, in counts: with a smaller range, all readings may be whole numbers by chance."""
 _MOST_COUNTS: Final = 2.0**52
-"""Range above which every double is a whole number."""
+"""Largest range of the readings, in counts: above it, every double is a whole number."""
 
 
 @check(
@@ -132,16 +136,16 @@ _MOST_COUNTS: Final = 2.0**52
     "accel_factor",
 )
 def wrong_scales(evidence: Evidence) -> Iterator[Finding]:
-    """Name the most likely cause of wrong scales, unless it is the time unit."""
+    """Report the most likely cause of wrong scales; a wrong time unit is reported by another check."""
     yield from (found for found in scale_findings(evidence) if found.fault != "time_unit")
 
 
 @computed_once
 def scale_findings(evidence: Evidence) -> list[Finding]:
-    """Faults that explain the ratios of both triads best; none for those of a sound unit."""
+    """Faults that best explain the ratios of both triads; empty for a sound unit."""
     gyro, accel = gyro_scale_ratios(evidence), accel_scale_ratios(evidence)
     if stationary_force_scatter(evidence) > _MATCH and not accel.axis_scatter < _POWER_SCATTER:
-        accel = UNKNOWN  # the windows are not stationary
+        accel = UNKNOWN  # the specific force differs much between the windows: they are not stationary
     odd = {"gyro": _is_odd(evidence, "gyro", gyro, accel), "accel": _is_odd(evidence, "accel", accel, gyro)}
     if not any(odd.values()):
         return []
@@ -165,12 +169,12 @@ def _is_legal(sensor: Sensor, scales: ScaleRatios) -> bool:
 
 
 def _is_odd(evidence: Evidence, sensor: Sensor, scales: ScaleRatios, other: ScaleRatios) -> bool:
-    """True if a triad has a ratio, or the axes have one in common, that no unit has."""
+    """True if no sound unit has the ratio of a triad, or the factor that its axes have in common."""
     if not scales.known or not scales.by_axis:
         return scales.known and not _is_legal(sensor, scales)
     if not _is_legal(sensor, scales) or _one_axis(sensor, scales) is not None or _power_of_two(scales) is not None:
         return True
-    # Stated gravity may be wrong, within the variation of gravity.
+    # The stated gravity may be wrong within the variation over the Earth's surface.
     shift = abs(scales.common) - (_GRAVITY_VARIATION if sensor == "accel" else 0.0)
     if shift > _COMMON_SIGMAS_ALONE * scales.scatter or (shift > _COMMON and shift > _COMMON_SIGMAS * scales.scatter):
         return True
@@ -178,7 +182,10 @@ def _is_odd(evidence: Evidence, sensor: Sensor, scales: ScaleRatios, other: Scal
 
 
 def _confirmed_by_earth(evidence: Evidence, scales: ScaleRatios, other: ScaleRatios) -> bool:
-    """True if the Earth rate is off by the factor of the triad that scales with the clock: no error of a unit is."""
+    """True if the measured Earth rate is wrong by the common factor of the triad that depends on the clock.
+
+    The clock is wrong then: no scale-factor error of a unit has this effect.
+    """
     earth = earth_rate_factor(evidence)
     if earth is None or abs(scales.common) < _EARTH_LEAST or not other.known:
         return False
@@ -187,11 +194,11 @@ def _confirmed_by_earth(evidence: Evidence, scales: ScaleRatios, other: ScaleRat
     return abs(earth.value - 1.0) > _EARTH_SIGMAS * earth.sigma and abs(earth.value - expected) < 3.0 * doubt
 
 
-# --- admitted causes -------------------------------------------------------------------------------------------------
+# --- possible causes -------------------------------------------------------------------------------------------------
 
 
 def _of_one_triad(evidence: Evidence, sensor: Sensor, scales: ScaleRatios) -> Iterator[ScaleCause]:
-    """Causes of the ratio of one triad alone: units, counts, ranges, one axis, any factor."""
+    """Possible causes of the ratios of only one triad: unit, counts, measuring range, one axis, or any factor."""
     rates = evidence.recording.kind == "rate"
 
     def cause(kind: str, fault: str, shift: float | Array, details: dict[str, Any], **more: Any) -> ScaleCause:
@@ -209,7 +216,7 @@ def _of_one_triad(evidence: Evidence, sensor: Sensor, scales: ScaleRatios) -> It
         wholes = (1.0, *((DEG, DEG_PER_H) if sensor == "gyro" else (_G, 1e-3 * _G)))
         step = _common_step(getattr(evidence.recording, sensor), wholes[: 3 if rates else 2 if sensor == "gyro" else 1])
         if (0 < step <= _COARSEST_COUNT and distance > _TIGHT) or (step == 1 and sensor == "gyro"):
-            # Whole numbers are no chance: other units are out of the question.
+            # The readings are whole numbers, which other units make only with a negligible probability.
             fields = _fields(evidence, sensor, scales, None)
             yield cause("counts", f"{sensor}_counts", 0.0, fields, unknown={sensor: (_COUNTS, 0.0)})
             return
@@ -217,7 +224,7 @@ def _of_one_triad(evidence: Evidence, sensor: Sensor, scales: ScaleRatios) -> It
             if d < _MATCH:
                 yield cause("unit", unit.fault, math.log(unit.factor), _fields(evidence, sensor, scales, unit))
     count = round(1.0 / scales.typical)
-    # Thinned without a rotation to tell it: the interval is longer than that of an IMU, and its share is not.
+    # Thinned increments without a rotation: the interval is longer than that of any IMU, but one count-th of it is not.
     if sensor == "accel" and not rates and count >= 2 and USUAL_S[0] <= evidence.dt / count <= USUAL_S[1] < evidence.dt:
         alone: dict[str, Any] = {"increments_thinned": {"count": count, "ratio": scales.typical}}
         shift = _shifts(sensor, math.log(scales.typical))
@@ -240,7 +247,7 @@ def _of_one_triad(evidence: Evidence, sensor: Sensor, scales: ScaleRatios) -> It
 
 
 def _of_both(evidence: Evidence, gyro: ScaleRatios, accel: ScaleRatios) -> Iterator[ScaleCause]:
-    """Causes that change both triads: increments taken for rates, or the reverse, or thinned out."""
+    """Possible causes that change both triads: increments declared as rates, the reverse, or thinned increments."""
     rates, dt = evidence.recording.kind == "rate", evidence.dt
     if not (gyro.known and accel.known):
         return
@@ -262,7 +269,7 @@ def _of_both(evidence: Evidence, gyro: ScaleRatios, accel: ScaleRatios) -> Itera
 
 
 def _of_clock(evidence: Evidence, scales: ScaleRatios) -> Iterator[ScaleCause]:
-    """Causes in the clock, by the triad that scales with it: gyros of rates, accelerometers of increments."""
+    """Possible causes in the clock, from the triad that depends on it: gyros of rates, accelerometers of increments."""
     rates, dt = evidence.recording.kind == "rate", evidence.dt
     timed: Sensor = "gyro" if rates else "accel"
     if not scales.known:
@@ -272,7 +279,7 @@ def _of_clock(evidence: Evidence, scales: ScaleRatios) -> Iterator[ScaleCause]:
         shift = -math.log(factor) if rates else math.log(factor)
         if not USUAL_S[0] <= dt * factor <= USUAL_S[1]:
             continue
-        why = f"and {'rotations read' if rates else 'gravity reads'} {scales.typical:.3g} times the expected value"
+        why = f"and {'rotation angles are' if rates else 'gravity is'} {scales.typical:.3g} times the expected value"
         details: dict[str, Any] = {"interval": dt, "why": why, "unit": unit, "declared": declared}
         for power in (0, *_POWERS):
             also = power * math.log(2.0)
@@ -310,22 +317,22 @@ def _of_clock(evidence: Evidence, scales: ScaleRatios) -> Iterator[ScaleCause]:
 
 
 def _shifts(sensor: Sensor, shift: float | Array) -> tuple[float | Array, float | Array]:
-    """Shift of gyros and of accelerometers, of which one is zero."""
+    """Shifts of gyros and accelerometers, one of them zero."""
     return (shift, 0.0) if sensor == "gyro" else (0.0, shift)
 
 
 def _usual(interval_s: float) -> float:
-    """Probability of a sampling interval, relative to a usual one."""
+    """Prior probability of a sampling interval, relative to a usual one."""
     return 1.0 if USUAL_S[0] <= interval_s <= USUAL_S[1] else _UNUSUAL
 
 
 def _clipped(evidence: Evidence, sensor: Sensor) -> set[int | None]:
-    """Sequences in which a triad saturates; None for the whole recording."""
+    """Numbers of the sequences in which a triad saturates; None for the whole recording."""
     return {k for k, parts in clipped_parts(evidence) for part in parts if part.channel.startswith(sensor)}
 
 
 def _has_common_factor(scales: ScaleRatios, width: float) -> bool:
-    """True if the axes of a triad agree on one factor within a range."""
+    """True if the axes of a triad have a common factor within a range of that width."""
     return scales.by_axis and scales.scatter < _POWER_SCATTER and abs(scales.common) < 0.5 * width
 
 
@@ -334,14 +341,14 @@ def _spread(scales: ScaleRatios) -> float:
 
 
 def _wrong_count(sensor: str, ratio: float, power: float, axis: int | None = None) -> dict[str, Any]:
-    """Fields of the message on a wrong count value, of all axes or of one."""
+    """Fields of the message on a wrong count value, for all axes or for one."""
     name = {"gyro": "gyro", "accel": "accelerometer"}[sensor]
     who = f"All {name} axes read" if axis is None else f"{name.capitalize()} {AXES[axis]} reads"
     return {"who": who, "ratio": ratio, "power": power}
 
 
 def _one_axis(sensor: Sensor, scales: ScaleRatios) -> tuple[int, float, WrongUnit | None] | None:
-    """Axis in another unit or range than the other two, which are right; the factor, and its unit if it is one."""
+    """Axis in another unit or range than the other two, which are right; its factor; and its unit, None for a range."""
     if not scales.by_axis or scales.axis_scatter > _POWER_SCATTER:
         return None
     logarithm = np.log(scales.axes)
@@ -360,7 +367,7 @@ def _one_axis(sensor: Sensor, scales: ScaleRatios) -> tuple[int, float, WrongUni
 
 
 def _mostly_clipped(evidence: Evidence, clipped: set[int | None]) -> bool:
-    """True if a triad saturates in most sequences, which makes all its readings too small."""
+    """True if a triad saturates in most sequences, which makes its measured angles too small."""
     return evidence.data is not None and (None in clipped or len(clipped) > 0.5 * evidence.data.K)
 
 
@@ -373,7 +380,7 @@ def _fields(evidence: Evidence, sensor: str, scales: ScaleRatios, unit: WrongUni
 
 
 def _first_turn(evidence: Evidence) -> str:
-    """Name in messages of the first rotation compared."""
+    """Name in messages of the sequence with the first rotation that is compared."""
     if evidence.data is None:
         return "free rotations"
     numbers, _, _ = rotation_angles(evidence)
@@ -381,7 +388,7 @@ def _first_turn(evidence: Evidence) -> str:
 
 
 def _common_step(table: Array, units: tuple[float, ...]) -> int:
-    """Greatest common divisor of the readings in the first unit in which they are whole numbers; 0 if in none."""
+    """Greatest common divisor of the readings in the first unit in which they are whole numbers; 0 if there is none."""
     some = table[:: max(1, len(table) // _READINGS)]
     for unit in units:
         numbers = some / unit
@@ -392,7 +399,7 @@ def _common_step(table: Array, units: tuple[float, ...]) -> int:
 
 
 def _power_of_two(scales: ScaleRatios) -> float | None:
-    """Power of two by which all axes are off; None if there is none."""
+    """Power of two that is a common factor of all axes; None if there is none."""
     if not scales.by_axis:
         return None
     nearest = min(_POWERS, key=lambda k: abs(scales.common - k * math.log(2.0)))

@@ -1,4 +1,4 @@
-"""Vibration of the unit in the stationary windows: its frequency and size, and the bias that asymmetry makes of it."""
+"""Vibration of the unit in the stationary windows: its frequency, its amplitude, and the bias due to asymmetry."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ if TYPE_CHECKING:
 
 
 _ASYMMETRY: Final = 1e-4
-"""Asymmetry for which the rectified bias is told: 100 ppm."""
+"""Scale-factor asymmetry for which the message states the bias: 100 ppm."""
 
 
 @check("vibration")
 def vibration(evidence: Evidence) -> Iterator[Finding]:
-    """Name the strongest line in the spectrum of the windows."""
+    """Report the strongest line in the spectrum of the windows."""
     data = evidence.data
     if data is None or data.vibration is None:
         return
     gyro, accel, bias = raw_triads(evidence)
     none = np.zeros(3)
-    # Over the poses the Earth rate averages out of the rates at rest.
+    # The mean of the stationary rates is the bias, because the Earth rate averages out over the poses.
     triads = Triad(gyro, none, data.windows.gyro_mean.mean(axis=0)), Triad(accel, none, bias)
     line = data.vibration
     rate, force = (line.amplitude(name, triad) for name, triad in zip(("gyro", "accel"), triads, strict=True))
@@ -47,5 +47,5 @@ def vibration(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _typical(amplitude: Array) -> float:
-    """Median over the windows of the amplitude along the direction of the vibration, from three channels in phase."""
+    """Median amplitude over the windows, along the direction of the vibration; the three channels are in phase."""
     return float(np.median(np.linalg.norm(amplitude, axis=1)))

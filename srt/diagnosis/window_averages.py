@@ -1,7 +1,7 @@
-"""Averages inside the stationary windows: block means, noise of single samples, and power at the start.
+"""Averages inside the stationary windows: block means, noise of single samples, and variance at the start.
 
-All figures are rates (rad/s, m/s²) of the six uncompensated channels, gyros first. Each window is compared with the
-others; the stated noise is not used.
+All values are rates (rad/s, m/s²) of the six uncompensated channels, gyros first. The checks compare each window with
+the other windows; they do not use the stated noise.
 """
 
 from __future__ import annotations
@@ -22,56 +22,56 @@ if TYPE_CHECKING:
 
 
 BLOCKS: Final = 80
-"""Blocks of a window of median length: 0.125 s in a window of 10 s, about the duration of a bump."""
+"""Number of blocks in a window of median length: a block is 0.125 s in a window of 10 s, about as long as a bump."""
 FEWEST_BLOCKS: Final = 12
-"""Blocks, fewer of which make a window too short to be compared."""
+"""Fewest blocks of a window that is compared with the others."""
 HEADS_S: Final = (0.25, 0.5, 1.0, 2.0)
-"""Lengths of the start of a window in which the fixture may oscillate, s."""
+"""Lengths of the part at the start of a window that is searched for an oscillation of the fixture, s."""
 GYRO: Final = slice(0, 3)
 ACCEL: Final = slice(3, 6)
-"""Columns of the sensors."""
+"""Columns of the gyros and of the accelerometers."""
 MAD: Final = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
 _SOME_WINDOWS: Final = 6
-"""Windows from which quantization step and autocorrelation are taken."""
+"""Number of windows from which quantization step and autocorrelation are taken."""
 _ENOUGH_HEADS: Final = 4
-"""Samples of each of these windows for the autocorrelation, over those of the longest start."""
+"""Number of samples used for the autocorrelation in each of these windows, in lengths of the longest start part."""
 _RESOLUTION_SAMPLES: Final = 200
-"""Samples of each of these windows for the quantization step."""
+"""Number of samples used for the quantization step in each of these windows."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WindowAverages:
-    """Averages of the windows that are long enough, V of W.
+    """Averages of the V windows that are long enough.
 
     Attributes
     ----------
     window : ndarray of int, shape (V,)
-        Number of the window in the prepared data.
+        Number of each window in the prepared data.
     size : int
-        Samples of a block.
+        Number of samples of a block.
     step_s : float
         Length of a block.
     groups : tuple of (ndarray of int, shape (g,), and ndarray, shape (g, B, 6))
-        Windows of B blocks, counted among the V, and their block means.
+        Windows with the same number B of blocks: their numbers from 0 to V - 1, and their block means.
     blocks : ndarray of int, shape (V,)
         Number of blocks of each window.
     count : ndarray of int, shape (V,)
-        Samples of each window.
+        Number of samples of each window.
     sample_variance : ndarray, shape (V, 6)
         Variance of single samples, from first differences.
     late_variance : ndarray, shape (V, 6)
-        Variance of the second half about its own mean.
+        Variance of the second half of the window about its own mean.
     heads : ndarray of int, shape (H,)
-        Samples of the starts, ascending.
+        Numbers of samples of the start parts, ascending.
     head_power : ndarray, shape (V, H, 6)
-        Variance of the start of the window about its own mean: a later tilt is no oscillation.
+        Variance of each start part about its own mean, so that a later tilt does not count as an oscillation.
     head_freedom : ndarray, shape (H, 2)
-        Degrees of freedom of the mean of that variance over the axes of gyros and of accelerometers.
+        Degrees of freedom of that variance, averaged over the three axes of gyros and of accelerometers.
     least_variance : ndarray, shape (6,)
-        Variance of a sample by quantization and rounding alone.
+        Variance of a sample due to quantization and rounding only.
     block_doubt : ndarray, shape (6,)
-        Error of a block mean by pulses or coarse quantization alone.
+        Largest error of a block mean due to pulses or coarse quantization only.
     """
 
     window: Indices
@@ -122,7 +122,7 @@ def window_averages(evidence: Evidence) -> WindowAverages | None:
         middle = np.einsum("nc->c", rest) / len(rest)
         rest -= middle
         late[v] = np.einsum("nc,nc->c", rest, rest) / len(rest)
-        own = np.minimum(heads, n // 2)[:, None]  # shorter in a short window
+        own = np.minimum(heads, n // 2)[:, None]  # a start part is at most half a window
         start = x[: int(own[-1, 0])] - middle
         square, total = (np.cumsum(values, axis=0)[own[:, 0] - 1] for values in (start**2, start))
         power[v] = (square - total**2 / own) / own
@@ -131,7 +131,8 @@ def window_averages(evidence: Evidence) -> WindowAverages | None:
     resolution = _resolution(evidence, samples[chosen], pulses)
     floor = np.repeat([GYRO_FLOOR, ACCEL_FLOOR], 3) / np.sqrt(evidence.dt)
     typical = np.sqrt(np.median(late, axis=0))
-    # A running sum of pulses is off by one pulse at most; quantization above the noise, by half a step per sample.
+    # The error of a sum of pulse counts is at most one pulse. If the quantization step is larger than the noise, the
+    # error of each sample is at most half a step.
     coarse = np.where(pulses, resolution / size, np.where(typical < resolution, 0.5 * resolution, 0.0))
     return WindowAverages(
         window=chosen,
@@ -153,10 +154,11 @@ def window_averages(evidence: Evidence) -> WindowAverages | None:
 
 
 def _freedom(evidence: Evidence, samples: Indices, heads: Indices) -> Array:
-    """Degrees of freedom of the mean of the variances of three axes over the starts of a window, shape (H, 2).
+    """Degrees of freedom of the variance of the start parts, averaged over three axes, shape (H, 2).
 
-    The variance of n white values has n. With autocorrelations ρ(k), as behind a filter, its own variance is
-    1 + 2 Σ (1 − k/n) ρ(k)² times that (Bartlett's formula). The median over windows: a disturbance is in few of them.
+    The variance of n white values has n degrees of freedom. If a filter correlates the values, with autocorrelations
+    ρ(k), this number is divided by 1 + 2 Σ (1 − k/n) ρ(k)² (Bartlett's formula). The median of this sum over the
+    windows is used, as only few windows have a disturbance.
     """
     some = samples[:: max(1, len(samples) // _SOME_WINDOWS)]
     sums = np.empty((len(some), len(heads), 2))
@@ -168,35 +170,36 @@ def _freedom(evidence: Evidence, samples: Indices, heads: Indices) -> Array:
         covariance = np.fft.irfft(np.abs(spectrum) ** 2, 2 * n, axis=0)[:n]
         rho = covariance[1:] / np.maximum(covariance[0], np.finfo(float).tiny)
         lag_samples = np.arange(1, n)[:, None]
-        # Its square has the mean (n − k) / n² where the values are white.
+        # For white values, the expected value of ρ(k)² is (n − k) / n².
         square = (rho**2 - (n - lag_samples) / n**2).reshape(n - 1, 2, 3).mean(axis=2)
         sums[v] = np.maximum(1.0 - lag_samples.T / heads[:, None], 0.0) @ square
     return np.asarray(3.0 * heads[:, None] / (1.0 + 2.0 * np.maximum(np.median(sums, axis=0), 0.0)))
 
 
 def _resolution(evidence: Evidence, samples: Indices, pulses: Mask) -> Array:
-    """Smallest step between stationary readings as a rate, shape (6,); at least one pulse for channels that count."""
+    """Quantization step of the stationary readings as a rate, shape (6,); at least one pulse for pulse counts."""
     some = samples[:: max(1, len(samples) // _SOME_WINDOWS)]
     steps = np.zeros((len(some), 6))
     for v, (a, b) in enumerate(some.tolist()):
         part = slice(a, min(b, a + _RESOLUTION_SAMPLES))
         steps[v] = *quantization_step(evidence.recording.gyro[part]), *quantization_step(evidence.recording.accel[part])
-    # A disturbed window holds finer steps; readings that hardly ever change hold none.
+    # The median over the windows: a disturbed window may show finer steps, and a window of constant readings no step.
     seen = np.where(steps > 0.0, steps, np.nan)
     shown = np.isfinite(seen).any(axis=0)
     out = np.zeros(6)
     out[shown] = np.nanmedian(seen[:, shown], axis=0)
     out *= evidence.per_rate
-    # Corrected pulses show finer steps: the correction of one axis adds parts of another's.
+    # Corrected readings have finer steps than a pulse, as the correction mixes the pulses of the axes.
     noise = evidence.recording.noise
     pulse = np.repeat([noise.gyro_quantization or 0.0, noise.accel_quantization or 0.0], 3) / evidence.dt
     return np.where(pulses, np.maximum(out, pulse), out)
 
 
 def block_sigma(averages: WindowAverages) -> Array:
-    """Standard deviation of a block mean, (V, 6): that of all windows, or of the window itself if it is noisier.
+    """Standard deviation of a block mean, (V, 6): the median over the windows, or that of the window if it is larger.
 
-    From the median of first differences of neighbouring blocks, which neither a drift nor a single step affects.
+    It is computed from the median of the differences between successive blocks, which is hardly affected by a drift or
+    by a single step.
     """
     own = np.empty((len(averages.window), 6))
     for v, means in averages.groups:
@@ -206,7 +209,7 @@ def block_sigma(averages: WindowAverages) -> Array:
 
 
 def stationary_rate_residual(evidence: Evidence) -> Array:
-    """Stationary rate less bias, g-sensitivity and Earth rate, fitted over all windows; (W, 3), rad/s, true axes."""
+    """Residual of the stationary rates after a fit of bias and g-sensitivity, without Earth rate; (W, 3), rad/s, B."""
     data = evidence.data
     assert data is not None
     gyro = raw_triads(evidence).gyro

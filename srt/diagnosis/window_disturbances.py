@@ -1,7 +1,7 @@
 """Disturbances of stationary windows: oscillation at the start, bumps, creep and noise.
 
-The tests run in this order, because the earlier disturbances also fail the later tests: an oscillation contains steps,
-a step looks like a drift, and all of them raise the noise.
+The tests run in this order, because each disturbance also affects the later tests: an oscillation contains steps, a
+step looks like a drift, and all of them increase the noise.
 """
 
 from __future__ import annotations
@@ -35,28 +35,31 @@ if TYPE_CHECKING:
 
 
 _LEAST_POWER: Final = 2.0
-"""Power at the start of a window over that of its second half, below which an oscillation does not matter."""
+"""Smallest variance at the start of a window, relative to its second half, for a finding: less does not matter."""
 _NOISIER: Final = 2.25
-"""Variance over that of the other windows, below which the noise does not matter: 1.5 times the standard deviation."""
+"""Smallest variance of a window, relative to the other windows, for a finding: 1.5 times their standard deviation."""
 _NOISE_SIGMAS: Final = 6.0
-"""Deviation of the logarithm of a window's noise in sigma of that of all windows: windows held by hand differ more."""
+"""Smallest deviation of the logarithm of a window's variance for a finding, in sigma of its scatter over all windows:
+the noise of windows held by hand scatters more."""
 _EDGE_BLOCKS: Final = 2
-"""Blocks at both ends of a window in which a step cannot be told, because one side of it is missing."""
+"""Number of blocks at each end of a window in which no step is searched: one side of the step would be too short."""
 _WIDE: Final = 0.95
 _WIDE_SIGMAS: Final = 1.96
-"""Share of the means that gives their scatter, and the sigmas within which it lies."""
+"""Quantile of the magnitudes of the means from which their scatter is taken, and its value for a normal distribution in
+sigma."""
 _SPANS: Final = (1, 2, 3)
-"""Blocks over which a bump rotates the unit; a longer motion is no bump."""
+"""Numbers of blocks over which a bump rotates the unit; a longer motion is not a bump."""
 _AGREE: Final = 0.35
-"""Relative difference of gyros and accelerometers on a tilt: scale errors of 10 %, and a step not fully resolved."""
+"""Largest relative difference between the tilts by gyros and by accelerometers: allows for scale-factor errors of 10 %,
+and for a step that the blocks do not fully resolve."""
 _PLAUSIBLE: Final = 1e-3
-"""p-value above which the accelerometers alone show no creep."""
+"""Largest p-value of the accelerometers alone for a creep."""
 _CONTRARY: Final = 1e-4
 """p-value below which gyros and accelerometers contradict each other on a creep."""
 _UNKNOWNS: Final = 4
-"""Bias and g-sensitivity of an axis, fitted to the stationary rates."""
+"""Number of unknowns of an axis in the fit of the stationary rates: one bias and three g-sensitivities."""
 _MAD_EFFICIENCY: Final = 0.37
-"""Degrees of freedom of a median absolute deviation per value."""
+"""Degrees of freedom of a median absolute deviation, per value."""
 
 
 @check("unsettled", "bump", "creep", "noisy_window")
@@ -65,13 +68,13 @@ def disturbed_windows(evidence: Evidence) -> Iterator[Finding]:
     averages = window_averages(evidence)
     if averages is None:
         return
-    # Gyros that lag, or one that is ahead of the others, read a rotation in windows in which the unit rests.
+    # If gyros lag or lead, their readings of a rotation reach into the windows, in which the unit is at rest.
     lagging = lag(evidence) is not None
     ringing, amplitude = _oscillation(averages, by_gyros=not lagging)
     if evidence.recording.fixture is None:
-        ringing[:] = False  # the hand that holds the unit disturbs it
+        ringing[:] = False  # a unit held by hand is never quite at rest
     steps = _steps(evidence, averages)
-    # A step after an oscillation is no bump; an oscillation after a step is no late settling.
+    # A step during an oscillation is a part of it, and no bump. An oscillation after a step is due to the bump.
     for v in list(steps):
         if ringing[v].any() and ringing[v] @ (averages.heads <= steps[v].block * averages.size):
             del steps[v]
@@ -126,9 +129,14 @@ def _place(evidence: Evidence, averages: WindowAverages, v: int) -> dict[str, ob
 
 
 def _oscillation(averages: WindowAverages, by_gyros: bool) -> tuple[Mask, Array]:
-    """True for starts of windows with far more power than the second half, by length of the start; shape (V, H).
+    """Windows that oscillate at the start: their variance is far larger there than in the second half.
 
-    The second array is the power over that of the noise, of gyros and accelerometers, shape (V, 2).
+    Returns
+    -------
+    oscillating : ndarray of bool, shape (V, H)
+        By window and length of the start part.
+    ratio : ndarray, shape (V, 2)
+        Largest variance of a start part over that of the noise, for gyros and accelerometers.
     """
     noise = np.maximum(
         np.maximum(averages.late_variance, np.median(averages.late_variance, axis=0)), averages.least_variance
@@ -143,7 +151,7 @@ def _oscillation(averages: WindowAverages, by_gyros: bool) -> tuple[Mask, Array]
 
 
 def _amplitude(averages: WindowAverages, v: int) -> str:
-    """Amplitude of the oscillation at the start of a window, with its unit."""
+    """Amplitude of the oscillation at the start of a window, with its unit, as text."""
     excess = np.maximum(averages.head_power[v, 0] - averages.late_variance[v], 0.0)
     sigma = excess / np.maximum(averages.late_variance[v], averages.least_variance)
     by_gyros = sigma[GYRO].max() >= sigma[ACCEL].max()
@@ -156,14 +164,14 @@ def _amplitude(averages: WindowAverages, v: int) -> str:
 
 @dataclass(frozen=True, slots=True)
 class _AttitudeStep:
-    """Step of attitude: its block, and its angle in rad."""
+    """Step of the attitude: number of its block, and angle in rad."""
 
     block: int
     size: float
 
 
 def _steps(evidence: Evidence, averages: WindowAverages) -> dict[int, _AttitudeStep]:
-    """Windows in which the gyros show a rotation within a few blocks that the accelerometers do not contradict."""
+    """Windows with a step of the attitude: the gyros show a rotation in a few blocks, and the accelerometers agree."""
     gyro, accel, bias = raw_triads(evidence)
     data = evidence.data
     assert data is not None
@@ -190,7 +198,7 @@ def _steps(evidence: Evidence, averages: WindowAverages) -> dict[int, _AttitudeS
             before, after = force[:first], force[last:]
             change = after.mean(axis=0) - before.mean(axis=0)
             expected = cross(before.mean(axis=0), angle)
-            # In units of that of two halves.
+            # The noise is that of the difference of two halves: scaled to the lengths before and after the step.
             doubt = noise * own[v] * np.sqrt((1.0 / len(before) + 1.0 / len(after)) * 0.25 * count)
             if np.linalg.norm(change - expected) <= _AGREE * np.linalg.norm(expected) + z * doubt:
                 out[v] = _AttitudeStep(first + 1, float(np.linalg.norm(angle)))
@@ -198,7 +206,7 @@ def _steps(evidence: Evidence, averages: WindowAverages) -> dict[int, _AttitudeS
 
 
 def _turning_power(rate: Array, sigma: list[Array], doubt: Array) -> list[Array]:
-    """Squared angles over spans of blocks over their variance, for each length of span, shape (g, B - span + 1)."""
+    """Squared rotation angles of spans of blocks, divided by their variance; an array (g, B - span + 1) per length."""
     power = []
     for span, one in zip(_SPANS, sigma, strict=True):
         beyond = np.maximum(np.abs(_span_means(rate, span)) - doubt, 0.0) / one
@@ -207,16 +215,17 @@ def _turning_power(rate: Array, sigma: list[Array], doubt: Array) -> list[Array]
 
 
 def _span_means(blocks: Array, span: int) -> Array:
-    """Means over consecutive blocks, (g, B, c) to (g, B - span + 1, c)."""
+    """Moving means over ``span`` successive blocks, from (g, B, c) to (g, B - span + 1, c)."""
     total = np.cumsum(np.pad(blocks, ((0, 0), (1, 0), (0, 0))), axis=1)
     return np.asarray((total[:, span:] - total[:, :-span]) / span)
 
 
 def _span_spread(averages: WindowAverages, sigma: Array) -> Array:
-    """Scatter of gyro means over spans of blocks over that of independent blocks, at least 1, (spans, 3).
+    """Ratio of the scatter of gyro means over spans of blocks to that of independent blocks, at least 1, (spans, 3).
 
-    A filter correlates blocks of few samples: their sums scatter more, and their differences less. One quantile of all
-    windows: a bump takes few blocks, and the middle of the distribution alone would not tell its width well.
+    A filter correlates blocks of few samples: their sums then scatter more, and their differences less. The scatter is
+    taken from a high quantile over all windows. A bump has too few blocks to affect it, and a quantile near the median
+    would determine the tails less well.
     """
     parts: list[list[Array]] = [[] for _ in _SPANS]
     for v, means in averages.groups:
@@ -228,9 +237,9 @@ def _span_spread(averages: WindowAverages, sigma: Array) -> Array:
 
 
 def _turning_span(power: list[Array], limit: float) -> tuple[int, int] | None:
-    """First block of a step of attitude and one past its last; None if the window holds more than one step.
+    """First block of the step of a window, and one past its last block; None if the window has more than one step.
 
-    One block is added on each side: its share of the step may be below the threshold.
+    One block is added on each side: it may contain a part of the step that is below the threshold.
     """
     at = np.concatenate([np.arange(len(p))[:, None] + [0, span] for p, span in zip(power, _SPANS, strict=True)])
     every = np.concatenate(power)
@@ -241,7 +250,7 @@ def _turning_span(power: list[Array], limit: float) -> tuple[int, int] | None:
 
 
 def _step_noise(averages: WindowAverages, accel: Array) -> float:
-    """Standard deviation of the difference of the halves of a window, robust over all windows, m/s²."""
+    """Standard deviation of the difference between both halves of a window, m/s²; robust estimate over all windows."""
     change = np.empty((len(averages.window), 3))
     for v, means in averages.groups:
         half = means.shape[1] // 2
@@ -255,9 +264,10 @@ def _step_noise(averages: WindowAverages, accel: Array) -> float:
 def _creep(evidence: Evidence, averages: WindowAverages, done: Mask) -> tuple[int, float] | None:
     """Find the window with the fastest steady tilt, and its rate in rad/s; None if there is none.
 
-    The accelerometers measure the drift of the vertical, the gyros a rate beyond bias, g-sensitivity and Earth rate.
-    Both scatter over the windows: bias instability alike in all, noise more in a shorter window. Their mean must be
-    significant, the accelerometers alone plausible, and the two must agree.
+    The accelerometers measure the tilt rate as a drift of the vertical, the gyros as a rate in addition to bias,
+    g-sensitivity and Earth rate. Both measurements scatter over the windows: equally by bias instability, and more in
+    shorter windows by noise. A creep must satisfy three conditions: the weighted mean of both is significant, the
+    accelerometers alone show it, and both agree.
     """
     _, accel, bias = raw_triads(evidence)
     V = len(averages.window)
@@ -273,12 +283,12 @@ def _creep(evidence: Evidence, averages: WindowAverages, done: Mask) -> tuple[in
     square = np.sum(up**2, axis=1, keepdims=True)
     if not np.all(square > 0.0):
         return None
-    # A body that rotates at ω measures df/dt = -ω × f, which gives the component of ω normal to f.
+    # On a body that rotates at ω, df/dt = -ω × f, which gives the component of ω normal to f.
     across = -cross(up, invert_readings(accel, slope)) / square
     plane = _horizontal(up / np.sqrt(square))
     by_accel = np.einsum("vjc,vc->vj", plane, across)
     by_gyro = np.einsum("vjc,vc->vj", plane, stationary_rate_residual(evidence)[averages.window])
-    # A fit of least absolute deviations passes through as many windows as it has unknowns: they tell no scatter.
+    # A fit of least absolute deviations has as many zero residuals as unknowns: these do not show the scatter.
     tell = np.argsort(np.einsum("vj,vj->v", by_gyro, by_gyro))[_UNKNOWNS:]
     if len(tell) < _UNKNOWNS:
         return None
@@ -307,9 +317,10 @@ def _creep(evidence: Evidence, averages: WindowAverages, done: Mask) -> tuple[in
 
 
 def _scatter(values: Array, information: Array, tell: Indices) -> Array:
-    """Variance of the values (V, 2) of each window, robust over the windows that tell it, shape (V,).
+    """Variance of the values (V, 2) of each window, shape (V,); a robust estimate from the windows ``tell``.
 
-    The larger one of a variance that all windows share and of one that is inversely proportional to their information.
+    It is the larger of two estimates: a variance that is equal in all windows, and a variance that is inversely
+    proportional to the information of a window.
     """
     shares = np.stack([np.ones(len(values)), information / information.max()])
     each = [np.median(np.abs(np.sqrt(share[tell, None]) * values[tell])) ** 2 / share for share in shares]
@@ -317,7 +328,7 @@ def _scatter(values: Array, information: Array, tell: Indices) -> Array:
 
 
 def _horizontal(up: Array) -> Array:
-    """Two unit vectors normal to each of the unit vectors (n, 3), shape (n, 2, 3)."""
+    """Two orthogonal unit vectors normal to each of the unit vectors (n, 3), shape (n, 2, 3)."""
     first = cross(up, np.eye(3)[np.argmin(np.abs(up), axis=1)])
     first /= np.linalg.norm(first, axis=1, keepdims=True)
     return np.stack([first, cross(up, first)], axis=1)
@@ -327,11 +338,14 @@ def _horizontal(up: Array) -> Array:
 
 
 def _noisy(averages: WindowAverages, done: Mask) -> tuple[int, float, str] | None:
-    """Find the window with the most noise relative to the others: number, ratio, sensor; None if none is noisy."""
+    """Find the noisiest window: its number, its noise relative to the others, and the sensor; None if none is noisy.
+
+    The noise of single samples is tested first, then that of blocks.
+    """
     blocks = np.empty((len(averages.window), 6))
     for v, means in averages.groups:
         blocks[v] = 0.5 * np.mean(np.diff(means, axis=1) ** 2, axis=1)
-    # First differences of n white values have two thirds of n degrees of freedom.
+    # The variance from first differences of n white values has 2/3 n degrees of freedom.
     for variance, floor, freedom in (
         (averages.sample_variance, 2.0 * averages.least_variance, 2.0 * averages.count),
         (blocks, averages.least_variance / averages.size**2 + averages.block_doubt**2, 2.0 * averages.blocks),

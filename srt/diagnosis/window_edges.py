@@ -1,6 +1,7 @@
 """Rotation in the labelled windows, next to the rotation of their sequence: labels that are too long or shifted.
 
-A unit at rest begins to rotate within a sample or two, so that samples of a rotation stand out at the edge of a window.
+A unit at rest begins to rotate within one or two samples. Samples of a rotation at the edge of a window therefore
+differ clearly from the others.
 """
 
 from __future__ import annotations
@@ -17,27 +18,31 @@ if TYPE_CHECKING:
     from srt.types import Array, Mask
 
 _SIGMAS: Final = 8.0
-"""Rate above that of the rest of the window, in sigma of its samples, p = 1e-15."""
+"""Smallest rate of a rotation, in sigma of the samples about the median of the window: p = 1e-15."""
 _SHARE_OF_TURN: Final = 0.01
-"""The same relative to the rate of the rotation: slower motion disturbs a window, and its label is right."""
+"""Smallest rate of a rotation, relative to the rate of the sequence: slower motion is a disturbance of a window whose
+label is right."""
 _FEWEST: Final = 2
-"""Samples of rotation: one is a channel that is sampled early or late."""
+"""Fewest samples of rotation in a window: a single one may be due to a channel that is sampled early or late."""
 _LEAST_RAD: Final = 1e-3
-"""Angle of a rotation in a window from which it matters: the accuracy of a fixture."""
+"""Smallest angle of a rotation in a window, rad: the accuracy of a fixture."""
 _MOST: Final = 0.5
-"""Share of the sequences from which the labels are shifted: one channel that lags disturbs a third of them."""
+"""Share of the sequences with rotation in a window, above which the labels are shifted: a lagging channel affects only
+a third of them."""
 _IN_A_ROW: Final = 5
-"""Sequences one after another from which they are, too: labels of another clock drift away from the rotations."""
+"""Number of successive sequences with rotation in a window, from which the labels are also shifted: the clock of the
+labels may drift relative to that of the samples."""
 _REACH_S: Final = 0.5
-"""Time next to the rotation that is searched, s; larger shifts show in block means."""
+"""Time in the window next to the rotation that is searched, s; block means show larger shifts."""
 _ONE_SENSE: Final = 0.8
-"""Angle over path, above which the unit goes on in one sense: an oscillating fixture swings back."""
+"""Smallest ratio of net angle to path for a rotation: an oscillating fixture swings back."""
 _SEEN: Final = 0.5
-"""Share of the angle that gravity must show, where it can: a filter of the gyros ends a rotation late, too."""
+"""Smallest share of the angle that the direction of gravity must confirm, if the axis is not vertical: a low-pass
+filter of the gyros also makes their readings end late."""
 
 
 class WindowEdges(NamedTuple):
-    """Rotation in windows: median duration, s (positive: labels end late), and number of windows."""
+    """Rotation in windows: median duration, s (positive: the labels are late), and number of windows."""
 
     late_s: float
     windows: int
@@ -45,7 +50,7 @@ class WindowEdges(NamedTuple):
 
 @computed_once
 def rotation_at_edges(evidence: Evidence) -> WindowEdges | None:
-    """Rotation at the inner edges of most start or end windows; None if there is none."""
+    """Rotation at the inner edges of most start windows or of most end windows; None if there is none."""
     data = evidence.data
     if data is None or not evidence.has_labels:
         return None
@@ -77,9 +82,10 @@ def _longest_runs(rows: Mask) -> Array:
 
 
 def _edge(evidence: Evidence, sequence: int, sense: int) -> tuple[float, Array, Array]:
-    """Duration of rotation at the inner edge of a window, and the change of specific force by it, expected and seen.
+    """Duration of rotation at the inner edge of a window, and the expected and measured change of specific force.
 
-    The start window for ``sense`` 1, the end window for -1. Zeros for less than the least angle.
+    The window is the start window for ``sense`` 1, the end window for -1. All values are zero if the angle is less than
+    the smallest one.
     """
     nothing = 0.0, np.zeros(3), np.zeros(3)
     data, dt = evidence.data, evidence.dt

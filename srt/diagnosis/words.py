@@ -1,4 +1,4 @@
-"""Words of a logger: readings that overflow and wrap around, misread signs, and words of one polarity."""
+"""Binary words of a logger: readings that wrap around, misread signs, missing signs, dead bands and stuck bits."""
 
 from __future__ import annotations
 
@@ -21,65 +21,69 @@ if TYPE_CHECKING:
 
 
 _WRAP_JUMP: Final = 0.9
-"""Smallest jump of a wrapping reading between two samples, relative to its range."""
+"""Smallest jump of a wrapping reading between two samples, relative to the range of the channel."""
 _WRAP_STEP: Final = 0.6
-"""The same before the slope of a ramp is added to it."""
+"""Smallest jump of a wrapping reading before the slope is subtracted, relative to the range."""
 _WRAP_SLOPE: Final = 0.35
-"""Largest change of a ramp from sample to sample, relative to the range."""
+"""Largest slope of the reading next to a jump, per sample and relative to the range."""
 _SIGN_EDGE: Final = 0.1
-"""Share of the range next to zero, and next to its end, in which small readings of a misread sign lie."""
+"""Width of the bands next to zero and next to an extreme in which small readings with a misread sign lie, relative to
+that extreme."""
 _SIGN_SHARE: Final = 0.01
-"""Share of the readings at either."""
+"""Smallest share of the readings in each of these bands."""
 _SIGN_FLIPS: Final = 5
-"""Jumps between the two for each window, by noise about zero, from which the sign is misread."""
+"""Smallest number of jumps between both bands per window, as noise about zero makes them if the sign is misread."""
 _SIGN_STAYS: Final = 10
-"""Jumps after which the accelerometers stay."""
+"""Smallest number of jumps after which the readings of an accelerometer stay in the other band."""
 _BEYOND: Final = 1.3
-"""Range of readings that continue without their jumps over the range of the word, from which they wrap."""
+"""Smallest range of the unwrapped readings relative to the range of the word, for readings that wrap."""
 _CONTINUES: Final = 0.2
-"""Share of that rate of change from which readings that continue tell: single pulses at rest jump, too."""
+"""Smallest rate of change at a jump for a search by unwrapping, relative to _WRAP_MOTION: single pulses at rest are
+jumps, too."""
 _SAME_RANGE: Final = 0.05
-"""Median deviation of the ranges by single jumps, relative to the range: noise, and slopes that change."""
+"""Largest median deviation of the ranges from single jumps, relative to the range: due to noise and changing slopes."""
 _WRAPPED_SEQUENCES: Final = {"gyro": 2, "accel": 3}
-"""Sequences with such readings at least."""
+"""Fewest sequences with unwrapped readings beyond the range of the word."""
 _WRAP_SYMMETRY: Final = 0.02
-"""Largest distance of the middle of that range from zero, relative to the range: words are signed."""
+"""Largest distance of the middle of the range from zero, relative to the range: the range of signed words is
+symmetric."""
 _WRAP_SAMPLES: Final = 5
-"""Samples on both sides of a jump, whose medians must lie on both sides of zero: a shock swings back at once."""
+"""Number of samples on each side of a jump whose medians must have different signs: a shock swings back at once."""
 _WRAP_MOTION: Final = {"gyro": 50.0, "accel": 500.0}
-"""Rate of change, rad/s² and m/s³, above which a jump is no motion on a fixture or in a hand."""
+"""Largest rate of change in a motion on a fixture or by hand, rad/s² and m/s³."""
 _ONE_POLARITY: Final = 0.05
-"""Share of the readings that are zero, from which words hold no other sign."""
+"""Smallest share of zeros in the readings of a channel without one of the signs."""
 _MANY: Final = 30
-"""Readings just beyond a dead band: as many are expected inside it, and none is by chance with p = 1e-13."""
+"""Fewest readings just outside a dead band: without a dead band, as many are expected inside it, and the probability of
+none is 1e-13."""
 _ZEROS: Final = 0.3
-"""Zeros over those readings, from which the readings inside are zero: a slow motion may spend less time there."""
+"""Smallest ratio of zeros to the readings just outside a dead band: the motion may be faster inside the band."""
 _BESIDE: Final = 1.5
-"""Median size of the readings after zeros over the threshold, below which slow motion passes the band."""
+"""Largest median size of the readings after zeros, relative to the threshold, if a slow motion passes the dead band."""
 _BAND_STEPS: Final = 2.5
-"""Smallest reading other than zero over the quantization step: one without a dead band."""
+"""Smallest ratio of the smallest nonzero reading to the quantization step for a dead band; without one, it is 1."""
 _FREQUENT: Final = 0.3
-"""Readings of one value over those of the most frequent one, from which a value is frequent."""
+"""Smallest count of a frequent value, relative to that of the most frequent value."""
 _NEAR: Final = 10.0
-"""Readings over the smallest one up to which a grid of pulses is sought: noise in a window may lie between them."""
+"""Largest reading, relative to the smallest nonzero one, in the search for a grid of pulses."""
 _SAMPLES: Final = 20_000
-"""Readings from which the quantization step is taken, and in which a bit is sought first."""
+"""Number of readings from which the quantization step is taken, and in which a stuck bit is searched first."""
 _WHOLE: Final = 1e-3
-"""Distance of readings from multiples of the step, in steps, that rounding leaves."""
+"""Largest distance of a reading from a multiple of the step, in steps: rounding leaves less."""
 _ROUNDING: Final = 1e-9
-"""Difference of readings that rounding leaves, relative to the largest."""
+"""Smallest difference between two readings that is not rounding, relative to the largest reading."""
 _BITS: Final = 16
-"""Bits of a word."""
+"""Number of bits of a word."""
 _PASSED: Final = 20
-"""Values of the bits from a bit on, all with it set: p = 1e-6 for readings without relation, as in single poses, and
-far less for rotations, in which the readings pass all values between."""
+"""Fewest values of the bits from the stuck bit upwards: for independent readings, such as those of static poses, all of
+them have the bit set with p = 1e-6. For rotations, in which the readings pass all values between, p is far smaller."""
 _HALF_TURN: Final = 0.5
-"""Smallest rotation of a label in rad, and part of gravity in a pose, that must be read with its sign."""
+"""Smallest labelled rotation, rad, and smallest gravity component of a pose, g, whose sign the readings must show."""
 
 
 @check("gyro_wrapped", "accel_wrapped")
 def wrapped_words(evidence: Evidence) -> Iterator[Finding]:
-    """Find channels that jump between their two extremes, or between zero and one; the message gives the first."""
+    """Find channels that jump between their two extremes, or between zero and an extreme; report the first channel."""
     for sensor, (axis, jumps) in wrapped_readings(evidence).items():
         column = (evidence.rate if sensor == "gyro" else evidence.force)[:, axis]
         yield finding(
@@ -94,7 +98,7 @@ def wrapped_words(evidence: Evidence) -> Iterator[Finding]:
 
 @computed_once
 def wrapped_readings(evidence: Evidence) -> dict[str, tuple[int, Indices]]:
-    """First axis of a triad that wraps, and the samples before which it jumps, by sensor."""
+    """First axis of a triad that wraps, and the numbers of the samples after its jumps, by sensor."""
     found: dict[str, tuple[int, Indices]] = {}
     for sensor, table in (("gyro", evidence.rate), ("accel", evidence.force)):
         for axis in range(3):
@@ -113,7 +117,7 @@ def wrapped_readings(evidence: Evidence) -> dict[str, tuple[int, Indices]]:
 
 
 def _within_sequences(evidence: Evidence, samples: Indices) -> Mask:
-    """True for samples after neither a gap nor a change of sequence, where the unit may have moved unrecorded."""
+    """True for samples in the same sequence as the previous sample, without a gap between both."""
     inside = ~np.isin(samples, evidence.recording.gaps)
     if evidence.data is not None:
         sequences = [(evidence.sequence_at(i - 1), evidence.sequence_at(i)) for i in samples.tolist()]
@@ -122,7 +126,7 @@ def _within_sequences(evidence: Evidence, samples: Indices) -> Mask:
 
 
 def _wraps(column: Array, low: float, high: float) -> Indices:
-    """Samples before which a reading jumps from one of its extremes to the other, and goes on as before or stays."""
+    """Samples after a jump from one extreme to the other, if the reading continues at its slope or stays there."""
     n, size, step = _WRAP_SAMPLES, high - low, np.diff(column)
     large = np.abs(step) > _WRAP_STEP * size
     if not high > 0.0 or abs(high + low) > _WRAP_SYMMETRY * size:
@@ -132,7 +136,7 @@ def _wraps(column: Array, low: float, high: float) -> Indices:
     before, after = (np.median(column[jumps[:, None] + np.arange(a, a + n)], axis=1) for a in (-n, 0))
     stays = (before * after < 0.0) & (np.minimum(np.abs(before), np.abs(after)) > 0.25 * size)
     stays &= np.abs(step[jumps - 1]) > _WRAP_JUMP * size
-    # A ramp goes on at its slope: the jump is the whole range against it.
+    # The reading continues at its slope, and the jump is the whole range in the opposite direction.
     jump, slopes = step[jumps - 1], np.stack([step[jumps - 2], step[jumps]])
     slope = slopes.mean(axis=0)
     ramp = (np.abs(jump - slope) > _WRAP_JUMP * size) & (jump * slope < 0.0)
@@ -142,11 +146,11 @@ def _wraps(column: Array, low: float, high: float) -> Indices:
 
 
 def _of_wrong_sign(evidence: Evidence, sensor: str, column: Array, low: float, high: float) -> Indices:
-    """Samples before which a reading jumps between zero and one of its extremes.
+    """Samples after a jump between zero and one of the extremes of a channel.
 
-    Signed words read as unsigned ones put small negative values at the upper end; those of sign and magnitude at the
-    lower one, if they are read as two's complement, or the reverse. Noise about zero makes gyros jump at rest, and
-    gravity that passes zero makes accelerometers jump in rotations.
+    If signed words are read as unsigned ones, small negative values appear at the upper end of the range. If words of
+    sign and magnitude are read as two's complement, or the reverse, they appear at the lower end. Noise about zero then
+    makes gyros jump at rest. A change of sign of the gravity component makes accelerometers jump in rotations.
     """
     data = evidence.data
     for end in (low, high):
@@ -158,7 +162,7 @@ def _of_wrong_sign(evidence: Evidence, sensor: str, column: Array, low: float, h
             continue
         jumps = np.flatnonzero((at_zero[1:] & at_end[:-1]) | (at_end[1:] & at_zero[:-1])) + 1
         windows = data.windows.samples
-        inside = np.searchsorted(windows[:, 0], jumps, side="left") - 1  # a jump before a first sample is outside
+        inside = np.searchsorted(windows[:, 0], jumps, side="left") - 1  # a jump to the first sample is not inside
         at_rest = (inside >= 0) & (jumps < windows[np.maximum(inside, 0), 1])
         if np.count_nonzero(at_rest) >= _SIGN_FLIPS * len(windows):
             return np.asarray(jumps)
@@ -171,9 +175,9 @@ def _of_wrong_sign(evidence: Evidence, sensor: str, column: Array, low: float, h
 
 
 def _continuous_beyond(evidence: Evidence, sensor: str, column: Array) -> Indices:
-    """Samples of the jumps without which the readings of sequences continue far beyond their range.
+    """Samples after the jumps of a word, if the readings of sequences extend far beyond its range once unwrapped.
 
-    A gyro returns to rest: its jumps up and down are as many.
+    As the unit is at rest before and after a sequence, a gyro must have as many jumps up as down.
     """
     data, size = evidence.data, _word_range(column)
     if data is None or size is None or size / evidence.dt < _CONTINUES * _WRAP_MOTION[sensor]:
@@ -194,7 +198,7 @@ def _continuous_beyond(evidence: Evidence, sensor: str, column: Array) -> Indice
 
 
 def _word_range(column: Array) -> float | None:
-    """Range of a word by the jumps against a slope that goes on before and after them; None if they disagree."""
+    """Range of a word from the jumps against the slope before and after them; None if the jumps differ in size."""
     step, seen = np.diff(column), float(np.ptp(column))
     at = np.flatnonzero(np.abs(step[1:-1]) > 0.5 * seen) + 1
     slope = 0.5 * (step[at - 1] + step[at + 1])
@@ -208,7 +212,7 @@ def _word_range(column: Array) -> float | None:
 
 @check("gyro_one_polarity", "accel_one_polarity")
 def words_of_one_polarity(evidence: Evidence) -> Iterator[Finding]:
-    """Find channels that read zero often, and never the sign that the labels state for some rotation or pose."""
+    """Find channels that often read zero, and never a sign that some labelled rotation or pose requires."""
     data = evidence.data
     if data is None or evidence.recording.fixture is None:
         return
@@ -219,7 +223,7 @@ def words_of_one_polarity(evidence: Evidence) -> Iterator[Finding]:
     }
     for sensor, table in (("gyro", evidence.rate), ("accel", evidence.force)):
         if sensor in wrapped_readings(evidence):
-            continue  # signed words read as unsigned ones hold no negative value either
+            continue  # signed words that are read as unsigned ones have no negative values either
         for axis in range(3):
             column, expected = table[:, axis], stated[sensor][:, axis]
             share = float(np.mean(column == 0.0))
@@ -234,7 +238,7 @@ def words_of_one_polarity(evidence: Evidence) -> Iterator[Finding]:
 
 @check("accel_dead_band")
 def accel_dead_band(evidence: Evidence) -> Iterator[Finding]:
-    """Find accelerometers that read zero, and never between zero and a threshold, which gravity passes in rotations."""
+    """Find accelerometers that read zero, but nothing between zero and a threshold, although gravity passes it."""
     found = suppressed_readings(evidence, "accel")
     if found is not None:
         yield finding(
@@ -247,14 +251,14 @@ def accel_dead_band(evidence: Evidence) -> Iterator[Finding]:
 
 
 class SuppressedReadings(NamedTuple):
-    """Readings of one axis, none of which lies between zero and a threshold.
+    """Axis without readings between zero and a threshold.
 
     Attributes
     ----------
     axis, zeros : int
-        Axis, and number of its readings that are zero.
+        Number of the axis, and number of its readings that are zero.
     threshold, step : float
-        Smallest other reading and quantization step, rad/s or m/s².
+        Magnitude of the smallest nonzero reading, and quantization step, rad/s or m/s².
     """
 
     axis: int
@@ -264,7 +268,7 @@ class SuppressedReadings(NamedTuple):
 
 
 def suppressed_readings(evidence: Evidence, sensor: str) -> SuppressedReadings | None:
-    """First axis of a triad, "gyro" or "accel", whose readings pass through zero and show none near it."""
+    """First axis of a triad ("gyro" or "accel") whose readings pass through zero, but are never small and nonzero."""
     if sensor in wrapped_readings(evidence):
         return None
     table = evidence.rate if sensor == "gyro" else evidence.force
@@ -280,9 +284,9 @@ def suppressed_readings(evidence: Evidence, sensor: str) -> SuppressedReadings |
         beyond = int(np.count_nonzero((size > 0.0) & (size < 2.0 * threshold)))
         multiple = size[size > 0.0] / threshold
         if np.mean(np.abs(multiple - np.rint(multiple)) < _WHOLE) > 0.5:
-            continue  # the threshold is the step of the readings, some of which were filled in between
+            continue  # the threshold is the step of most readings; the others were interpolated
         grid = max(float(step[axis]), pulse / evidence.dt, _grid(size[(size > 0.0) & (size < _NEAR * threshold)]))
-        # Zeros of samples that were lost lie among any readings.
+        # Zeros that stand for lost samples have neighbours of any size.
         beside = size[np.minimum(np.flatnonzero(size == 0.0) + 1, len(size) - 1)]
         passing = zeros >= _ZEROS * beyond or float(np.median(beside)) < _BESIDE * threshold
         if beyond >= _MANY and passing and threshold > _BAND_STEPS * grid:
@@ -291,7 +295,7 @@ def suppressed_readings(evidence: Evidence, sensor: str) -> SuppressedReadings |
 
 
 def _grid(small: Array) -> float:
-    """Smallest frequent one of small readings, of which most are multiples; 0 if they are not."""
+    """Smallest of the frequent values of small readings; 0 if most readings are not multiples of it."""
     values, counts = np.unique(small, return_counts=True)
     common = float(values[np.argmax(counts >= _FREQUENT * counts.max())])
     multiple = small / common
@@ -300,7 +304,7 @@ def _grid(small: Array) -> float:
 
 @check("bit_stuck")
 def bit_stuck(evidence: Evidence) -> Iterator[Finding]:
-    """Find a bit that is set in all words of an axis; the axes of a triad share the value of a count."""
+    """Find a bit that is set in all words of an axis; the axes of a triad have the same count value."""
     for sensor, table in (("gyro", evidence.recording.gyro), ("accel", evidence.recording.accel)):
         some = table[:: max(1, len(table) // _SAMPLES)]
         lsb = _count_value(some)
@@ -317,9 +321,9 @@ def bit_stuck(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _count_value(table: Array) -> float | None:
-    """Value of a count, common to the axes, from the differences of distinct readings and of these; None for no words.
+    """Count value of a triad, from first and second differences of its sorted readings; None if it has no step.
 
-    Pulses that take several counts each do not leave single ones between them.
+    The second differences are needed if all readings are several counts apart.
     """
     least = []
     for axis in np.flatnonzero(smallest_step(table) > 0.0).tolist():
@@ -333,7 +337,7 @@ def _count_value(table: Array) -> float | None:
 
 
 def _stuck_bit(counts: Array) -> int | None:
-    """Lowest bit that is set in all words; None if there is none, or if the readings are no words."""
+    """Lowest bit that is set in all words; None if there is none, or if the readings are not whole numbers."""
     words = np.rint(counts)
     if float(np.abs(counts - words).max()) > _WHOLE or float(np.abs(words).max()) >= 2.0**_BITS:
         return None

@@ -49,6 +49,6 @@ def test_a_close_runner_up_is_told_and_a_distant_one_is_not():
     told = with_runner_up(TOLD, compare(values, (NOTHING, ALL, alike)))
     assert told.runner_up == RunnerUp("gyro_axis_delayed", pytest.approx(math.log(3.0)))
     assert math.log(3.0) < CLOSE
-    assert "One gyro axis is sampled at another time" in told.runner_up.sentence
+    assert "One gyro axis has another delay" in told.runner_up.sentence
     (row,) = Diagnosis((told,)).as_dicts()
     assert row["runner_up"] == asdict(told.runner_up)

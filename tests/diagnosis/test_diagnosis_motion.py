@@ -167,7 +167,7 @@ def test_a_pair_exchanged_is_no_wrong_direction_and_one_of_it_alone_is():
     assert first.fault == "wrong_direction"
     assert first.details["expected"] == pytest.approx(360.0)
     assert first.details["found"] == pytest.approx(-360.0, abs=1.0)  # raw: 500 ppm, fixture 1 mrad
-    assert first.sentence.startswith("Sequence 1 was turned the other way (-3")
+    assert first.sentence.startswith("Sequence 1 was rotated in the wrong sense (by -3")
 
 
 @pytest.mark.parametrize("severity", [2.0, 10.0, 90.0])
@@ -190,7 +190,7 @@ def test_missing_sequences_are_named_with_what_they_would_show():
     (finding,) = findings(without)
     lost = {"gyro_asymmetry_y", "accel_misalignment_zx", "accel_scale_x", "accel_asymmetry_x"}
     assert set(finding.details["parameters"].split(", ")) == lost
-    assert finding.sentence.startswith("Sequences 1a, 9 are missing (15 of 17 are there)")
+    assert finding.sentence.startswith("Sequences 1a, 9 are missing (the recording has 15 of 17)")
     # What is held on request is not missed.
     (finding,) = findings(without, Options(asymmetry=False))
     assert set(finding.details["parameters"].split(", ")) == lost - {"gyro_asymmetry_y"}
@@ -330,7 +330,7 @@ def test_the_offset_of_the_sensors_is_found_to_its_sigma(milliseconds):
 def test_half_a_sample_is_told_with_its_sign():
     recording = INJECTIONS["sensor_time_offset"].recording(case("consumer-mems"))
     (finding,) = findings(recording)
-    assert f"{finding.details['offset_ms']:+.3g} ms after the gyros" in finding.sentence
+    assert f"lag the gyro readings by {finding.details['offset_ms']:+.3g} ms" in finding.sentence
 
 
 @pytest.mark.parametrize("samples", [1, 5, 30])

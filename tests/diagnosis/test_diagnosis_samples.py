@@ -102,7 +102,10 @@ def test_gaps_between_sequences_are_no_fault():
             "10 s apart, but 5e-06 to 0.5 s is expected: the time stamps look like milliseconds, declared as seconds",
         ),
         (1e6, "look like microseconds, declared as seconds"),
-        (1e-3, "1e-05 s apart, and rotations read 0.001 times the expected value: the time stamps look like seconds, "),
+        (
+            1e-3,
+            "1e-05 s apart, and rotation angles are 0.001 times the expected value: the time stamps look like seconds",
+        ),
         (1e-6, "look like seconds, declared as microseconds"),
     ],
 )

@@ -73,10 +73,10 @@ def test_both_wrong_units_are_found():
     recording = case("industrial-mems").recording
     found = examine(replace(recording, gyro=recording.gyro / DEG, accel=recording.accel / 9.80665))
     assert [finding.fault for finding in found] == ["gyro_degrees", "accel_g"]
-    assert "57.3 times as large as stated (sequence 1)" in found[0].sentence
+    assert "57.3 times the expected ones (sequence 1)" in found[0].sentence
     # Biases of 2 mg and scale errors of 300 ppm (one sigma) leave the median rest within 1 %.
     assert found[1].details["found"] == pytest.approx(1.0, rel=0.01)
-    assert "where 9.807 is expected: the readings look like g, declared as m/s²" in found[1].sentence
+    assert "but 9.807 m/s² is expected: the readings look like g, declared as m/s²" in found[1].sentence
 
 
 @pytest.mark.parametrize("rate_hz", [57.29578, 10.0])

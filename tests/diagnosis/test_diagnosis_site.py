@@ -75,7 +75,7 @@ def test_gravity_of_another_place():
 def test_the_other_hemisphere():
     recording = case("navigation-rlg").recording
     (finding,) = findings(replace(recording, site=replace(recording.site, latitude_rad=-LATITUDE_RAD)))
-    assert finding.sentence.startswith("The gyros see the Earth turn as at 4")
+    assert finding.sentence.startswith("The gyros measure the Earth rate of 4")
     assert finding.sentence.endswith("latitude, but -45° is stated: correct latitude_deg (north is positive).")
     assert abs(finding.details["found"] - 45.0) < 4.5 * finding.details["sigma"]
     assert finding.details["sigma"] < 0.5

@@ -118,8 +118,8 @@ def test_sentences_of_temperature():
     )
     (finding,) = findings(with_temperature([20.0, 26.0]))
     assert finding.sentence == (
-        "The temperature went from 20 to 26 °C during the test (up to 6 °C apart): let the unit warm up first; the "
-        "calibration holds for the mean of 23 °C."
+        "The temperature changed from 20 to 26 °C during the test (range 6 °C): let the unit warm up before the test; "
+        "the calibration holds for the mean temperature of 23 °C."
     )
 
 
@@ -250,7 +250,7 @@ def test_sentence_of_noise():
     recording = noisy(np.random.default_rng(7), 1e-4, 300.0 * MICRO_G, stated)
     (finding,) = [f for f in findings(recording) if "noise" in f.fault]
     assert finding.sentence == (
-        f"The accelerometers show {finding.details['found']:.3g} µg/√Hz of noise when stationary, but 100 is stated: "
+        f"The accelerometers show a noise of {finding.details['found']:.3g} µg/√Hz at rest, but 100 µg/√Hz is stated: "
         "correct accel_noise_ug_per_sqrt_hz, or look for vibration."
     )
     assert finding.details["found"] == pytest.approx(300.0, rel=0.08)
