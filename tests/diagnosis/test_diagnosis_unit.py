@@ -241,7 +241,7 @@ def test_one_noisy_gyro_is_named():
     recording = noisy(np.random.default_rng(6), 1e-4, 1e-3, stated)
     recording = replace(recording, gyro=recording.gyro * [1.0, 1.7, 1.0])
     (finding,) = [f for f in findings(recording) if "noise" in f.fault]
-    assert finding.sentence.startswith("Gyro y shows 0.")
+    assert finding.sentence.startswith("Gyro y shows an angle random walk of 0.")
     assert finding.details["found"] == pytest.approx(1.7 * finding.details["stated"], rel=0.08)
 
 
@@ -281,7 +281,7 @@ def test_asymmetry_is_measured_and_only_missed_where_it_is_left_out():
     assert finding.details["axis"] == "y"
     assert abs(finding.details["found_ppm"] - 40.0) < 4.5 * finding.details["sigma_ppm"]
     assert finding.details["sigma_ppm"] < 2.0
-    assert finding.sentence.endswith("ppm, but it is fixed at 0: omit --no-asymmetry.")
+    assert finding.sentence.endswith("ppm, but it is fixed at 0 ppm: omit --no-asymmetry.")
 
 
 @pytest.mark.parametrize("grade", GRADES)
