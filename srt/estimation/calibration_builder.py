@@ -10,7 +10,7 @@ from srt.estimation.asymmetry_choice import asymmetry_choice
 from srt.estimation.error_sources import start_sigma
 from srt.estimation.goodness_of_fit import is_misfit
 from srt.estimation.leave_one_out import chi_square_probability, verdict
-from srt.estimation.unseen_errors import unseen_errors
+from srt.estimation.unseen_errors import clock_effect, unseen_errors
 from srt.result.calibration import Calibration, software
 from srt.result.verdict import LARGEST_RATIO, USABLE, p_value_text
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES
@@ -63,7 +63,9 @@ def build_calibration(
     evidence = verdict(result.sequences, covariance, observed, chi_square, freedom) if observed.any() else {}
     if evidence:
         evidence |= _agreement(data, result, covariance, observed, inflation)
-    status, message = _status(result, fixed, evidence, free=fixture is None)
+    status, message = _status(
+        result, fixed, evidence, free=fixture is None, rated=any(label.rate for label in data.labels)
+    )
     return Calibration(
         estimator=estimator,
         status=status,
@@ -92,26 +94,11 @@ def build_calibration(
         diagnostics={
             **result.diagnostics,
             "asymmetry": asymmetry_choice(result.errors, covariance, observed),
-            "unseen_errors": unseen_errors(data),
+            "unseen_errors": unseen_errors(data, observed),
         },
         verdict=evidence,
         warnings=(*warnings, *_warnings(data, result, observed)),
     )
-
-
-def clock_effect(data: PreparedRecording) -> Array:
-    """Effect of one sigma of the time base on the parameters, shape (27,), SI.
-
-    Time stretched by 1 + ε stretches the angles that rates add up to: ε of every gyro scale. Increments are angles, but
-    their velocities become specific force by the time: −ε of every accelerometer scale.
-    """
-    out = np.zeros(N_PARAMETERS)
-    sigma = data.recording.clock_sigma or 0.0
-    if data.recording.kind == "rate":
-        out[GROUP_SLICES["gyro_scale"]] = sigma
-    else:
-        out[GROUP_SLICES["accel_scale"]] = -sigma
-    return out
 
 
 def _drifted_bias(data: PreparedRecording, result: SolverResult) -> Array:
@@ -136,7 +123,7 @@ def _birge_ratio(result: SolverResult) -> float:
 
 
 def _status(
-    result: SolverResult, fixed: Mapping[str, str], evidence: Mapping[str, Any], *, free: bool
+    result: SolverResult, fixed: Mapping[str, str], evidence: Mapping[str, Any], *, free: bool, rated: bool
 ) -> tuple[str, str]:
     """Status and message: outside_model, not_converged, inconsistent, partial, converged, in this order.
 
@@ -149,10 +136,10 @@ def _status(
     robust = "weights" in result.diagnostics  # a robust loss has reduced the weight of what contradicts
     if suspect is not None and not robust:
         again = f" (occurrence {suspect['occurrence']})" if suspect["occurrence"] > 1 else ""
+        to_check = f"its label, windows and rotation{', and the stated rates about its axis' if rated else ''}"
         return "inconsistent", (
             f"Sequence {suspect['sequence']}{again} contradicts all others "
-            f"({p_value_text(suspect['probability'])}): check its label, windows and rotation, and leave it out or "
-            "repeat it."
+            f"({p_value_text(suspect['probability'])}): check {to_check}, and leave it out or repeat it."
         )
     explained = robust or not evidence or (free and not is_misfit(result.chi_square, result.degrees_of_freedom))
     statistic, freedom = result.sensor_noise_fit

@@ -1,69 +1,146 @@
-"""Errors that no residual shows: time base, gravity, latitude and heading, with their effect on the result.
+"""Errors that no residual shows: time base, gravity, latitude, heading and stated rates, and what they shift.
 
 All measurements share them, so that they agree however large the error is. Each has a coefficient, and a stated sigma
 where the recording gives one; the sigmas of the result include it then. A latitude without sigma counts as exact.
+The error of one run at a stated rate is not shared, but nothing contradicts it where no other run about that axis has
+the same sense.
 """
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from collections import Counter
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
 
 from srt.constants import DEG_PER_H, EARTH_RATE_RAD_S
+from srt.model.table1 import AXES
+from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS
 
 if TYPE_CHECKING:
     from srt.sequences.preparation import PreparedRecording
+    from srt.types import Array, Mask
 
 _PPM = 1e6
 
 
-def unseen_errors(data: PreparedRecording) -> list[dict[str, Any]]:
+class _Effect(NamedTuple):
+    """Effect of an error on the parameters of a group; on those of some axes, "" for all."""
+
+    group: str
+    coefficient: float
+    unit: str
+    axes: str = ""
+    largest: bool = False
+
+
+def unseen_errors(data: PreparedRecording, observed: Mask) -> list[dict[str, Any]]:
     """Errors that no residual shows, as JSON values.
+
+    Parameters
+    ----------
+    data : PreparedRecording
+    observed : ndarray of bool, shape (27,)
+        Parameters that the recording shows.
 
     Returns
     -------
     list of dict
         ``source``; ``unit`` and stated 1-sigma ``sigma`` (None: not stated) of its error; ``coefficient``: effect of
-        one unit on each parameter of ``group`` in ``group_unit``, or its largest size where ``largest`` is true;
-        ``sentence``.
+        one unit on the parameters of ``group``, all or those of ``axes``, in ``group_unit``, or its largest size where
+        ``largest`` is true; ``sentence``.
     """
     recording, site, fixture = data.recording, data.recording.site, data.recording.fixture
     clock = recording.clock_sigma
-    by_time = ("gyro_scale", 1.0) if recording.kind == "rate" else ("accel_scale", -1.0)
-    rows = [
-        _row("time base", ("ppm", None if clock is None else clock * _PPM), (*by_time, "ppm")),
-        _row(
-            "gravity",
-            ("ppm", site.gravity_sigma_m_s2 / site.gravity_m_s2 * _PPM),
-            ("accel_scale", -1.0, "ppm"),
-        ),
-    ]
+    base = ("ppm", None if clock is None else clock * _PPM)
+    rows = [_row("time base", base, effect) for effect in _time_base(data)]
+    gravity = ("ppm", site.gravity_sigma_m_s2 / site.gravity_m_s2 * _PPM)
+    rows.append(_row("gravity", gravity, _Effect("accel_scale", -1.0, "ppm")))
     if site.latitude_rad is not None:
         # |dω/dφ| is the Earth rate itself; the poses decide how much of it falls on an axis.
         per_degree = EARTH_RATE_RAD_S * math.radians(1.0) / DEG_PER_H
         sigma = site.latitude_sigma_rad
         stated = None if sigma is None else math.degrees(sigma)
-        rows.append(_row("latitude", ("°", stated), ("gyro_bias", per_degree, "°/h"), largest=True))
+        rows.append(_row("latitude", ("°", stated), _Effect("gyro_bias", per_degree, "°/h", largest=True)))
         if fixture is not None and fixture.heading_rad is not None:
             per_mrad = EARTH_RATE_RAD_S * math.cos(site.latitude_rad) * 1e-3 / DEG_PER_H
             sigma = fixture.alignment_sigma_rad * 1e3
-            rows.append(_row("heading", ("mrad", sigma), ("gyro_bias", per_mrad, "°/h"), largest=True))
+            rows.append(_row("heading", ("mrad", sigma), _Effect("gyro_bias", per_mrad, "°/h", largest=True)))
+    return [*rows, *_stated_rates(data, observed)]
+
+
+def clock_effect(data: PreparedRecording) -> Array:
+    """Effect of one sigma of the time base on the parameters, shape (27,), SI."""
+    out = np.zeros(N_PARAMETERS)
+    for effect in _time_base(data):
+        part = np.arange(N_PARAMETERS)[GROUP_SLICES[effect.group]]
+        part = part[[AXES.index(axis) for axis in effect.axes]] if effect.axes else part
+        out[part] = effect.coefficient * (data.recording.clock_sigma or 0.0)
+    return out
+
+
+def _time_base(data: PreparedRecording) -> list[_Effect]:
+    """Effects of the time base.
+
+    Time stretched by 1 + ε stretches the angles that rates add up to: ε of a gyro scale. Increments are angles, but
+    their velocities become specific force by the time: −ε of every accelerometer scale. Runs at a stated rate compare
+    rates: the time base does not matter if the gyro reads rates; increments become rates by the time: −ε of the scale.
+    """
+    rated = {label.rate[0] for label in data.labels if label.rate is not None}
+    rotated = "".join(axis for axis in AXES if axis not in rated)
+    if data.recording.kind == "rate":
+        return [_Effect("gyro_scale", 1.0, "ppm", rotated if rated else "")] if rotated else []
+    by_rate = [_Effect("gyro_scale", -1.0, "ppm", "".join(sorted(rated)))] if rated else []
+    return [_Effect("accel_scale", -1.0, "ppm"), *by_rate]
+
+
+def _stated_rates(data: PreparedRecording, observed: Mask) -> list[dict[str, Any]]:
+    """Errors of the stated rates: the common one, and that of a run which no other run contradicts.
+
+    With an asymmetry, each sense has a scale factor of its own, κ ± κ_Asym: half of a run's error is κ's. Without, two
+    runs about an axis contradict each other.
+    """
+    runs = [label for label in data.labels if label.rate is not None]
+    if not runs:
+        return []
+    axes = "".join(sorted({label.rate[0] for label in runs if label.rate is not None}))
+    sigma = runs[0].rate_sigma
+    common = ("ppm", None if sigma is None else sigma * _PPM)
+    rows = [_row("the stated rates", common, _Effect("gyro_scale", -1.0, "ppm", axes))]
+    asymmetric = dict(zip(AXES, observed[GROUP_SLICES["gyro_asymmetry"]].tolist(), strict=True))
+    senses = Counter(
+        (axis, asymmetric[axis] and rate > 0.0) for axis, rate in (label.rate for label in runs if label.rate)
+    )
+    for half in (True, False):
+        alone = "".join(
+            sorted({axis for (axis, _), count in senses.items() if count == 1 and asymmetric[axis] == half})
+        )
+        if alone:
+            effect = _Effect("gyro_scale", -0.5 if half else -1.0, "ppm", alone)
+            rows.append(_row("one stated rate alone", ("ppm", None), effect))
+            rows[-1]["sentence"] += (
+                " A second run about the axis in the same sense, at another rate, shows such an error."
+                if half
+                else " A second run about the axis shows such an error."
+            )
     return rows
 
 
-def _row(
-    source: str, error: tuple[str, float | None], effect: tuple[str, float, str], *, largest: bool = False
-) -> dict[str, Any]:
-    (unit, sigma), (group, coefficient, group_unit) = error, effect
-    size = f"{'up to ' if largest else ''}{coefficient:.3g} {group_unit}"
+def _row(source: str, error: tuple[str, float | None], effect: _Effect) -> dict[str, Any]:
+    unit, sigma = error
+    size = f"{'up to ' if effect.largest else ''}{effect.coefficient:.3g} {effect.unit}"
+    name = effect.group.replace("_", " ")
+    where = f"every {name}" if effect.axes in ("", "".join(AXES)) else f"{name} {' and '.join(effect.axes)}"
     stated = "not stated" if sigma is None else f"stated: {sigma:.3g} {unit}, 1-sigma"
     return {
         "source": source,
         "unit": unit,
         "sigma": sigma,
-        "group": group,
-        "coefficient": coefficient,
-        "group_unit": group_unit,
-        "largest": largest,
-        "sentence": f"1 {unit} of {source} is {size} of every {group.replace('_', ' ')} ({stated}).",
+        "group": effect.group,
+        "axes": effect.axes or "".join(AXES),
+        "coefficient": effect.coefficient,
+        "group_unit": effect.unit,
+        "largest": effect.largest,
+        "sentence": f"1 {unit} of {source} is {size} of {where} ({stated}).",
     }

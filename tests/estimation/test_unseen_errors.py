@@ -7,8 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import sims
 import srt
 from sims.faults.injection import Case
+from sims.scenarios.scenario import scenario_from_dict
 from srt.constants import DEG, DEG_PER_H
 from srt.sensor_errors import GROUP_SLICES
 
@@ -86,3 +88,100 @@ def test_a_stated_sigma_of_the_latitude_is_in_the_sigmas(calibrated, estimator):
     assert np.all(np.abs(contribution - change) <= 0.01 * contribution + 0.01 * found.sigma)
     rows = {row["source"]: row["sigma"] for row in found.diagnostics["unseen_errors"]}
     assert rows["latitude"] == pytest.approx(SMALL * 0.01)
+
+
+def rate_table(protocol="rate-table", kind="rate"):
+    """Recording on a rate table by its shipped protocol, or that of a file."""
+    tables = {
+        "seed": 1,
+        "imu": {"from": "tactical-fog"},
+        "site": {"from": "latitude-45"},
+        "protocol": {"from": str(protocol)},
+        "recording": {"sample_rate_hz": 20.0, "kind": kind},
+    }
+    return sims.simulate(scenario_from_dict(tables)).recording
+
+
+def wrong_rates(recording, *, first_only):
+    """The recording with the stated rate of the first run, or of all, 20 ppm too large."""
+    labels = list(recording.sequences)
+    runs = [k for k, label in enumerate(labels) if label.rate is not None]
+    for k in runs[:1] if first_only else runs:
+        axis, rate = labels[k].rate
+        labels[k] = replace(labels[k], rate=(axis, rate * (1.0 + SMALL * 1e-6)))
+    return recording.with_sequences(tuple(labels))
+
+
+def slower_clock(recording):
+    """The recording with stamps that are 20 ppm too far apart, and labels of the same clock."""
+    factor = 1.0 + SMALL * 1e-6
+
+    def scaled(window):
+        return None if window is None else tuple(factor * t for t in window)
+
+    names = ("start_static_s", "end_static_s", "steady_s")
+    labels = tuple(replace(s, **{name: scaled(getattr(s, name)) for name in names}) for s in recording.sequences)
+    return replace(recording, time=recording.time * factor, sequences=labels)
+
+
+@pytest.mark.parametrize("kind", ["rate", "increment"])
+def test_coefficients_on_a_rate_table(kind):
+    """Effects of the common error of the stated rates, of one run's, and of the time base, on scale factors."""
+    recording = rate_table(kind=kind)
+    found = srt.calibrate(recording, "least-squares", checks=False)
+    rows = {(row["source"], row["group"]): row for row in found.diagnostics["unseen_errors"]}
+    for source, changed, axes in (
+        ("the stated rates", wrong_rates(recording, first_only=False), [0, 1, 2]),
+        ("one stated rate alone", wrong_rates(recording, first_only=True), [0]),
+        ("time base", slower_clock(recording), [0, 1, 2]),
+    ):
+        wrong = srt.calibrate(changed, "least-squares", checks=False)
+        assert wrong.verdict["chi_square"] == pytest.approx(found.verdict["chi_square"], abs=0.1)
+        change = (wrong.errors.vector - found.errors.vector) * 1e6
+        for group in ("gyro_scale", "accel_scale"):
+            row = rows.get((source, group))
+            expected = np.zeros(3)
+            if row is not None:
+                assert row["axes"] == "xyz"
+                expected[axes] = SMALL * row["coefficient"]
+            np.testing.assert_allclose(change[GROUP_SLICES[group]], expected, atol=0.01 * SMALL)
+    assert rows["the stated rates", "gyro_scale"]["sigma"] == pytest.approx(20.0)
+    assert ("time base", "gyro_scale") in rows or kind == "rate"
+
+
+@pytest.mark.parametrize("kind", ["rate", "increment"])
+def test_a_stated_clock_on_a_rate_table(kind):
+    """Rates are compared with rates: gyros that output rates do not depend on the time base, increments do."""
+    recording = rate_table(kind=kind)
+    exact, stated = (
+        srt.calibrate(replace(recording, clock_sigma=sigma), "least-squares", checks=False) for sigma in (0.0, 50e-6)
+    )
+    for group, counts in (("gyro_scale", kind == "increment"), ("accel_scale", kind == "increment")):
+        added = stated.sigma[GROUP_SLICES[group]] ** 2 - exact.sigma[GROUP_SLICES[group]] ** 2
+        np.testing.assert_allclose(added, (50e-6) ** 2 if counts else 0.0, rtol=1e-6, atol=1e-18)
+
+
+def test_a_run_at_another_rate_shows_a_wrong_one(tmp_path):
+    """Two rates about an axis in the same sense contradict each other; the result no longer lists the error of one."""
+    runs = [
+        f'[[step]]\n{down}rotations = [["{axis}", {sense * 3600.0}]]\nstated_rate_deg_s = {rate}\n'
+        for axis in "xyz"
+        for rate, senses in ((100.0, (1, -1)), (50.0, (1, -1)))
+        for sense, down in zip(senses, (f'down = "{axis}"\n' if rate > 50.0 else "", ""), strict=True)
+    ]
+    poses = [f'[[step]]\ndown = "-{axis}"\n' for axis in "xyz"]
+    protocol = tmp_path / "two-rates.toml"
+    protocol.write_text(
+        'description = "two rates"\nrest_s = 20.0\nplace_s = 30.0\nacceleration_deg_s2 = 50.0\n'
+        "rate_sigma_ppm = 20.0\n" + "".join(runs + poses)
+    )
+    recording = rate_table(protocol)
+    found = srt.calibrate(recording, "least-squares", checks=False)
+    assert "one stated rate alone" not in {row["source"] for row in found.diagnostics["unseen_errors"]}
+    labels = list(recording.sequences)
+    k = next(k for k, label in enumerate(labels) if label.rate is not None)
+    axis, rate = labels[k].rate
+    labels[k] = replace(labels[k], rate=(axis, rate * 1.001))
+    wrong = srt.calibrate(recording.with_sequences(tuple(labels)), "least-squares", checks=False)
+    assert wrong.status == "inconsistent"
+    assert "the stated rates about its axis" in wrong.message
