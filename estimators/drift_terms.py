@@ -11,14 +11,24 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.estimation.drift_model import DriftEstimate, DriftSearch, DriftTerm, candidates, change, most_significant
-from srt.estimation.drift_search import gyro_statistics
+from srt.estimation.drift_model import (
+    DriftEstimate,
+    DriftSearch,
+    DriftTerm,
+    Unmodelled,
+    candidates,
+    change,
+    most_significant,
+)
+from srt.estimation.drift_search import gyro_courses, gyro_statistics
 from srt.estimation.error_sources import accel_drift, by_drift
 from srt.model.sensor_model import gyro_triad
 from srt.noise.drift_forms import LINEAR, WALK, Statistics, variance_component
 from srt.result.verdict import MISFIT_PROBABILITY
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from estimators.block_solution import BlockSolution
     from estimators.joint_model import JointModel
     from estimators.solver import IterationState
@@ -142,16 +152,29 @@ def search(joint: JointModel, iteration: IterationState, solution: BlockSolution
     assert state is not None
     assert compensated is not None
     keys = candidates(data, joint.drift.terms)
-    found: dict[tuple[Sensor, str], Statistics] = {}
-    for sensor, form in keys:
-        if sensor == "accel":
-            effect = by_drift(compensated.force_slope, data.drift_shapes[form].windows)
-            found[sensor, form] = _force_statistics(solution, effect, freedom)
     # Rates at rest with their bias and with the drift that is modelled.
     slope = np.asarray(np.linalg.inv(gyro_triad(state.errors).matrix), dtype=np.float64)
     rest = joint.rest_rate(state, compensated) + joint.drift.raw("gyro", state.drift, "windows") @ slope.T
-    found |= gyro_statistics(data, slope, rest, joint.integrated, joint.drift.terms)
-    return most_significant(found, len(keys), joint.drift.terms)
+
+    def of_accel(courses: Array) -> Statistics:
+        return _force_statistics(solution, by_drift(compensated.force_slope, courses), freedom)
+
+    def of_gyro(courses: Mapping[str, Array]) -> dict[str, Statistics]:
+        return gyro_statistics(data, slope, rest, joint.integrated, joint.drift.terms, courses)
+
+    def by_window(sensor: Sensor) -> Statistics:
+        if sensor == "gyro":
+            return of_gyro({"each": np.eye(len(rest))})["each"]
+        return _force_statistics(solution, np.eye(3 * len(rest)).reshape(len(rest), 3, -1), freedom)
+
+    found: dict[tuple[Sensor, str], Statistics] = {
+        (sensor, form): of_accel(data.drift_shapes[form].tested.windows) for sensor, form in keys if sensor == "accel"
+    }
+    found |= {("gyro", form): statistics for form, statistics in of_gyro(gyro_courses(data, keys)).items()}
+    present = Unmodelled(joint.unmodelled_sigma.rotation, joint.unmodelled_sigma.force, joint.drift.terms)
+    return most_significant(
+        found, len(keys), present, {form: shape.windows for form, shape in data.drift_shapes.items()}, by_window
+    )
 
 
 def shows_instability(joint: JointModel, iteration: IterationState, solution: BlockSolution, freedom: int) -> bool:

@@ -34,6 +34,7 @@ from srt.model import measurement_model as model
 from srt.model.analytic_platform import integrate_attitude, parts_per_rotation
 from srt.model.rotations import rotation_matrix, rotation_vector
 from srt.model.sensor_model import accel_triad, gyro_triad
+from srt.noise.drift_forms import WALK
 from srt.noise.noise_model import flicker_spread
 from srt.sensor_errors import SensorErrors
 from srt.sequences.stillness import PROBABILITY as STILLNESS_PROBABILITY
@@ -412,6 +413,9 @@ class JointModel:
         if self.integrated.any():
             # In a window with integrated attitude the gyros measure motion: 1 rad/s gives the rate no weight.
             out["gyro_noise"].own["rate"][self.integrated] = np.eye(3)
+        for term, _ in self.drift.of("gyro"):
+            if term.form == WALK:
+                out["gyro_drift"] = sources.walk_between_windows(self.data, by, term.sigma)
         return out | sources.unmodelled(self.data, *self.unmodelled_sigma[:3])
 
     def placed(self, state: JointState) -> tuple[JointState, CompensatedData]:

@@ -8,10 +8,18 @@ from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 import numpy as np
 
 from srt.constants import DEG_PER_H, MICRO_G
-from srt.noise.drift_forms import FALSE_ALARM, LINEAR, WALK, drift_test, variance_component
+from srt.noise.drift_forms import (
+    FALSE_ALARM,
+    LINEAR,
+    WALK,
+    drift_test,
+    form_or_scatter,
+    of_courses,
+    variance_component,
+)
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from srt.noise.drift_forms import Statistics
     from srt.sequences.preparation import PreparedRecording
@@ -158,7 +166,11 @@ def candidates(data: PreparedRecording, present: Sequence[DriftTerm]) -> list[tu
 
 
 def most_significant(
-    found: Mapping[tuple[Sensor, str], Statistics], tests: int, present: Sequence[DriftTerm]
+    found: Mapping[tuple[Sensor, str], Statistics],
+    tests: int,
+    present: Unmodelled,
+    courses: Mapping[str, Array],
+    by_window: Callable[[Sensor], Statistics],
 ) -> DriftSearch:
     """Most significant form of drift of each triad, where one is significant, and a possible drift.
 
@@ -168,23 +180,44 @@ def most_significant(
     Parameters
     ----------
     found : mapping of (sensor, form) to Statistics
-        Coefficients of the three channels, for each function of a form in turn.
+        Coefficients of the three channels, for each function in the test of a form in turn.
     tests : int
         Number of forms that are tested in the recording, over all sensors.
-    present : sequence of DriftTerm
-        Forms that are modelled.
+    present : Unmodelled
+        Errors that are modelled. Independent errors of the windows may be a drift that was not known.
+    courses : mapping of str to ndarray, shape (W, n)
+        All functions of each form in the windows.
+    by_window : callable
+        Statistics of independent errors of the windows of a sensor.
     """
-    results = {key: test for key, statistics in found.items() if (test := drift_test(statistics)) is not None}
+    p_values = {key: test.p_value for key, statistics in found.items() if (test := drift_test(statistics)) is not None}
+    if present.force > 0.0:
+        each = by_window("accel")
+        for sensor, form in p_values:
+            if sensor == "accel":
+                p_values[sensor, form] = form_or_scatter(each, courses[form], present.force, walk=form == WALK)
     out = []
-    for sensor in dict.fromkeys(sensor for sensor, _ in results):
-        key = min((key for key in results if key[0] == sensor), key=lambda key: results[key].p_value)
-        if results[key].p_value < FALSE_ALARM / tests:
-            wide = _WIDE * float(np.abs(results[key].amplitude).max())
-            out.append(DriftTerm(*key, variance_component(found[key]).sigma if key[1] == WALK else wide))
+    for sensor in dict.fromkeys(sensor for sensor, _ in p_values):
+        key = min((key for key in p_values if key[0] == sensor), key=lambda key: p_values[key])
+        if p_values[key] < FALSE_ALARM / tests:
+            out.append(DriftTerm(*key, _prior_sigma(key, found, courses[WALK], by_window)))
     linear: tuple[Sensor, str] = ("accel", LINEAR)
-    drifting = any(term.sensor == "accel" for term in (*present, *out))
-    possible = not drifting and linear in results and results[linear].p_value < _POSSIBLE
+    drifting = any(term.sensor == "accel" for term in (*present.drift, *out))
+    possible = not drifting and p_values.get(linear, 1.0) < _POSSIBLE
     return DriftSearch(tuple(out), variance_component(found[linear]).sigma if possible else 0.0)
+
+
+def _prior_sigma(
+    key: tuple[Sensor, str],
+    found: Mapping[tuple[Sensor, str], Statistics],
+    walk: Array,
+    by_window: Callable[[Sensor], Statistics],
+) -> float:
+    """Prior sigma of the coefficients of a form: that of the walk, or a wide one."""
+    if key[1] == WALK:
+        return variance_component(of_courses(by_window(key[0]), walk)).sigma
+    test = drift_test(found[key])
+    return 0.0 if test is None else _WIDE * float(np.abs(test.amplitude).max())
 
 
 def change(form: str, coefficients: Array, windows: Array) -> Array:

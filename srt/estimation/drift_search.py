@@ -15,7 +15,7 @@ from srt.estimation.rest_rate_scatter import bias_gain
 from srt.noise.drift_forms import LINEAR, WALK, residual_statistics
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from srt.estimation.drift_model import Sensor
     from srt.estimation.iteration import Solution
@@ -46,14 +46,27 @@ def search(data: PreparedRecording, options: Options, solution: Solution, fixed:
     except np.linalg.LinAlgError:  # far outside the model the covariance is not positive definite
         return DriftSearch()
     forms = [key for key in keys if key[0] == "accel"]
-    effects = _effects(data, options, solution, forms)
-    columns = [measurements.z[:, None], measurements.H[:, ~fixed], *effects]
-    white = solve_triangular(L, np.concatenate(columns, axis=1) * scale[:, None], lower=True)
-    z, H, *effects = np.split(white, np.cumsum([c.shape[1] for c in columns])[:-1], axis=1)
-    found = dict(zip(forms, residual_statistics(z[:, 0], H, *effects), strict=True))
-    slope = measurements.gyro.inverse
-    found |= gyro_statistics(data, slope, measurements.rest_rate, measurements.integrated, solution.excess.drift)
-    return most_significant(found, len(keys), solution.excess.drift)
+
+    def of_accel(*effects: Array) -> list[Statistics]:
+        columns = [measurements.z[:, None], measurements.H[:, ~fixed], *effects]
+        white = solve_triangular(L, np.concatenate(columns, axis=1) * scale[:, None], lower=True)
+        z, H, *parts = np.split(white, np.cumsum([c.shape[1] for c in columns])[:-1], axis=1)
+        return residual_statistics(z[:, 0], H, *parts)
+
+    def of_gyro(courses: Mapping[str, Array]) -> dict[str, Statistics]:
+        m = measurements
+        return gyro_statistics(data, m.gyro.inverse, m.rest_rate, m.integrated, solution.excess.drift, courses)
+
+    def by_window(sensor: Sensor) -> Statistics:
+        if sensor == "gyro":
+            return of_gyro({"each": np.eye(len(measurements.pool))})["each"]
+        return of_accel(measurement_covariance.force_errors(measurements, data))[0]
+
+    found = dict(zip(forms, of_accel(*_effects(data, options, solution, forms, tested=True)), strict=True))
+    found |= {("gyro", form): statistics for form, statistics in of_gyro(gyro_courses(data, keys)).items()}
+    return most_significant(
+        found, len(keys), solution.excess, {form: shape.windows for form, shape in data.drift_shapes.items()}, by_window
+    )
 
 
 def explaining_drift(
@@ -69,10 +82,20 @@ def explaining_drift(
     return () if is_misfit(statistic, freedom - 3 * len(terms)) else terms
 
 
+def gyro_courses(data: PreparedRecording, keys: Sequence[tuple[Sensor, str]]) -> dict[str, Array]:
+    """Functions in the tests of the forms of gyro drift among the keys, by form, shape (W, functions)."""
+    return {form: data.drift_shapes[form].tested.windows for sensor, form in keys if sensor == "gyro"}
+
+
 def gyro_statistics(
-    data: PreparedRecording, slope: Array, rest: Array, integrated: Mask, present: Sequence[DriftTerm]
-) -> dict[tuple[Sensor, str], Statistics]:
-    """Test statistic of each form of gyro drift in the rest rates, weighted by the specified noise.
+    data: PreparedRecording,
+    slope: Array,
+    rest: Array,
+    integrated: Mask,
+    present: Sequence[DriftTerm],
+    courses: Mapping[str, Array],
+) -> dict[str, Statistics]:
+    """Test statistics of courses of the gyro bias in the rest rates, weighted by the specified noise.
 
     Parameters
     ----------
@@ -85,6 +108,8 @@ def gyro_statistics(
         Windows in which the unit moved; their rate is not used.
     present : sequence of DriftTerm
         Forms that are modelled.
+    courses : mapping of str to ndarray, shape (W, functions)
+        Courses to test, by name.
     """
     used = np.flatnonzero(~integrated)
     doubt = earth_rate_sigma(data.recording)
@@ -92,17 +117,19 @@ def gyro_statistics(
     if data.noise.gyro_flicker is not None:
         own = data.noise.gyro_flicker * slope
         noise = noise + np.kron(data.drift.window_covariance, own @ own.T)
+    modelled = [(term, data.drift_shapes[term.form].windows) for term in present if term.sensor == "gyro"]
+    for term, course in modelled:
+        if term.form == WALK:
+            own = term.sigma * slope
+            noise = noise + np.kron(course @ course.T, own @ own.T)
     rows = (3 * used[:, None] + np.arange(3)).ravel()
     L = np.linalg.cholesky(noise[np.ix_(rows, rows)])
-    shapes = data.drift_shapes
-    taken = [shapes[term.form].windows for term in present if term.sensor == "gyro"]
-    forms = [key for key in candidates(data, present) if key[0] == "gyro"]
-    tested = [shapes[form].windows for _, form in forms]
-    courses = [np.concatenate([np.ones((len(rest), 1)), *taken], axis=1), *tested]
-    by_axis = np.kron(np.concatenate(courses, axis=1)[used], np.eye(3))
+    taken = [course for term, course in modelled if term.form != WALK]
+    parts = [np.concatenate([np.ones((len(rest), 1)), *taken], axis=1), *courses.values()]
+    by_axis = np.kron(np.concatenate(parts, axis=1)[used], np.eye(3))
     white = solve_triangular(L, np.column_stack([rest[used].ravel(), by_axis]), lower=True)
-    z, H, *effects = np.split(white, np.cumsum([1, *(3 * course.shape[1] for course in courses)])[:-1], axis=1)
-    return dict(zip(forms, residual_statistics(z[:, 0], H, *effects), strict=True))
+    z, H, *effects = np.split(white, np.cumsum([1, *(3 * part.shape[1] for part in parts)])[:-1], axis=1)
+    return dict(zip(courses, residual_statistics(z[:, 0], H, *effects), strict=True))
 
 
 def estimates(
@@ -138,13 +165,18 @@ def estimates(
 def _gyro_coefficients(data: PreparedRecording, solution: Solution, terms: list[DriftTerm]) -> dict[str, Array]:
     """Coefficients of each form of gyro drift from the rest rates, rad/s; the rotations are far less sensitive.
 
-    The shape of each is (number of functions of the form, 3).
+    The shape of each is (number of functions of the form, 3). Those of a random walk have a prior, without which they
+    would reproduce the noise of every window.
     """
-    shapes = [data.drift_shapes[term.form].windows for term in terms]
-    constant = np.ones((len(solution.measurements.rest_rate), 1))
-    weight = np.sqrt(solution.measurements.pool)[:, None]
-    A = np.concatenate([constant, *shapes], axis=1)
-    found = np.linalg.lstsq(weight * A, weight * solution.measurements.rest_rate)[0]
+    if not terms:
+        return {}
+    rest, shapes = solution.measurements.rest_rate, [data.drift_shapes[term.form].windows for term in terms]
+    A = np.concatenate([np.ones((len(rest), 1)), *shapes], axis=1)
+    noise = np.sqrt(raw_rate_variance(data.noise, data.windows.duration_s).mean(axis=1))[:, None]
+    prior = [np.full(shape.shape[1], t.form == WALK) / t.sigma for t, shape in zip(terms, shapes, strict=True)]
+    rows = np.diag(np.concatenate([[0.0], *prior]))
+    right = np.concatenate([rest / noise, np.zeros((len(rows), 3))])
+    found = np.linalg.lstsq(np.concatenate([A / noise, rows]), right)[0]
     ends = np.cumsum([1, *(shape.shape[1] for shape in shapes)])
     return {term.form: found[a:b] for term, a, b in zip(terms, ends[:-1], ends[1:], strict=True)}
 
@@ -168,12 +200,21 @@ def possible_drift_covariance(
 
 
 def _effects(
-    data: PreparedRecording, options: Options, solution: Solution, forms: Sequence[tuple[Any, ...]]
+    data: PreparedRecording,
+    options: Options,
+    solution: Solution,
+    forms: Sequence[tuple[Any, ...]],
+    *,
+    tested: bool = False,
 ) -> list[Array]:
     """Effect of a unit value of each coefficient of forms on the measurements, shape (n_z, 3 × functions of the form).
 
-    A form is given by its sensor and its name, which may be followed by others.
+    A form is given by its sensor and its name, which may be followed by others. With ``tested``, only the functions
+    that the test of the form uses.
     """
     gain = used_bias_gain(data, options, solution)
-    draws = (measurement_covariance.drift_form(solution.measurements, data, sensor, form) for sensor, form, *_ in forms)
+    draws = (
+        measurement_covariance.drift_form(solution.measurements, data, sensor, form, tested=tested)
+        for sensor, form, *_ in forms
+    )
     return [measurement_covariance.project(solution.measurements, data, each, gain) for each in draws]

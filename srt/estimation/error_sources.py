@@ -171,6 +171,22 @@ def unmodelled(data: PreparedRecording, rotation: float, force: float, rate: flo
     }
 
 
+def walk_between_windows(data: PreparedRecording, by: Slopes, sigma: float) -> Source:
+    """Random walk of the gyro biases in rotations, about what the windows before and after them show.
+
+    Parameters
+    ----------
+    data : PreparedRecording
+    by : Slopes
+    sigma : float, rad/s
+        Standard deviation of the walk at the end of the recording.
+    """
+    if by.integrals.time_parts is None:
+        raise ValueError("the measurements were processed without their noise integrals")
+    effect = sigma * by_drift(by.integrals.time_parts, data.walk_between_windows)
+    return Source({"turn": effect @ np.swapaxes(effect, 1, 2)})
+
+
 def by_drift(slope: Array, course: Array) -> Array:
     """Effect of a bias that follows each of S courses in each of the three channels, shape (n, d, 3 S).
 

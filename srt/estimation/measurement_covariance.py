@@ -17,6 +17,7 @@ from srt.estimation import error_sources as sources
 from srt.estimation.drift_model import NOTHING
 from srt.estimation.unknown_earth_rate import unknown_earth_rate_draws
 from srt.model.rotations import cross_matrix, rotation_matrix
+from srt.noise.drift_forms import WALK
 
 if TYPE_CHECKING:
     from srt.estimation.drift_model import Unmodelled
@@ -132,6 +133,9 @@ def disturbances(
     out |= {name: draws(unmodelled[name], data) for name in ("turn_excess", "pose_excess")}
     for term in excess.drift:
         out[f"{term.sensor}_drift ({term.form})"] = drift_form(measurements, data, *term)
+        if term.form == WALK and term.sensor == "gyro":
+            between = sources.walk_between_windows(data, by, term.sigma)
+            out["gyro_drift (random walk in rotations)"] = draws(between, data)
     return out
 
 
@@ -199,11 +203,26 @@ def accel_drift(measurements: SrtMeasurements, data: PreparedRecording, floor: A
     return project(measurements, data, Disturbance(force=force), np.zeros(3))
 
 
+def force_errors(measurements: SrtMeasurements, data: PreparedRecording) -> Array:
+    """Effect on z of independent errors of the compensated force of each window, shape (n_z, 3 W)."""
+    W = len(data.windows.duration_s)
+    return project(measurements, data, Disturbance(force=np.eye(3 * W).reshape(W, 3, 3 * W)), np.zeros(3))
+
+
 def drift_form(
-    measurements: SrtMeasurements, data: PreparedRecording, sensor: str, form: str, sigma: float = 1.0
+    measurements: SrtMeasurements,
+    data: PreparedRecording,
+    sensor: str,
+    form: str,
+    sigma: float = 1.0,
+    *,
+    tested: bool = False,
 ) -> Disturbance:
-    """Drift of a triad in one form, for coefficients of 1-sigma ``sigma``: three draws for each function of it."""
-    shape = data.drift_shapes[form]
+    """Drift of a triad in one form, for coefficients of 1-sigma ``sigma``: three draws for each function of it.
+
+    With ``tested``, only the functions that the test of the form uses.
+    """
+    shape = data.drift_shapes[form].tested if tested else data.drift_shapes[form]
     found = _following(slopes_of(measurements), sensor, sigma, (shape.windows, shape.parts))
     if sensor == "accel":
         return found

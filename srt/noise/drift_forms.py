@@ -5,7 +5,7 @@ A form is a function s(t) with a mean of zero over the stationary windows, scale
 - linear in time;
 - warm-up: ``exp(−t / τ)``, with τ a twelfth, a sixth or two fifths of the recording;
 - linear in temperature;
-- random walk: the first functions of its Karhunen-Loève expansion, ``sin((k − 1/2) π t / T)``.
+- random walk: the principal components of its means over the windows, with their conditional mean in the rotations.
 
 The bias of a channel is ``b + a s(t)``; its constant part b is the mean bias over the windows, and a is its change over
 the recording.
@@ -32,14 +32,20 @@ drift of 7.9 sigma is selected in 90 % of the recordings; at 1e-4 a drift of 7.3
 """
 LINEAR: Final = "linear"
 WALK: Final = "random walk"
-_WALK_TERMS: Final = 12
-"""Terms of the random walk; the omitted ones have at most 2 / (12 π²), 1.7 %, of its variance at the end."""
+MOST_WALK_TERMS: Final = 100
+"""Most components of a random walk, which recordings of more windows have; others would have 0.2 % of its variance."""
 TESTED_TERMS: Final = 3
-"""Terms of the random walk in its test: they have 93 % of its variance."""
+"""Components of the random walk in its test: they have 83 % of its variance about the mean."""
 _WARM_UP: Final = {"fast warm-up": 1.0 / 12.0, "warm-up": 1.0 / 6.0, "slow warm-up": 0.4}
 """Time constants of the warm-up by name, as a share of the recording."""
+_SCATTER_RANGE: Final = (-14.0, 3.0)
+"""Range of the variance of independent errors, logarithm of the ratio to their estimate without a walk."""
+_WALK_RANGE: Final = (-9.0, 12.0)
+"""The same for the variance of a random walk at the end of the recording."""
 _SEEN: Final = 1e-10
 """Eigenvalue of the information, relative to the largest, below which a coefficient is not testable."""
+_SHORTEST: Final = 1e-6
+"""Duration, as a share of the recording, that an interval without samples counts as: rounding would spoil its mean."""
 _LEAST_TEMPERATURE_RANGE: Final = 0.1
 """Range of the window temperatures, K, below which a drift with temperature is not tested."""
 
@@ -57,6 +63,11 @@ class DriftShape:
 
     windows: Array
     parts: Array
+
+    @property
+    def tested(self) -> DriftShape:
+        """The functions that the test of the form uses."""
+        return DriftShape(self.windows[:, :TESTED_TERMS], self.parts[..., :TESTED_TERMS])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,20 +94,22 @@ class Intervals:
 
 def drift_shapes(intervals: Intervals) -> dict[str, DriftShape]:
     """Shapes of all forms by name."""
-    begin = float(intervals.start.min())
-    T = float(intervals.end.max()) - begin
-    a, b = (intervals.start - begin) / T, (intervals.end - begin) / T
+    times = a, b = _shares(intervals)
     values = {LINEAR: 0.5 * (a + b)[:, None]}
     for name, share in _WARM_UP.items():
         values[name] = _mean(-share * np.exp(-a / share), -share * np.exp(-b / share), b - a)[:, None]
-    order = (np.arange(_WALK_TERMS) + 0.5) * math.pi
-    begins, ends = (np.cos(t[:, None] * order) * (-math.sqrt(2.0) / order**2) for t in (a, b))
-    values[WALK] = _mean(begins, ends, (b - a)[:, None])
     if intervals.temperature is not None:
         own = intervals.temperature
         if np.ptp(own[: intervals.windows]) > _LEAST_TEMPERATURE_RANGE:
             values["temperature"] = own[:, None]
-    return {name: _centred(value, intervals, scaled=name != WALK) for name, value in values.items()}
+    shapes = {name: _scaled(value, intervals) for name, value in values.items()}
+    return shapes | {WALK: _walk(times, intervals)}
+
+
+def _shares(intervals: Intervals) -> Array:
+    """Start and end of every interval as shares of the recording, shape (2, W + K P)."""
+    begin = float(intervals.start.min())
+    return (np.stack([intervals.start, intervals.end]) - begin) / (float(intervals.end.max()) - begin)
 
 
 def _mean(begin: Array, end: Array, width: Array) -> Array:
@@ -104,12 +117,73 @@ def _mean(begin: Array, end: Array, width: Array) -> Array:
     return np.asarray((end - begin) / np.where(width > 0.0, width, 1.0))
 
 
-def _centred(values: Array, intervals: Intervals, *, scaled: bool) -> DriftShape:
+def _scaled(values: Array, intervals: Intervals) -> DriftShape:
+    W, weight = intervals.windows, _weight(intervals)
+    values = values - weight @ values[:W]
+    values = values / np.ptp(values[:W], axis=0)
+    return _shape(values, intervals)
+
+
+def _walk(times: Array, intervals: Intervals) -> DriftShape:
+    """Random walk of unit variance at the end, about its mean over the windows; times are shares of the recording."""
+    W, weight = intervals.windows, _weight(intervals)
+    C = _walk_covariance(times, times[:, :W])
+    C = C - weight @ C[:W]
+    C = C - (C @ weight)[:, None]
+    variances, components = np.linalg.eigh(0.5 * (C[:W] + C[:W].T))
+    variances, components = variances[::-1][:MOST_WALK_TERMS], components[:, ::-1][:, :MOST_WALK_TERMS]
+    seen = variances > _SEEN * variances[0]
+    return _shape(C @ (components[:, seen] / np.sqrt(variances[seen])), intervals)
+
+
+def walk_between_windows(intervals: Intervals, walk: DriftShape) -> Array:
+    """Root of the covariance of a random walk in the parts of each rotation if its means over the windows are known.
+
+    Parameters
+    ----------
+    intervals : Intervals
+    walk : DriftShape
+        Shape of the random walk in these intervals.
+
+    Returns
+    -------
+    ndarray, shape (K, P, P)
+        For a walk of unit variance at the end. That of different rotations counts as independent: windows lie between.
+    """
+    times, W, weight = _shares(intervals), intervals.windows, _weight(intervals)
+    parts = times[:, W:].reshape(2, *intervals.parts)
+    windows = times[:, :W]
+    by_mean = _walk_covariance(parts, windows[:, None]) @ weight
+    C = _walk_covariance(parts, parts) - by_mean[:, :, None] - by_mean[:, None, :]
+    C = C + weight @ _walk_covariance(windows, windows) @ weight - walk.parts @ np.swapaxes(walk.parts, 1, 2)
+    variances, components = np.linalg.eigh(0.5 * (C + np.swapaxes(C, 1, 2)))
+    return np.asarray(components * np.sqrt(np.maximum(variances, 0.0))[:, None, :])
+
+
+def _walk_covariance(first: Array, second: Array) -> Array:
+    """Covariance of the means of a Wiener process over intervals (2, ..., n) by (2, ..., m), of starts and of ends."""
+
+    def integral(x: Array, y: Array) -> Array:
+        # ∫∫ min(s, t) over 0 < s < x and 0 < t < y
+        x, y = x[..., :, None], y[..., None, :]
+        low, high = np.minimum(x, y), np.maximum(x, y)
+        return np.asarray(low**2 * (high / 2.0 - low / 6.0))
+
+    lengths = [np.maximum(b - a, _SHORTEST) for a, b in (first, second)]
+    a, c = first[0], second[0]
+    b, d = a + lengths[0], c + lengths[1]
+    area = lengths[0][..., :, None] * lengths[1][..., None, :]
+    return np.asarray((integral(b, d) - integral(a, d) - integral(b, c) + integral(a, c)) / area)
+
+
+def _weight(intervals: Intervals) -> Array:
+    """Weights of the windows in their mean, by duration."""
+    duration = (intervals.end - intervals.start)[: intervals.windows]
+    return np.asarray(duration / duration.sum())
+
+
+def _shape(values: Array, intervals: Intervals) -> DriftShape:
     W = intervals.windows
-    weight = intervals.end[:W] - intervals.start[:W]
-    values = values - weight @ values[:W] / weight.sum()
-    if scaled:
-        values = values / np.ptp(values[:W], axis=0)
     return DriftShape(values[:W], values[W:].reshape(*intervals.parts, values.shape[1]))
 
 
@@ -177,11 +251,9 @@ def drift_test(found: Statistics) -> DriftTest | None:
     does not depend on the scale of the noise. The decrease must also be significant by itself: residuals far below the
     stated noise, as in a noise-free recording, are systematic and would pass the F test alone.
     """
-    tested = slice(3 * TESTED_TERMS)
-    information, gradient = found.information[tested, tested], found.gradient[tested]
-    values, vectors = np.linalg.eigh(information)
+    values, vectors = np.linalg.eigh(found.information)
     seen = values > _SEEN * values[-1]
-    q, along = int(seen.sum()), vectors[:, seen].T @ gradient
+    q, along = int(seen.sum()), vectors[:, seen].T @ found.gradient
     freedom = found.freedom - q
     if values[-1] <= 0.0 or freedom < 1:
         return None
@@ -205,6 +277,60 @@ class VarianceComponent(NamedTuple):
 
     sigma: float
     p_value: float
+
+
+def of_courses(found: Statistics, courses: Array) -> Statistics:
+    """Statistics of coefficients of n courses (W, n), from those of independent errors of W windows with 3 channels."""
+    along = np.kron(courses, np.eye(3))
+    return Statistics(along.T @ found.gradient, along.T @ found.information @ along, found.chi_square, found.freedom)
+
+
+def form_or_scatter(found: Statistics, course: Array, scatter: float, *, walk: bool = False) -> float:
+    """p-value of a form in addition to independent errors of the windows, whose variance is estimated anew with it.
+
+    Without the form, its effect on the windows counts as independent errors, and hides it from :func:`drift_test`. The
+    statistic is the restricted likelihood ratio of form and independent errors against these alone. Its distribution
+    for many measurements is chi-square, for the variance of a walk half of it; the F distribution here allows for
+    their number.
+
+    Parameters
+    ----------
+    found : Statistics
+        Of independent errors of the W windows with 3 channels.
+    course : ndarray, shape (W, n)
+        All functions of the form.
+    scatter : float, m/s²
+        Standard deviation of the independent errors in the noise of ``found``.
+    walk : bool
+        The functions belong to a random walk: their coefficients have one variance.
+    """
+    from scipy.optimize import minimize, minimize_scalar  # heavy, and few calibrations have such errors
+
+    unit, along = np.eye(len(found.gradient)), np.kron(course, np.eye(3))
+    walking = along @ along.T
+
+    def cost(independent: float, walk_variance: float = -math.inf, *, free: bool = False) -> float:
+        S = scatter**2 * ((math.exp(independent) - 1.0) * unit + math.exp(walk_variance) * walking)
+        M = unit + found.information @ S
+        left = np.linalg.solve(M, np.column_stack([found.gradient, found.information @ along]))
+        out = float(np.linalg.slogdet(M)[1] - found.gradient @ S @ left[:, 0])
+        if free:  # less what the best coefficients explain
+            gradient = along.T @ left[:, 0]
+            out -= float(gradient @ np.linalg.lstsq(along.T @ left[:, 1:], gradient)[0])
+        return out
+
+    alone = minimize_scalar(cost, bounds=_SCATTER_RANGE, method="bounded")
+    if walk:
+        starts = [(float(alone.x), 0.0), (0.5 * _SCATTER_RANGE[0], 2.0)]
+        ranges = (_SCATTER_RANGE, _WALK_RANGE)
+        found_costs = [minimize(lambda x: cost(*x), start, method="Nelder-Mead", bounds=ranges).fun for start in starts]
+        best, q, share = min(float(value) for value in found_costs), 1, 0.5
+    else:
+        best = float(minimize_scalar(lambda x: cost(x, free=True), bounds=_SCATTER_RANGE, method="bounded").fun)
+        q, share = along.shape[1], 1.0
+    freedom = found.freedom
+    ratio = math.expm1(min(max(float(alone.fun) - best, 0.0) / freedom, 300.0))
+    return share * float(fdtrc(q, max(freedom - q, 1), max(freedom - q, 1) / q * ratio))
 
 
 def variance_component(found: Statistics) -> VarianceComponent:

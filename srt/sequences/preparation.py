@@ -14,7 +14,7 @@ from srt.model.analytic_platform import equal_parts, parts_per_rotation
 from srt.model.gyro_stream import GyroStream, gyro_stream
 from srt.model.table1 import SEQUENCES, RotationSequence, axis_vector
 from srt.noise.bias_instability import DriftDraws, drift_draws, interval_times, window_draws
-from srt.noise.drift_forms import DriftShape, Intervals, drift_shapes
+from srt.noise.drift_forms import WALK, DriftShape, Intervals, drift_shapes, walk_between_windows
 from srt.noise.noise_model import NoiseModel, noise_model
 from srt.sequences.manoeuvres import end_attitude
 from srt.sequences.vibration import Vibration, rectified, vibration
@@ -219,6 +219,15 @@ class PreparedRecording:
     @cached_property
     def drift_shapes(self) -> dict[str, DriftShape]:
         """Shapes of a bias drift within the recording, by form."""
+        return drift_shapes(self._drift_intervals)
+
+    @cached_property
+    def walk_between_windows(self) -> Array:
+        """Root of the covariance of a random walk in rotations, given the windows, shape (K, P, P)."""
+        return walk_between_windows(self._drift_intervals, self.drift_shapes[WALK])
+
+    @cached_property
+    def _drift_intervals(self) -> Intervals:
         samples, parts = self.windows.samples, parts_per_rotation(self.K)
         edges = equal_parts(self.rotation, parts)
         spans = np.concatenate([samples, np.stack([edges[:, :-1].ravel(), edges[:, 1:].ravel()], axis=1)])
@@ -229,7 +238,7 @@ class PreparedRecording:
             first = np.minimum(spans[:, 0], len(total) - 2)
             last = np.maximum(spans[:, 1], first + 1)
             temperature = (total[last] - total[first]) / (last - first)
-        return drift_shapes(Intervals(start, end, len(samples), (self.K, parts), temperature))
+        return Intervals(start, end, len(samples), (self.K, parts), temperature)
 
     def earth_rate_base(self) -> Array:
         """Known part of the Earth's rate in fixture base axes, rad/s.
