@@ -23,6 +23,7 @@ from srt.estimation import measurement_covariance
 from srt.estimation.drift_model import NOTHING, Unmodelled
 from srt.estimation.earth_rate_regression import with_earth_rate_regression
 from srt.estimation.error_sources import earth_rate_sigma
+from srt.estimation.force_drift import ForceDrift
 from srt.estimation.g_sensitivity import LEAST_SCATTER
 from srt.estimation.g_sensitivity import MODE as G_SENSITIVE
 from srt.estimation.rest_rate_scatter import bias_gain, excess_variance, rest_rate_variance
@@ -166,6 +167,8 @@ class Iteration:
             self.integrated, self.offset = resume.measurements.integrated, resume.bias_by_sequence
             self.wander, self.g_sensitivity = resume.wander, resume.g_sensitivity
             self.earth_rate_draws, self._earth_rate = resume.earth_rate_draws, resume.earth_rate
+        self.force_drift = ForceDrift(data, excess)
+        self._drift_settled = not self.force_drift.terms
         self.first = start if resume is None else resume.errors
         self.resumed = resume is not None
         self.before = () if resume is None else resume.corrections
@@ -193,11 +196,17 @@ class Iteration:
                 if fresh:
                     self.noise = measurements.integrals.noise, measurements.integrals.time_parts
                     weights = self._total(measurements)
+                    self.force_drift.linearise(measurements)
+                measurements = self.force_drift.added_to(measurements)
                 gain = self._gain(measurements, self._rough(measurements) if weights is None else weights, near=near)
                 if weights is not None:
                     sigma = np.sqrt(np.maximum(np.diag(gain @ weights @ gain.T), 0.0))
                 errors, U, correction = self._correct(errors, measurements, gain)
                 settled = self._update_earth_rate(measurements, correction)
+                if weights is not None:
+                    change = self.force_drift.update(measurements, correction, weights)
+                    tolerance = CONVERGED_SIGMAS * sigma[GROUP_SLICES["accel_bias"]].max()
+                    settled &= change <= max(CONVERGED_CORRECTION * self.data.gravity, tolerance)
                 size = float(np.max(np.abs(correction) / _UNIT))
                 corrections.append(size)
                 if progress is not None:
@@ -211,6 +220,9 @@ class Iteration:
             negligible = np.all(
                 np.abs(correction) <= np.maximum(CONVERGED_CORRECTION * _UNIT, CONVERGED_SIGMAS * sigma)
             )
+            if near and negligible and settled and not self._drift_settled:
+                weights, self._drift_settled = None, True  # new weights, at the estimated drift
+                continue
             if near and negligible and settled and not self._release_moving(measurements):
                 status, message = (
                     "converged",
@@ -243,6 +255,7 @@ class Iteration:
             bias_offset=self.offset,
             g_sensitivity=self.g_sensitivity,
             earth_rate_offset=None if draws is None else self._earth_rate @ draws,
+            force_drift=self.force_drift.in_windows,
             with_noise=with_noise,
         )
         if not self.solver.estimates_earth_rate:

@@ -209,6 +209,11 @@ def force_errors(measurements: SrtMeasurements, data: PreparedRecording) -> Arra
     return project(measurements, data, Disturbance(force=np.eye(3 * W).reshape(W, 3, 3 * W)), np.zeros(3))
 
 
+def force_drift(measurements: SrtMeasurements, data: PreparedRecording, form: str) -> Array:
+    """Effect on z of the coefficients of a drift of the accelerometers, shape (n_z, 3 × functions of the form)."""
+    return project(measurements, data, drift_form(measurements, data, "accel", form), np.zeros(3))
+
+
 def drift_form(
     measurements: SrtMeasurements,
     data: PreparedRecording,

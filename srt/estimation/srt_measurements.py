@@ -216,6 +216,7 @@ class SrtProcessor:
         bias_offset: Array | None = None,
         g_sensitivity: Array | None = None,
         earth_rate_offset: Array | None = None,
+        force_drift: Array | float = 0.0,
         with_noise: bool = False,
     ) -> SrtMeasurements:
         """Compensate the recorded data with given errors and form the SRT measurements.
@@ -234,13 +235,15 @@ class SrtProcessor:
             Γ (rows: gyro axes before compensation; columns: axes of B), used if the options select it; default zero.
         earth_rate_offset : ndarray, shape (K, 3), rad/s, optional
             Estimate of the unknown part of the Earth rate in each B_Strt (no heading or latitude); default zero.
+        force_drift : ndarray, shape (W, 3), m/s², optional
+            Estimated drift of the accelerometer biases in the windows, before compensation; default zero.
         with_noise : bool
             Compute the noise integrals too.
         """
         data, U = self.data, np.eye(3) if U is None else U
         gyro, accel = gyro_triad(errors), accel_triad(errors)
         gyro_mean, accel_mean = data.means(gyro, accel)
-        force = accel.compensate(accel_mean)
+        force = accel.compensate(accel_mean - force_drift)
         stream, gyro_mean, poses = self._without_g_sensitivity(accel, force, gyro_mean, g_sensitivity)
         rate = gyro.compensate(gyro_mean)
         earth_rate, down = self._earth_rate(U, force[data.start], nominal_vertical)
