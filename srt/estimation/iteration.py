@@ -193,20 +193,14 @@ class Iteration:
             if fresh and self._release_moving(measurements):
                 continue
             try:
-                if fresh:
-                    self.noise = measurements.integrals.noise, measurements.integrals.time_parts
-                    weights = self._total(measurements)
-                    self.force_drift.linearise(measurements)
+                weights = self._weights(measurements) if fresh else weights
                 measurements = self.force_drift.added_to(measurements)
                 gain = self._gain(measurements, self._rough(measurements) if weights is None else weights, near=near)
                 if weights is not None:
                     sigma = np.sqrt(np.maximum(np.diag(gain @ weights @ gain.T), 0.0))
                 errors, U, correction = self._correct(errors, measurements, gain)
                 settled = self._update_earth_rate(measurements, correction)
-                if weights is not None:
-                    change = self.force_drift.update(measurements, correction, weights)
-                    tolerance = CONVERGED_SIGMAS * sigma[GROUP_SLICES["accel_bias"]].max()
-                    settled &= change <= max(CONVERGED_CORRECTION * self.data.gravity, tolerance)
+                settled &= self._update_force_drift(measurements, correction, weights, sigma)
                 size = float(np.max(np.abs(correction) / _UNIT))
                 corrections.append(size)
                 if progress is not None:
@@ -363,6 +357,22 @@ class Iteration:
         self.integrated = self.integrated | moving
         self.processor = SrtProcessor(self.data, self.options, self.integrated)
         return True
+
+    def _update_force_drift(
+        self, measurements: SrtMeasurements, correction: Array, weights: Array | None, sigma: Array
+    ) -> bool:
+        """Update the drift of the accelerometers; return True if the change is negligible."""
+        if weights is None:
+            return True
+        change = self.force_drift.update(measurements, correction, weights)
+        tolerance = CONVERGED_SIGMAS * sigma[GROUP_SLICES["accel_bias"]].max()
+        return bool(change <= max(CONVERGED_CORRECTION * self.data.gravity, tolerance))
+
+    def _weights(self, measurements: SrtMeasurements) -> Array:
+        """Covariance of z, and what belongs to the same estimate: noise integrals, and the effect of the drift."""
+        self.noise = measurements.integrals.noise, measurements.integrals.time_parts
+        self.force_drift.linearise(measurements)
+        return self._total(measurements)
 
     def _total(self, measurements: SrtMeasurements) -> Array:
         return np.asarray(sum(self._by_source(measurements).values()))
