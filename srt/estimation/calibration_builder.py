@@ -74,13 +74,7 @@ def build_calibration(
         covariance=covariance,
         corrections=result.corrections,
         held={name: fixed[name] for name in NAMES if name in fixed},
-        contributions={
-            source: np.where(observed, np.sqrt(np.maximum(np.diag(P), 0.0)) * inflation, 0.0)
-            for source, P in (
-                {**result.covariance, "gyro_drift": drifted} if drifted.any() else result.covariance
-            ).items()
-        }
-        | ({"clock": np.where(observed, np.abs(clock), 0.0)} if clock.any() else {}),
+        contributions=_contributions(result, drifted, clock, observed, inflation),
         U=None if data.nominal is None else result.U,
         U_sigma_rad=None if data.nominal is None or fixture is None else fixture.alignment_sigma_rad,
         residuals=result.residuals,
@@ -99,6 +93,17 @@ def build_calibration(
         verdict=evidence,
         warnings=(*warnings, *_warnings(data, result, observed)),
     )
+
+
+def _contributions(
+    result: SolverResult, drifted: Array, clock: Array, observed: Mask, inflation: float
+) -> dict[str, Array]:
+    """Standard deviations of the parameters by source of error."""
+    parts = {**result.covariance, "gyro_drift": drifted} if drifted.any() else result.covariance
+    out = {
+        source: np.where(observed, np.sqrt(np.maximum(np.diag(P), 0.0)) * inflation, 0.0) for source, P in parts.items()
+    }
+    return out | ({"clock": np.where(observed, np.abs(clock), 0.0)} if clock.any() else {})
 
 
 def _drifted_bias(data: PreparedRecording, result: SolverResult) -> Array:

@@ -211,17 +211,14 @@ class Iteration:
                 status, message = "outside_model", f"After iteration {i + 1} {reason}."
                 break
             settled &= self._update_offsets(measurements, sigma)
-            negligible = np.all(
-                np.abs(correction) <= np.maximum(CONVERGED_CORRECTION * _UNIT, CONVERGED_SIGMAS * sigma)
-            )
-            if near and negligible and settled and not self._drift_settled:
+            tolerance = np.maximum(CONVERGED_CORRECTION * _UNIT, CONVERGED_SIGMAS * sigma)
+            settled &= near and bool(np.all(np.abs(correction) <= tolerance))
+            if settled and not self._drift_settled:
                 weights, self._drift_settled = None, True  # new weights, at the estimated drift
                 continue
-            if near and negligible and settled and not self._release_moving(measurements):
-                status, message = (
-                    "converged",
-                    f"Converged after {len(self.before) + len(corrections)} iterations.",
-                )
+            if settled and not self._release_moving(measurements):
+                status = "converged"
+                message = f"Converged after {len(self.before) + len(corrections)} iterations."
                 # The last correction is below 0.01 sigma: linear prediction gives z without another iteration.
                 integrals = replace(measurements.integrals, noise=self.noise[0], time_parts=self.noise[1])
                 final = replace(measurements, z=measurements.z - measurements.H @ correction, integrals=integrals)
@@ -248,7 +245,7 @@ class Iteration:
             nominal_vertical=nominal,
             bias_offset=self.offset,
             g_sensitivity=self.g_sensitivity,
-            earth_rate_offset=None if draws is None else self._earth_rate @ draws,
+            earth_rate_offset=0.0 if draws is None else self._earth_rate @ draws,
             force_drift=self.force_drift.in_windows,
             with_noise=with_noise,
         )

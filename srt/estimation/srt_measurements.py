@@ -215,7 +215,7 @@ class SrtProcessor:
         nominal_vertical: bool = False,
         bias_offset: Array | None = None,
         g_sensitivity: Array | None = None,
-        earth_rate_offset: Array | None = None,
+        earth_rate_offset: Array | float = 0.0,
         force_drift: Array | float = 0.0,
         with_noise: bool = False,
     ) -> SrtMeasurements:
@@ -247,7 +247,7 @@ class SrtProcessor:
         stream, gyro_mean, poses = self._without_g_sensitivity(accel, force, gyro_mean, g_sensitivity)
         rate = gyro.compensate(gyro_mean)
         earth_rate, down = self._earth_rate(U, force[data.start], nominal_vertical)
-        earth_rate = earth_rate if earth_rate_offset is None else earth_rate + earth_rate_offset
+        earth_rate = earth_rate + earth_rate_offset
         sample = data.noise.gyro_sample(data.recording.nominal_interval_s)
         integrals, attitude = integrate_attitude(
             stream, gyro, earth_rate, bias_offset=bias_offset, sample_noise_rad=sample, with_noise=with_noise

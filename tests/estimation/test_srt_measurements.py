@@ -50,7 +50,7 @@ def test_an_earth_rate_that_is_added_turns_the_start_frame_backwards(unit):
     """dĈ/dt = Ĉ (ω̂×) − (ω̂e×) Ĉ ([P] eq. 2): an offset of 1e-7 rad/s turns Ĉ_End by minus that times the duration."""
     processor, truth = unit
     offset = 1e-7 * np.random.default_rng(2).standard_normal((processor.data.K, 3))
-    before, after = (processor.process(truth, earth_rate_offset=o) for o in (None, offset))
+    before, after = (processor.process(truth, earth_rate_offset=o) for o in (0.0, offset))
     turned = rotation_vector(after.integrals.C_end @ np.swapaxes(before.integrals.C_end, 1, 2))
     expected = -offset * before.integrals.weight_s[:, None]
     # The Earth turns by 3e-3 rad meanwhile, which turns the direction of the change.
