@@ -394,13 +394,13 @@ class JointModel:
             force[windows[used]] = carried[used]
         return integrals, rotation, force
 
-    def _unknown_earth_rate(self, state: JointState) -> Array | None:
+    def _unknown_earth_rate(self, state: JointState) -> Array | float:
         """Estimate of the unknown part of the Earth's rate in B_Strt of each sequence, shape (K, 3), rad/s.
 
         Over a window of 20 s it is 1 mrad of attitude, which would be an error of 1 mg of its mean specific force.
         """
         if state.attitude is None:
-            return None
+            return 0.0
         by_frame = state.earth_rate[self.sequence_frame]
         return np.asarray(np.einsum("kab,ka->kb", state.attitude[self.data.start], by_frame))
 

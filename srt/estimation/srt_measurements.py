@@ -240,14 +240,13 @@ class SrtProcessor:
         with_noise : bool
             Compute the noise integrals too.
         """
-        data, U = self.data, np.eye(3) if U is None else U
-        gyro, accel = gyro_triad(errors), accel_triad(errors)
+        data, U, gyro, accel = self.data, np.eye(3) if U is None else U, gyro_triad(errors), accel_triad(errors)
         gyro_mean, accel_mean = data.means(gyro, accel)
         force = accel.compensate(accel_mean - force_drift)
         stream, gyro_mean, poses = self._without_g_sensitivity(accel, force, gyro_mean, g_sensitivity)
         rate = gyro.compensate(gyro_mean)
-        earth_rate, down = self._earth_rate(U, force[data.start], nominal_vertical)
-        earth_rate = earth_rate + earth_rate_offset
+        known, down = self._earth_rate(U, force[data.start], nominal_vertical)
+        earth_rate = known + earth_rate_offset
         sample = data.noise.gyro_sample(data.recording.nominal_interval_s)
         integrals, attitude = integrate_attitude(
             stream, gyro, earth_rate, bias_offset=bias_offset, sample_noise_rad=sample, with_noise=with_noise
