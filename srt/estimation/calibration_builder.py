@@ -128,7 +128,7 @@ def _birge_ratio(result: SolverResult) -> float:
 
 
 def _status(
-    result: SolverResult, fixed: Mapping[str, str], evidence: Mapping[str, Any], *, free: bool, rated: bool
+    result: SolverResult, fixed: Mapping[str, str], evidence: Mapping[str, Any], *, free: bool, rated: bool = False
 ) -> tuple[str, str]:
     """Status and message: outside_model, not_converged, inconsistent, partial, converged, in this order.
 
