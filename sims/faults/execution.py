@@ -30,7 +30,7 @@ _IDS: Final = tuple(TABLE_1)
 _VIBRATION_HZ: Final = 23.0
 """Frequency of the vibration, Hz: about that of a machine at 1400 revolutions per minute."""
 _VIBRATION_M_S2_PER_URAD: Final = 3e3 * MICRO_G / 5.0
-"""Amplitude of the linear vibration over that of the angular vibration, m/s² per µrad: 3 mg at 5 µrad."""
+"""Ratio of the amplitudes of linear and angular vibration, m/s² per µrad: 3 mg at 5 µrad."""
 
 
 # --- sequences and labels --------------------------------------------------------------------------------------------
@@ -38,9 +38,9 @@ _VIBRATION_M_S2_PER_URAD: Final = 3e3 * MICRO_G / 5.0
 
 @injection("labels_shifted", 2.0, "s")
 def labels_shifted(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """The labels are late or early by ``severity``, as their clock is not that of the samples; the moves are recorded.
+    """The labels are late or early by ``severity``: they come from another clock than the samples.
 
-    A window that would end outside the samples is cut at the end of the recording.
+    The recording includes the moves between the sequences. Windows are cut at the ends of the recording.
     """
     recording = case.changed(schedule={"moves": "recorded"}).recording
     shift = float(rng.choice([-1.0, 1.0])) * severity
@@ -200,7 +200,7 @@ def creep(case: Case, severity: float, rng: np.random.Generator) -> Recording:
 
 @injection("vibration", 5.0, "µrad at 23 Hz, and 3 mg")
 def vibration(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """A machine shakes the table during the whole test: by an angle of ``severity``, and linearly in proportion."""
+    """A machine shakes the table: angular vibration of ``severity``, and linear vibration in proportion to it."""
     angle, force = (x / np.linalg.norm(x) for x in rng.standard_normal((2, 3)))
     motion = disturbances.vibrating(
         case.simulation.motion,

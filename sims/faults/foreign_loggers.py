@@ -254,7 +254,7 @@ def neighbours_exchanged(case: Case, severity: float, rng: np.random.Generator) 
 
 @variant("every second increment dropped", 2.0, "-", "increments_thinned", "samples_lost")
 def increments_decimated(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """One of ``severity`` increments is kept, instead of their sum: angles and velocities are too small by that."""
+    """One of ``severity`` increments is kept instead of their sum: integrals are too small by this factor."""
     recording = case.recording
     if recording.kind == "rate":
         step = recording.nominal_interval_s

@@ -225,7 +225,7 @@ def _pair(first: str, second: str) -> None:
         f"{first} and {second}", 1.0, "times the stated ones", *INJECTIONS[first].causes, *INJECTIONS[second].causes
     )
     def pair(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-        """Put two faults into one recording; raises InputError if the construction detects one of them."""
+        """Recording with two faults; raises InputError if the construction detects one of them."""
         one, other = INJECTIONS[first], INJECTIONS[second]
         faulty = one.apply(case, _scaled(first, case.grade, severity), rng)
         later = FaultyCase(case.grade, case.seed, case.changes, faulty)

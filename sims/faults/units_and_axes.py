@@ -56,7 +56,7 @@ def rates_as_increments(case: Case, severity: float, rng: np.random.Generator) -
 
 
 def _wrong_unit(fault: str, sensor: str, factors: tuple[float, ...], *, rates: bool) -> None:
-    """Register readings in a unit other than declared; ``rates`` is True if one of both units applies only to rates."""
+    """Register readings in a unit other than declared; ``rates`` is True if one of the units applies only to rates."""
 
     @injection(fault, 1.0, "")
     def wrong_unit(case: Case, severity: float, rng: np.random.Generator) -> Recording:

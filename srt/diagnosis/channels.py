@@ -1,4 +1,4 @@
-"""Channels and logger: dead, repeated or exchanged columns, repeated rows, and spikes."""
+"""Channels and logger: dead or exchanged columns, repeated or interpolated samples, dead bands of gyros, and spikes."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ _GRAVITY: Final = 4.0
 """Largest ratio of the largest to the smallest magnitude (of 99 % of the readings) of a triad that senses gravity:
 scale-factor errors and biases of 50 % make 3.2. Gyros exceed it, as they read far more in rotations than at rest."""
 _TURNED: Final = 0.95
-"""Magnitude of the mean vector over the mean magnitude, above which the direction of the vectors hardly changed."""
+"""Ratio of the magnitude of the mean vector to the mean magnitude, above which the direction hardly changed."""
 
 
 def _columns(evidence: Evidence) -> list[Array]:
@@ -54,7 +54,7 @@ def _columns(evidence: Evidence) -> list[Array]:
 
 
 def _constant(column: Array) -> bool:
-    # The first readings suffice for nearly every column.
+    # The first 100 readings exclude nearly every column; only the others are compared in full.
     return bool(np.all(column[:100] == column[0]) and np.all(column == column[0]))
 
 
@@ -269,7 +269,7 @@ _DEAD_STEPS: Final = 2.5
 """Smallest ratio of the smallest nonzero reading to the quantization step for a dead band; without one, it is 1."""
 
 _DEAD_PULSES: Final = 1.5
-"""The same ratio for a stated pulse size: the step is then known."""
+"""Smallest such ratio if the pulse size is stated, so that the step is known."""
 _SAME_GRID: Final = 1e-3
 """Largest distance of a reading from a multiple of the step, in steps: rounding leaves less."""
 _DEAD_EDGE: Final = 0.1

@@ -33,9 +33,9 @@ if TYPE_CHECKING:
 _LEAST_SEQUENCES: Final = 3
 """Fewest sequences on each side of a step: a change of a single sequence is a disturbance."""
 _SLOWNESS: Final = (0.1, 0.3)
-"""Time constants of an exponential drift (warm-up), the alternative to a linear one, over the test's duration."""
+"""Time constants of an exponential drift (warm-up), the alternative to a linear one, relative to the test duration."""
 _OUTLIER: Final = 8.0
-"""Residual over the median residual, above which a rotation is an outlier."""
+"""Ratio of a residual to the median residual, above which a rotation is an outlier."""
 _MOST_OUTLIERS: Final = 0.2
 """Share of outliers from which none is excluded: so many rotations are no outliers."""
 _LEAST_FREEDOM: Final = 8
@@ -47,7 +47,7 @@ def units_joined(evidence: Evidence) -> Iterator[Finding]:
     """Test gyros and accelerometers for a step between two successive sequences, against a drift."""
     rates, data = stationary_rates(evidence), evidence.data
     if rates is None or data is None or not evidence.has_labels or _has_poses(evidence):
-        return  # static poses without a rotation are placed less accurately: they differ by more than noise
+        return  # static poses without a rotation are placed less accurately: their readings differ by more than noise
     order = np.argsort(data.windows.samples[data.start, 0])
     place = np.zeros(len(data.windows.samples), dtype=np.intp)
     place[data.start[order]] = place[data.end[order]] = np.arange(data.K)
@@ -90,7 +90,10 @@ def _probability(null: Explanation, step: Explanation) -> float:
 
 
 def _explained(values: Array, nuisance: Array, shapes: list[tuple[str, Array, int]], moved: Array) -> list[Explanation]:
-    """Null explanation, then one per shape in their order; ``moved @ shape`` are the columns of a shape."""
+    """Explanation without a change, then one per shape (change over time), in their order.
+
+    ``moved @ shape`` are the columns of a shape.
+    """
     causes = [Cause("", np.zeros((len(values), 0)), {"place": 0})]
     causes += [
         Cause(fault, moved @ shape, {"place": 1 + place}, choices)

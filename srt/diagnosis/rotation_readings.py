@@ -32,15 +32,16 @@ _MARGIN_S: Final = 0.5
 _ROUNDS: Final = 12
 """Number of reweightings of a robust fit."""
 _ROTATING: Final = 0.05
-"""Rate range in a window over that of the rotations, above which it is not stationary: bumps and creep are slower."""
+"""Ratio of the range of the rates in a window to that in the rotations, above which the window is not stationary: bumps
+and creep are slower."""
 _BY_NOISE: Final = 4e-6
 """False-alarm probability, for one recording, that noise alone classifies a window as rotating."""
 _MAD: Final = 1.4826
-"""Standard deviation over median absolute deviation of a normal distribution."""
+"""Ratio of the standard deviation to the median absolute deviation of a normal distribution."""
 _SLOWEST_RAD_S: Final = 0.05
 """Slowest rotation of a manoeuvre, rad/s: 180° in a minute."""
 _OTHER_UNIT: Final = 8.0
-"""Largest rate of an axis over the median of the three, above which its readings are in another unit."""
+"""Ratio of the largest rate of an axis to the median of the three axes, above which it is in another unit."""
 _MANY_WINDOWS: Final = 12
 """Fewest windows for a fit of g-sensitivity: three times its four unknowns, one bias and three slopes."""
 

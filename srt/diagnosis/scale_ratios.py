@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 _MAD: Final = 1.4826
-"""Standard deviation over median absolute deviation of a normal distribution."""
+"""Ratio of the standard deviation to the median absolute deviation of a normal distribution."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,7 +76,7 @@ is 0.69."""
 _FEWEST_POSES: Final = 9
 """Fewest poses for a fit of three accelerometer scale factors and three biases: three more than unknowns."""
 _LEAST_SPREAD: Final = 0.1
-"""Smallest permitted singular value of that fit over the square root of the number of poses; for poses in all
+"""Smallest permitted singular value of that fit, divided by the square root of the number of poses; for poses in all
 directions it is 0.37."""
 _UNSEEN: Final = np.full(3, np.nan)
 UNKNOWN: Final = ScaleRatios(float("nan"), _UNSEEN, float("nan"))

@@ -194,7 +194,7 @@ def _coarser(values: Array) -> Array:
 
 
 def _lag_causes(seen: TimeOffset) -> list[Cause]:
-    """Possible causes of a lag, with their patterns: lag of accelerometers behind gyros by rotation, for a lag of 1 s.
+    """Possible causes of a lag, each with the lag in each rotation that it predicts if its channels lag by 1 s.
 
     A rotation about one axis is measured only by the gyro of that axis.
     """

@@ -166,7 +166,7 @@ def rotations_against_labels(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _exchanged(evidence: Evidence) -> dict[int, str]:
-    """Names of the sequences that were executed, by the numbers of the sequences with another name as their label."""
+    """Names of the executed sequences where the label states another one, by the number of the sequence."""
     data, seen = evidence.data, raw_integrals(evidence)
     assert data is not None
     assert seen is not None
@@ -299,7 +299,7 @@ def _catalogue_ids(evidence: Evidence) -> list[str]:
 
 @check("window_short")
 def window_short(evidence: Evidence) -> Iterable[Finding]:
-    """Compare the lengths of the windows with their median; only on a fixture, as free rotations have no plan."""
+    """Compare the window lengths with their median, on a fixture only: free rotations have no planned length."""
     data = evidence.data
     if data is None or evidence.recording.fixture is None or _shift(evidence) is not None:
         return

@@ -198,9 +198,9 @@ def _component_sigmas(fit: StationaryRateFit, fixture: Fixture) -> tuple[float, 
 def _vertical_sigma(fit: StationaryRateFit) -> float:
     """Standard deviation of the vertical component, including the effect of the unknown trace of the g-sensitivity.
 
-    The nine components of Γ are assumed to have one standard deviation. The eight components that are fitted estimate
-    it, so that the trace has a t distribution with eight degrees of freedom. The factor makes a normal distribution
-    equal to it at the false-alarm probability.
+    The nine components of Γ are assumed to have the same standard deviation, which is estimated from the eight fitted
+    components. The trace therefore has a t distribution with eight degrees of freedom. The factor converts its quantile
+    at the false-alarm probability to that of a normal distribution.
     """
     hidden = np.mean(fit.g_sensitivity**2) / 3.0
     factor = stdtrit(8, 0.5 * FALSE_ALARM) / ndtri(0.5 * FALSE_ALARM)
@@ -212,7 +212,7 @@ LEAST_FREEDOM: Final = 12
 _RANK: Final = 1e-3
 """Smallest over largest singular value of the scaled design matrix, below which some component is not observable."""
 _OUTLIER: Final = 8.0
-"""Residual over the median residual, above which a window is an outlier, for instance after a bump."""
+"""Ratio of a residual to the median residual, above which a window is an outlier, for instance after a bump."""
 _MOST_OUTLIERS: Final = 0.2
 """Share of outliers above which none is down-weighted: so many windows are no outliers."""
 _MOST_WINDOWS: Final = 400

@@ -1,4 +1,4 @@
-"""Gyro-stabilised specific force during the rotations: transformed to B_Strt, the body frame at the start."""
+"""Gyro-stabilised specific force in rotations: transformed to B_Strt, the body frame at the start of a sequence."""
 
 from __future__ import annotations
 

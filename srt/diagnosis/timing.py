@@ -49,10 +49,10 @@ def time_unit(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _unit(evidence: Evidence, interval: float) -> tuple[float, str, str]:
-    """Time unit for which the interval is usual: row of ``TIME_UNITS``.
+    """Row of ``TIME_UNITS`` for the time unit with which the interval is a usual one.
 
-    If several units do so, the rotation angles (of increments: gravity) decide. If none does, it is the unit whose
-    interval is nearest to the usual ones.
+    If several units give a usual interval, the ratio of the rotation angles (for increments: of gravity) decides. If no
+    unit does, the unit with the interval nearest to the usual ones is returned.
     """
     middle = math.sqrt(USUAL_S[0] * USUAL_S[1])
     usual = [row for row in TIME_UNITS if USUAL_S[0] <= interval * row[0] <= USUAL_S[1]]

@@ -57,8 +57,8 @@ _PRIORS: Final = {
     "time": 1e-3,
     "factor": 1e-3,
 }
-"""Prior probabilities of the kinds of causes, relative to no fault. Only their ratios matter, and they have less weight
-than a ratio that is known to 1 %.
+"""Prior probabilities of the kinds of causes, relative to no fault. Only their ratios matter. A scale ratio that is
+known to 1 % outweighs them.
 
 The value for counts applies to whole numbers, which have a probability of 1e-6 for other causes (:data:`_WHOLE`)."""
 _CLOCKS: Final = 2.0 * math.log(100.0)
@@ -224,7 +224,7 @@ def _of_one_triad(evidence: Evidence, sensor: Sensor, scales: ScaleRatios) -> It
             if d < _MATCH:
                 yield cause("unit", unit.fault, math.log(unit.factor), _fields(evidence, sensor, scales, unit))
     count = round(1.0 / scales.typical)
-    # Thinned increments without a rotation: the interval is longer than that of any IMU, but one count-th of it is not.
+    # Thinned increments without a rotation: the interval is longer than that of any IMU, but interval / count is not.
     if sensor == "accel" and not rates and count >= 2 and USUAL_S[0] <= evidence.dt / count <= USUAL_S[1] < evidence.dt:
         alone: dict[str, Any] = {"increments_thinned": {"count": count, "ratio": scales.typical}}
         shift = _shifts(sensor, math.log(scales.typical))

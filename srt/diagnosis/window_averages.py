@@ -31,7 +31,7 @@ GYRO: Final = slice(0, 3)
 ACCEL: Final = slice(3, 6)
 """Columns of the gyros and of the accelerometers."""
 MAD: Final = 1.4826
-"""Standard deviation of a normal distribution over its median absolute deviation."""
+"""Ratio of the standard deviation to the median absolute deviation of a normal distribution."""
 _SOME_WINDOWS: Final = 6
 """Number of windows from which quantization step and autocorrelation are taken."""
 _ENOUGH_HEADS: Final = 4
@@ -209,7 +209,7 @@ def block_sigma(averages: WindowAverages) -> Array:
 
 
 def stationary_rate_residual(evidence: Evidence) -> Array:
-    """Residual of the stationary rates after a fit of bias and g-sensitivity, without Earth rate; (W, 3), rad/s, B."""
+    """Stationary rates less Earth rate, bias and g-sensitivity, the last two fitted; (W, 3), rad/s, B."""
     data = evidence.data
     assert data is not None
     gyro = raw_triads(evidence).gyro
