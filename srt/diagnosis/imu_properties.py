@@ -129,7 +129,7 @@ def _noise(evidence: Evidence, sensor: Sensor, unit: float, subjects: tuple[str,
     odd &= (ratio > NOISE_RATIO) | (ratio < 1.0 / NOISE_RATIO)
     if not odd.any():
         return
-    # If the test of the triad fails, the triad is reported, else the channel with the largest ratio.
+    # If the test of the triad fails, the triad is reported, else the channel whose ratio differs most from 1.
     distance = np.abs(np.log(np.maximum(ratio, 1e-9)))
     which = 3 if odd[3] else int(np.argmax(np.where(odd, distance, -1.0)))
     yield finding(
