@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from scipy.linalg import solve_triangular
-from scipy.special import chdtrc
 
 from estimators.accuracy_targets import targets_met
 from estimators.elimination_steps import global_columns
@@ -25,6 +24,7 @@ from estimators.linear_system import FIXTURE, N_ERRORS
 from estimators.nuisance_elimination import eliminate_nuisances, smoothed
 from estimators.solver import JointSolver, LinearSolution
 from estimators.square_root_filter import SquareRootFilter
+from srt.estimation.goodness_of_fit import chi_square_probability
 from srt.sensor_errors import N_PARAMETERS
 
 if TYPE_CHECKING:
@@ -266,7 +266,7 @@ def history(joint: JointModel, found: FilterRun) -> list[dict[str, Any]]:
                 "occurrence": data.occurrences[k],
                 "nis": nis,
                 "degrees_of_freedom": freedom,
-                "probability": float(chdtrc(freedom, nis)),
+                "probability": chi_square_probability(nis, freedom),
                 "innovations": found.innovations[i].tolist(),
                 "sigma": found.sigma[i].tolist(),
             }

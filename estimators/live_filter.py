@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from scipy.special import chdtrc
 from threadpoolctl import threadpool_limits
 
 from estimators.accuracy_targets import compare_with_targets
@@ -24,6 +23,7 @@ from estimators.kalman_filter import KalmanSolver
 from estimators.solution_analysis import whole_solution
 from estimators.solver import IterationState
 from estimators.square_root_filter import SquareRootFilter
+from srt.estimation.goodness_of_fit import chi_square_probability
 from srt.estimation.initial_estimates import initial_estimate, rotation_angles
 from srt.exceptions import DataError, InputError
 from srt.model.gyro_stream import gyro_stream
@@ -95,7 +95,7 @@ class LiveReport:
             "sigma": self.sigma.tolist(),
             "nis": self.nis,
             "degrees_of_freedom": self.freedom,
-            "probability": float(chdtrc(self.freedom, self.nis)),
+            "probability": chi_square_probability(self.nis, self.freedom),
             "innovations": self.innovations.tolist(),
             "promised": self.promised,
             "targets_met": self.met,

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from scipy.sparse.linalg import splu
-from scipy.special import chdtrc
 
 from estimators.joint_state import UnmodelledErrors
+from srt.estimation.goodness_of_fit import chi_square_probability
 from srt.estimation.leave_one_out import (
     LEAST_PREDICTED_SHARE,
     ConsistencyTest,
@@ -108,7 +108,7 @@ def deletion_table(
             "occurrence": data.occurrences[k],
             "chi_square": row.chi_square,
             "degrees_of_freedom": row.degrees_of_freedom,
-            "probability": float(chdtrc(row.degrees_of_freedom, row.chi_square)) if row.degrees_of_freedom else 1.0,
+            "probability": chi_square_probability(row.chi_square, row.degrees_of_freedom),
         }
         for k, row in zip(joint.order.tolist(), against or contradictions(joint, solution), strict=True)
     ]

@@ -30,7 +30,6 @@ _NO_FOLDER: Final = (".pdf", ".htm", ".json", ".toml", ".txt", ".png", ".svg")
     "--against", type=click.Path(path_type=Path), metavar="OLD.json", help="An earlier calibration of the same unit."
 )
 @click.option("--lab", type=click.Path(path_type=Path), metavar="FILE.toml", help="Laboratory, equipment, conditions.")
-@click.option("--trust", is_flag=True, help="Accept a calibration file that was changed after it was written.")
 @click.option("-q", "--quiet", is_flag=True, help="No summary; warnings and errors only.")
 def certificate(
     calibration_file: Path,
@@ -39,13 +38,12 @@ def certificate(
     limits: Path | None,
     against: Path | None,
     lab: Path | None,
-    trust: bool,
     quiet: bool,
 ) -> int:
     """Make a certificate of the unit that CALIBRATION is of, as one page of HTML and a PDF beside it.
 
-    CALIBRATION is the JSON file that 'srt calibrate -o' wrote. With its RECORDING the values are checked against the
-    samples, and the certificate shows attitude and acceleration over the test.
+    CALIBRATION is the JSON file that 'srt calibrate -o' wrote, unchanged. With its RECORDING, which the digest of the
+    samples identifies, the certificate shows attitude and acceleration over the test.
 
     FILE.toml has the sections [value] and [sigma], with keys such as gyro_scale_ppm, accel_misalignment_urad,
     accel_bias_ug, gyro_bias_deg_per_h, or gyro_scale_x_ppm for one parameter: the largest absolute value, and the
@@ -67,9 +65,7 @@ def certificate(
 
     if recording_path is not None:
         read_document(recording_path)  # a log in another format is to be converted
-    made = srt.certificate(
-        calibration_file, recording_path, limits=limits, against=against, laboratory=lab, trust=trust
-    )
+    made = srt.certificate(calibration_file, recording_path, limits=limits, against=against, laboratory=lab)
     make_directory(page.parent)
     write_certificate(made, page)
     if made.change is not None and made.change.names:

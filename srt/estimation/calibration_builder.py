@@ -8,8 +8,8 @@ import numpy as np
 
 from srt.estimation.asymmetry_choice import asymmetry_choice
 from srt.estimation.error_sources import start_sigma
-from srt.estimation.goodness_of_fit import is_misfit
-from srt.estimation.leave_one_out import chi_square_probability, verdict
+from srt.estimation.goodness_of_fit import chi_square_probability, is_misfit
+from srt.estimation.leave_one_out import verdict
 from srt.estimation.unseen_errors import clock_effect, unseen_errors
 from srt.result.calibration import Calibration, software
 from srt.result.verdict import LARGEST_RATIO, USABLE, p_value_text
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
     from srt.estimation.options import Options
     from srt.estimation.solver_result import SolverResult
+    from srt.recording.recording import Recording
     from srt.sequences.preparation import PreparedRecording
     from srt.types import Array, Mask
 
@@ -78,11 +79,11 @@ def build_calibration(
         U=None if data.nominal is None else result.U,
         U_sigma_rad=None if data.nominal is None or fixture is None else fixture.alignment_sigma_rad,
         residuals=result.residuals,
-        site=_site(data),
+        site=site_document(data.recording),
         noise=_noise(data, result, inflation)
         | {"chi_square": chi_square, "degrees_of_freedom": freedom}
         | _shared_errors(result, mask, inflation),
-        alignment=_alignment(data),
+        alignment=alignment_document(data.recording),
         temperature=_temperature(data),
         provenance=_provenance(data, options),
         diagnostics={
@@ -221,8 +222,9 @@ def _provenance(data: PreparedRecording, options: Options) -> dict[str, Any]:
     }
 
 
-def _site(data: PreparedRecording) -> dict[str, Any]:
-    site = data.recording.site
+def site_document(recording: Recording) -> dict[str, Any]:
+    """Site of a recording, as the result states it."""
+    site = recording.site
     return {
         "latitude_deg": None if site.latitude_rad is None else float(np.degrees(site.latitude_rad)),
         "gravity_m_s2": site.gravity_m_s2,
@@ -268,8 +270,9 @@ def _shared_errors(result: SolverResult, mask: Mask, inflation: float) -> dict[s
     return out
 
 
-def _alignment(data: PreparedRecording) -> dict[str, Any]:
-    fixture = data.recording.fixture
+def alignment_document(recording: Recording) -> dict[str, Any]:
+    """Fixture of a recording, as the result states it."""
+    fixture = recording.fixture
     if fixture is None:
         return {"fixture": False}
     wobble = {} if fixture.wobble_sigma_rad is None else {"wobble_sigma_mrad": fixture.wobble_sigma_rad * 1e3}

@@ -47,6 +47,11 @@ def chi_square(solution: Solution, fixed: Mask, covariance: Array | None = None)
     return float(y @ y), len(z) - int((~fixed).sum()) - solution.excess.coefficients
 
 
+def chi_square_probability(statistic: float, freedom: int) -> float | None:
+    """p-value of a chi-square; None without degrees of freedom."""
+    return float(chdtrc(freedom, statistic)) if freedom > 0 else None
+
+
 def is_misfit(chi_square: float, degrees_of_freedom: int) -> bool:
     """Return True if noise alone makes the residuals this large with p < 1e-3."""
     return degrees_of_freedom > 0 and chi_square > float(chdtri(degrees_of_freedom, MISFIT_PROBABILITY))

@@ -24,9 +24,8 @@ from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import numpy as np
 from scipy.linalg import solve_triangular
-from scipy.special import chdtrc
 
-from srt.estimation.goodness_of_fit import contradicting_group
+from srt.estimation.goodness_of_fit import chi_square_probability, contradicting_group
 from srt.estimation.observability import OBSERVED_BELOW, admission_sigma
 from srt.model.prior import prior_sigma
 from srt.sensor_errors import N_PARAMETERS, NAMES
@@ -303,11 +302,6 @@ def _contradicting(rows: Sequence[SequenceDiagnostics], statistic: float, freedo
         return None
     row = rows[worst[0]]
     return {"sequence": row.title, "occurrence": row.occurrence, "probability": worst[1]}
-
-
-def chi_square_probability(statistic: float, freedom: int) -> float | None:
-    """p-value of a chi-square; None without degrees of freedom."""
-    return float(chdtrc(freedom, statistic)) if freedom > 0 else None
 
 
 def _sequence(row: SequenceDiagnostics, sigma: Array, observed: Mask) -> dict[str, Any]:

@@ -16,7 +16,7 @@ import numpy as np
 from srt.exceptions import InputError
 from srt.presentation import Presented
 from srt.result.applier import BLOCK, Applier
-from srt.result.json_file import load_json_file, save_json_file
+from srt.result.json_file import load_json_file, require_json, save_json_file
 from srt.result.verdict import Verdict, verdict_on
 from srt.sensor_errors import INDEX, N_PARAMETERS, NAMES, SYMBOLS, UNITS, SensorErrors
 
@@ -119,6 +119,21 @@ class Calibration(Presented):
     diagnostics: Mapping[str, Any] = field(default_factory=dict)
     verdict: Mapping[str, Any] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Refuse what the file of the result could not hold, when it is made and not when it is saved.
+
+        Raises
+        ------
+        InputError
+        """
+        tables = ("site", "noise", "alignment", "temperature", "provenance", "diagnostics", "verdict", "corrections")
+        require_json({name: getattr(self, name) for name in tables})
+        arrays = {"errors": self.errors.vector, "covariance": self.covariance, "U": self.U, **self.contributions}
+        arrays["residuals"] = np.array([(r.value, r.sigma) for r in self.residuals])
+        for name, values in arrays.items():
+            if values is not None and not np.isfinite(values).all():
+                raise InputError(f"{name} of a calibration has values that are not finite numbers: estimate it again.")
 
     @property
     def sigma(self) -> Array:
@@ -260,7 +275,7 @@ class Calibration(Presented):
         save_json_file(path, self.to_dict())
 
 
-def load_calibration(path: str | PathLike[str], *, trust: bool = False) -> Calibration:
+def load_calibration(path: str | PathLike[str], *, trust: bool = False, signed: bool = False) -> Calibration:
     """Read a calibration.
 
     Parameters
@@ -268,6 +283,8 @@ def load_calibration(path: str | PathLike[str], *, trust: bool = False) -> Calib
     path : path-like
     trust : bool
         Accept a file that was changed after it was written.
+    signed : bool
+        Refuse a file without a digest, as of an early version.
 
     Raises
     ------
@@ -275,7 +292,7 @@ def load_calibration(path: str | PathLike[str], *, trust: bool = False) -> Calib
         If the file cannot be read, is no calibration, is of another version, is not consistent, or differs from its
         digest.
     """
-    return load_json_file(path, "calibration", _from_dict, trust=trust)
+    return load_json_file(path, "calibration", _from_dict, trust=trust, signed=signed)
 
 
 def _from_dict(document: dict[str, Any]) -> Calibration:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from srt.exceptions import InputError
@@ -42,12 +43,45 @@ def json_text(document: Mapping[str, Any]) -> str:
     return json.dumps(signed, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
 
+def require_json(document: Mapping[str, Any]) -> None:
+    """Refuse what strict JSON cannot hold, at any depth: NaN, infinite numbers, arrays and other objects.
+
+    Raises
+    ------
+    InputError
+        It names the first such value, as "diagnostics.filter.3.probability".
+    """
+    try:
+        json.dumps(document, allow_nan=False)
+    except (TypeError, ValueError):
+        for key, value in document.items():
+            _refuse_first(value, key)
+        raise
+
+
+def _refuse_first(value: object, name: str) -> None:
+    if isinstance(value, dict):
+        for key, part in value.items():
+            _refuse_first(part, f"{name}.{key}")
+    elif isinstance(value, list | tuple):
+        for number, part in enumerate(value):
+            _refuse_first(part, f"{name}.{number}")
+    elif isinstance(value, float) and not math.isfinite(value):
+        raise InputError(f"{name} is {value}, which a JSON file cannot hold: give None in place of it.")
+    elif value is not None and not isinstance(value, str | int | float):
+        raise InputError(f"{name} is a {type(value).__name__}, which a JSON file cannot hold: give numbers and lists.")
+
+
 def parse_json(text: str) -> Any:
     """Read JSON. Raises InputError, a clause that follows "it is"."""
     try:
-        return json.loads(text)
+        return json.loads(text, parse_constant=_refuse_constant)
     except (ValueError, RecursionError) as error:
         raise InputError(f"not valid JSON ({error}): is it truncated?") from None
+
+
+def _refuse_constant(name: str) -> None:
+    raise ValueError(f"{name} is no number of JSON")
 
 
 def load_json_file(
@@ -56,6 +90,7 @@ def load_json_file(
     from_document: Callable[[dict[str, Any]], _Result],
     *,
     trust: bool = False,
+    signed: bool = False,
 ) -> _Result:
     """Read a result from its JSON file.
 
@@ -67,7 +102,9 @@ def load_json_file(
     from_document : callable
         Function that builds the result from the document. It raises InputError on what it does not accept.
     trust : bool
-        Accept a document that differs from its digest. A document without a digest is accepted in any case.
+        Accept a document that differs from its digest.
+    signed : bool
+        Refuse a document without a digest, which is accepted otherwise.
 
     Raises
     ------
@@ -84,6 +121,7 @@ def load_json_file(
         raise InputError(f"The {noun} {path} is {error}") from None
     try:
         result = from_document(document)
+        changed = _DIGEST in document and document[_DIGEST] != _digest(document)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     except (AttributeError, KeyError, TypeError, ValueError, OverflowError) as error:
@@ -91,7 +129,9 @@ def load_json_file(
             f"{path} is not a complete {noun} ({type(error).__name__}: {error}); it was edited or truncated."
         ) from None
     # After the checks above: what is wrong in itself is named by what is wrong, and only the rest by the digest.
-    if not trust and _DIGEST in document and document[_DIGEST] != _digest(document):
+    if signed and _DIGEST not in document:
+        raise InputError(f"{path} has no digest, so that nothing tells whether it was edited: calibrate again.")
+    if changed and not trust:
         raise InputError(
             f"{path} was changed after it was written (its content does not match its digest): take the original "
             f"{noun}, or accept the change with --trust (trust=True in Python)."

@@ -13,6 +13,7 @@ import srt
 import srt.reports.certificate.html_page
 import srt.reports.certificate.pdf
 from srt.cli import main
+from srt.result.json_file import json_text
 
 pytestmark = pytest.mark.usefixtures("plain_layout")
 
@@ -53,12 +54,12 @@ def one_sentence(err):
 
 def edited(lab, tmp_path, name="edited.json", **changes):
     document = json.loads((lab / "new.json").read_text())
-    del document["digest"]  # as a file of another program: the values themselves are checked
+    del document["digest"]
     for key, value in changes.items():
         document["provenance" if key in ("serial", "data_sha256") else key] = (
             {**document["provenance"], key: value} if key in ("serial", "data_sha256") else value
         )
-    (tmp_path / name).write_text(json.dumps(document))
+    (tmp_path / name).write_text(json_text(document))
     return tmp_path / name
 
 
@@ -118,7 +119,7 @@ def test_places_that_are_none(lab, tmp_path, monkeypatch, capfd, place, message)
         ({"version": 2}, (), 2, "its version is 2"),
         ({"format": "x"}, (), 2, "no calibration file"),
         ({"status": "not_converged"}, (), 1, "nothing can be certified"),
-        ({"verdict": None}, (), 2, "edited or truncated"),
+        ({"verdict": None}, (), 2, "not a complete calibration"),
         ({}, ("old",), 2, "holds other samples"),
         ({"serial": "SN-8"}, ("new",), 2, "is of the unit SN-7"),
         ({"data_sha256": None}, ("new",), 2, "does not say which samples"),
@@ -142,9 +143,11 @@ def test_input_that_is_refused(lab, tmp_path, capfd, changes, others, code, mess
 def test_an_edited_value_and_a_truncated_file_are_refused(lab, tmp_path, capfd):
     document = json.loads((lab / "new.json").read_text())
     document["parameters"][9]["value"] *= 0.5
-    path = edited(lab, tmp_path, parameters=document["parameters"])
-    assert main(["certificate", str(path), str(lab / "new"), "-o", str(tmp_path / "x.html")]) == 2
-    assert "do not follow from" in one_sentence(capfd.readouterr().err)
+    path = tmp_path / "edited.json"
+    for digest, message in ((document["digest"], "does not match its digest"), (None, "has no digest")):
+        path.write_text(json.dumps({k: v for k, v in document.items() if k != "digest" or digest}))
+        assert main(["certificate", str(path), str(lab / "new"), "-o", str(tmp_path / "x.html")]) == 2
+        assert message in one_sentence(capfd.readouterr().err)
     path.write_bytes((lab / "new.json").read_bytes()[:9999])
     assert main(["certificate", str(path), "-o", str(tmp_path / "x.html")]) == 2
     assert "truncated" in one_sentence(capfd.readouterr().err)
@@ -153,14 +156,15 @@ def test_an_edited_value_and_a_truncated_file_are_refused(lab, tmp_path, capfd):
 
 @pytest.mark.usefixtures("no_pictures")
 def test_a_recording_with_edited_surroundings_is_refused(lab, tmp_path, capfd):
-    """The samples are the same, but gravity is not."""
+    """The samples are the same, but gravity is not: the sentence names both files and both values."""
     shutil.copytree(lab / "new", tmp_path / "new")
     toml = tmp_path / "new" / "recording.toml"
     text = re.sub(r"(?m)^gravity_m_s2 = .*$", "gravity_m_s2 = 9.81", toml.read_text())
     assert text != toml.read_text()
     toml.write_text(text)
     assert main(["certificate", str(lab / "new.json"), str(tmp_path / "new"), "-o", str(tmp_path / "x.html")]) == 2
-    assert "do not follow from" in one_sentence(capfd.readouterr().err)
+    sentence = one_sentence(capfd.readouterr().err)
+    assert f"{tmp_path / 'new'} states gravity_m_s2 = 9.81, but new.json was made with 9.8" in sentence
 
 
 def test_nothing_is_left_of_a_certificate_that_fails(lab, tmp_path, monkeypatch, capfd):
@@ -184,16 +188,17 @@ def test_an_absent_jinja2_says_what_to_install(lab, tmp_path, monkeypatch, capfd
 
 @pytest.mark.usefixtures("no_pictures")
 def test_an_edited_calibration_needs_trust(lab, tmp_path, capfd):
-    """A scale factor that the sensor model allows, and a covariance that fits: only the digest tells."""
+    """A scale factor that the sensor model allows, and a covariance that fits: the digest alone tells."""
     document = json.loads((lab / "new.json").read_text())
     document["parameters"][0]["value"] = 0.5
     (tmp_path / "edited.json").write_text(json.dumps(document))
     line = [str(tmp_path / "edited.json"), "-o", str(tmp_path / "out")]
     for command in (
-        ["certificate", *line],
         ["export", line[0], "--to", "imucal"],
         ["apply", line[0], "--c-header", str(tmp_path / "x.h")],
     ):
         assert main(command) == 2
         assert "changed after it was written" in capfd.readouterr().err
         assert main([*command, "--trust"]) == 0
+    assert main(["certificate", *line]) == 2
+    assert "changed after it was written" in capfd.readouterr().err

@@ -1,5 +1,6 @@
 """Recorded moves between sequences: measurements of every estimator but the closed form."""
 
+import json
 from dataclasses import replace
 from functools import cache
 
@@ -8,6 +9,8 @@ import numpy as np
 import pytest
 
 import srt
+from srt.cli.calibrate import CHOICES
+from srt.model.prior import Prior
 from srt.recording.recording import SequenceLabel
 from srt.sensor_errors import GROUP_SLICES
 from srt.sequences.moves import recorded_moves
@@ -145,3 +148,44 @@ def test_a_saturated_move_is_void(estimator):
     assert calibration.status == "converged"
     (void,) = messages(calibration)
     assert void.startswith("The move at")
+
+
+OPTIONS = [
+    *({name: value} for name, values in CHOICES.items() for value in values[1:]),
+    {"asymmetry": False},
+    {"hold": ("accel_bias_x",)},
+    {"fixture_states": False},
+    {"prior": Prior.from_sigma(np.full(27, 0.1))},
+    {"ignore_moves": True},
+    {"live": True},
+    {"targets": {"gyro_scale": 1e-4}},
+]
+
+
+@pytest.mark.parametrize("estimator", ["closed-form", *ESTIMATORS])
+def test_every_result_can_be_written_as_strict_json(estimator, tmp_path):
+    """Steps without degrees of freedom have no p-value: None, and never NaN."""
+    few = replace(moved()[0], sequences=moved()[0].sequences[:6])
+    written = 0
+    for option in OPTIONS:
+        try:
+            result = srt.calibrate(few, estimator, checks=False, **option)
+        except srt.InputError as error:
+            if "has no option" not in str(error):
+                raise
+            continue
+        result.save(tmp_path / "unit.json")
+        assert srt.load_calibration(tmp_path / "unit.json").to_dict() == json.loads(json.dumps(result.to_dict()))
+        written += 1
+    assert written >= 8
+
+
+def test_a_result_that_json_cannot_hold_is_not_made():
+    result = found("graph")
+    rows = [{"probability": 1.0}, {"probability": float("nan")}]
+    with pytest.raises(srt.InputError, match=r"diagnostics\.filter\.1\.probability is nan"):
+        replace(result, diagnostics={"filter": rows})
+    with pytest.raises(srt.InputError, match=r"noise\.sigma is a ndarray"):
+        replace(result, noise={"sigma": np.ones(3)})
+    with pytest.raises(srt.InputError, match="covariance"):
+        replace(result, covariance=np.full((27, 27), np.inf))

@@ -18,7 +18,7 @@ from srt.recording.imported_samples import to_recording
 from srt.recording.importer_registry import import_file
 from srt.recording.samples import ACCEL_COLUMNS, GYRO_COLUMNS, read_samples
 from srt.reports.certificate import load_acceptance_limits
-from srt.reports.certificate.calibration_file import load_calibration_file
+from srt.reports.certificate.calibration_file import calibration_file
 
 QUICK_S = 5.0
 """Time limit of a refusal, s, on a machine that others use; the slowest takes half a second alone."""
@@ -121,7 +121,7 @@ def test_json_nested_deep(tmp_path, read, opening):
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device without an end")
-@pytest.mark.parametrize("read", [srt.load_calibration, load_truth, load_acceptance_limits, load_calibration_file])
+@pytest.mark.parametrize("read", [srt.load_calibration, load_truth, load_acceptance_limits, calibration_file])
 def test_a_device_without_an_end_is_read_to_the_bound(read):
     assert "is larger than" in refusal(read, Path("/dev/full"))
 

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import srt
-from srt.reports.certificate import load_calibration_file
+from srt.reports.certificate import calibration_file
 from srt.reports.certificate.figures import certificate_figures
 from srt.result.calibration import Residual
 from srt.sensor_errors import DISPLAY_FACTORS, NAMES, SensorErrors
@@ -65,7 +65,7 @@ def calibration(seed=1, held=(), sequences=3, **changes):
 def saved_calibration(folder, result, name="unit.json"):
     """Save a calibration and read it as a certificate does."""
     result.save(folder / name)
-    return load_calibration_file(folder / name)
+    return calibration_file(folder / name)
 
 
 class Reader(HTMLParser):

@@ -33,7 +33,6 @@ def certificate(
     against: Calibration | PathLike | None = None,
     laboratory: PathLike | None = None,
     output: PathLike | None = None,
-    trust: bool = False,
     **stated: Any,
 ) -> Certificate:
     """Certificate of a calibrated unit.
@@ -42,7 +41,7 @@ def certificate(
     ----------
     calibration : Calibration, or path-like of the file of one
     recording : Recording, path-like, or arrays, optional
-        Samples of the calibration: its values are checked against them, and the certificate shows their course.
+        Samples of the calibration, told by their digest: the certificate shows their course.
     limits : path-like, optional
         TOML file of the limits that the unit must meet.
     against : Calibration, or path-like of the file of one, optional
@@ -51,8 +50,6 @@ def certificate(
         TOML file of the statements of the laboratory: parties, equipment, references, conditions, coverage factor.
     output : path-like, optional
         Page to write, FILE.html; the PDF is written beside it.
-    trust : bool
-        Accept a calibration file that was changed after it was written.
     **stated
         Keywords of :func:`srt.read`.
 
@@ -69,9 +66,9 @@ def certificate(
     MissingExtraError
         If files are to be written, without the packages that draw and write them.
     """
-    source = calibration_file(calibration, trust=trust)
+    source = calibration_file(calibration)
     given = None if limits is None else load_acceptance_limits(Path(limits))
-    change = None if against is None else changes_since(source, calibration_file(against, trust=trust))
+    change = None if against is None else changes_since(source, calibration_file(against))
     stated_by = None if laboratory is None else load_laboratory(Path(laboratory))
     course = None
     if recording is not None and source.calibration.status in USABLE:

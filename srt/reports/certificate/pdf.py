@@ -237,7 +237,7 @@ class _Document(FPDF):
         self.set_draw_color(FAINT)
         with self.table(
             align="L",
-            width=sum(widths),
+            width=min(sum(widths), self.epw),  # the sum of fitted widths can exceed the page by a rounding
             col_widths=widths,
             text_align=tuple("RIGHT" if side == "r" else "LEFT" for side in table.alignment),
             line_height=size * _LEADING,

@@ -1,50 +1,28 @@
-"""Verification of a calibration against its recording, and the history of attitude and specific force over the test.
-
-A file whose values were edited can still be consistent. Processing the samples with those values then gives other
-residuals than the file states.
-"""
+"""Recording of a calibration: told by the digest of its samples and by its statements, and its course over the test."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from srt.constants import DEG
-from srt.estimation.earth_rate_regression import with_earth_rate_regression
-from srt.estimation.options import Options
-from srt.estimation.registry import BUILT_IN
-from srt.estimation.rest_rate_scatter import bias_gain
-from srt.estimation.srt_measurements import SrtProcessor
+from srt.estimation.calibration_builder import alignment_document, site_document
 from srt.exceptions import DataError, InputError, clipped
 from srt.model import rotations
-from srt.model.table1 import SEQUENCES
 from srt.result.applier import Applier
-from srt.sensor_errors import GROUP_SLICES
 from srt.sequences.checked_preparation import prepare_checked
-from srt.sequences.recognition import label_sequences
 from srt.sequences.stationary_windows import find_turns
-from srt.sequences.stillness import moved_windows
 
 if TYPE_CHECKING:
-    from srt.estimation.srt_measurements import SrtMeasurements
     from srt.recording.recording import Recording
     from srt.reports.certificate.calibration_file import CalibrationFile
     from srt.result.calibration import Calibration
     from srt.sequences.preparation import PreparedRecording
-    from srt.types import Array, Indices, Mask
+    from srt.types import Array, Indices
 
 
-_SHARE: Final = 0.5
-"""Tolerance of a residual, over its change by one sigma of the parameters. The last correction, which is not
-re-processed, is a hundredth of a sigma; an edit that matters is more than a sigma."""
-_EARTH_RATE_PASSES: Final = 4
-"""Passes in which the unknown Earth rate becomes exact: its error falls by about 100 in each."""
-_ROUNDING: Final = 1e-8
-"""Rounding tolerance, of g and of 1 mrad/s: below the resolution of any unit."""
-_USED: Final = ("average", "down", "window_attitude", "gyro_bias", "measured_vertical")
-"""Options that affect the processing of a recording."""
 _MOST: Final = 200
 """Number of attitudes in the history of a sequence: more than a figure resolves."""
 
@@ -100,7 +78,7 @@ def check_recording(source: CalibrationFile, recording: Recording, name: str) ->
     Raises
     ------
     InputError
-        Other samples, or another unit.
+        Other samples, another unit, or another site or fixture.
     """
     if not source.hashes:
         raise InputError(
@@ -117,12 +95,22 @@ def check_recording(source: CalibrationFile, recording: Recording, name: str) ->
     if None not in (recording.serial, source.serial) and recording.serial != source.serial:
         raise InputError(
             f"{name} is of the unit {clipped(str(recording.serial))}, but {source.name} of "
-            f"{clipped(str(source.serial))}: one of the two was edited; name the recording that was calibrated."
+            f"{clipped(str(source.serial))}: name the recording that was calibrated."
         )
+    calibration = source.calibration
+    made = {**calibration.site, **calibration.alignment}
+    stated = {**site_document(recording), **alignment_document(recording)}
+    for key in {**made, **stated}:
+        # Merged recordings state what they have in common alone.
+        if made.get(key) != stated.get(key) and not (made.get(key) is None and len(source.hashes) > 1):
+            raise InputError(
+                f"{name} states {key} = {stated.get(key)}, but {source.name} was made with {made.get(key)}: restore "
+                "the statement of the recording, or calibrate it again."
+            )
 
 
 def recording_history(source: CalibrationFile, recording: Recording, name: str) -> RecordingHistory:
-    """Process a recording with the values of the calibration, and collect its history.
+    """Course of attitude and specific force over a recording, corrected with the values of its calibration.
 
     Parameters
     ----------
@@ -135,117 +123,15 @@ def recording_history(source: CalibrationFile, recording: Recording, name: str) 
     Raises
     ------
     InputError
-        If the values do not follow from the recording.
+        If the recording cannot be processed.
     """
-    calibration = source.calibration
-    options = _options(calibration, source.name)
+    origin = next(table for table in source.origins if table["data_sha256"] == recording.data_sha256)
+    average = origin["options"].get("average", "linear")
     try:
-        labelled, _ = label_sequences(recording)
-        labels = labelled.sequences or find_turns(labelled)
-        if calibration.estimator == "closed-form":
-            labels = tuple(s for s in labels if s.id in SEQUENCES)
-        data = prepare_checked(labelled, labels, options.average)
+        data = prepare_checked(recording, recording.sequences or find_turns(recording), average)
     except DataError as error:
         raise InputError(f"{name} cannot be processed, unlike when {source.name} was made: {error}") from None
-    # Other estimators define their residuals differently.
-    if calibration.estimator in BUILT_IN and not _follows(calibration, data, options):
-        raise InputError(
-            f"The values in {source.name} do not follow from {name}: processed with them, its samples give other "
-            "residuals than the file has, so that one of the two was edited; calibrate the recording again."
-        )
-    return _history(calibration, data)
-
-
-def _options(calibration: Calibration, name: str) -> Options:
-    given: dict[str, Any] = calibration.provenance.get("options") or {}
-    try:
-        return Options(**{key: given[key] for key in _USED if key in given})
-    except (InputError, TypeError):
-        raise InputError(f"{name} states unknown options: it was edited; calibrate again.") from None
-
-
-def _follows(calibration: Calibration, data: PreparedRecording, options: Options) -> bool:
-    """True if the recording, processed with the values of the calibration, gives the residuals that it states."""
-    K, W = data.K, len(data.windows.duration_s)
-    stated = _stated(calibration, data)
-    offset = _array(calibration.noise.get("gyro_bias_by_sequence_rad_s"), (K, 3))
-    wander = _array(calibration.noise.get("gyro_bias_wander_rad_s"), (3,))
-    if stated is None or offset is None or wander is None:
-        return False
-    how: dict[str, Any] = {
-        "U": calibration.U,
-        "nominal_vertical": not options.measured_vertical,
-        "bias_offset": offset,
-        "g_sensitivity": _array((calibration.diagnostics.get("g_sensitivity") or {}).get("matrix"), (3, 3)),
-    }
-    whole = options.window_attitude == "integrated"
-
-    def processed(integrated: Mask) -> SrtMeasurements:
-        """SRT measurements at the values of the calibration, the unknown Earth rate included as least squares does."""
-        processor = SrtProcessor(data, options, integrated)
-        measurements = processor.process(calibration.errors, **how)
-        for _ in range(_EARTH_RATE_PASSES if calibration.estimator == "least-squares" else 0):
-            before = measurements.earth_rate_regression
-            if before is not None:
-                measurements = processor.process(
-                    calibration.errors, **how, earth_rate_offset=before.rate @ before.draws
-                )
-            by_sensor = np.sqrt(np.linalg.inv(measurements.gyro.matrix) ** 2 @ wander**2)
-            gain = bias_gain(measurements, data, options.gyro_bias, by_sensor)
-            draws = None if before is None else before.draws
-            measurements = with_earth_rate_regression(measurements, data, by_sensor, gain, draws)
-            if measurements.earth_rate_regression is None:
-                break
-        return measurements
-
-    playback = processed(np.full(W, whole))
-    first = _within(calibration, playback, stated, data)
-    # The iteration integrates the attitude over windows that moved; the file does not name these windows. The
-    # horizontal components of a sequence depend on the choice, and may match with either window integrated.
-    left = playback.rest_rate - playback.pool @ playback.rest_rate
-    compensated = np.sqrt(np.linalg.inv(playback.gyro.matrix) ** 2 @ wander**2)
-    moved = moved_windows(data, playback.gyro, playback.accel, left, compensated)
-    turns = first[: 2 * K].reshape(K, 2).all(axis=1)
-    for integrated in (moved, np.ones(W, dtype=np.bool_), np.arange(W) % 2 == 0, np.arange(W) % 2 == 1):
-        if whole or turns.all():
-            break
-        again = processed(integrated)
-        turns |= _within(calibration, again, stated, data)[: 2 * K].reshape(K, 2).all(axis=1)
-    # The file has no rate at rest; its residual is zero for the closed form only, if all windows are at rest.
-    checked = calibration.estimator == "closed-form" and calibration.observed[GROUP_SLICES["gyro_bias"]].all()
-    rates = first[-3:].all() or moved.any() or not checked
-    return bool(turns.all() and first[2 * K : -3].all() and rates)
-
-
-def _within(calibration: Calibration, playback: SrtMeasurements, stated: Array, data: PreparedRecording) -> Mask:
-    """Mask of the measurements that match the stated residuals within the tolerance."""
-    by_sigma = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", playback.H, calibration.covariance, playback.H), 0.0))
-    unit = np.append(np.full(len(stated), data.gravity), [1e-3, 1e-3, 1e-3])
-    away = np.abs(playback.z - np.concatenate([stated, np.zeros(3)]))
-    return np.asarray(away <= _SHARE * by_sigma + _ROUNDING * unit)
-
-
-def _stated(calibration: Calibration, data: PreparedRecording) -> Array | None:
-    """Residuals of the file in the order of the measurements; None if they are of other sequences."""
-    K = data.K
-    if len(calibration.residuals) != 4 * K:
-        return None
-    out = np.zeros(2 * K + len(data.windows.duration_s))
-    for k, (name, occurrence) in enumerate(zip(data.ids, data.occurrences, strict=True)):
-        rows = calibration.residuals[4 * k : 4 * k + 4]
-        if any((r.sequence, r.occurrence) != (name, occurrence) for r in rows):
-            return None
-        places = (2 * k, 2 * k + 1, 2 * K + int(data.start[k]), 2 * K + int(data.end[k]))
-        out[list(places)] = [r.value for r in rows]
-    return out
-
-
-def _array(value: object, shape: tuple[int, ...]) -> Array | None:
-    try:
-        out = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        return None
-    return out if out.shape == shape and bool(np.all(np.isfinite(out))) else None
+    return _history(source.calibration, data)
 
 
 def _history(calibration: Calibration, data: PreparedRecording) -> RecordingHistory:
