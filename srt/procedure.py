@@ -22,6 +22,8 @@ UNCHECKED = (
     "are taken as stated."
 )
 """Warning of a calibration without checks."""
+_IN_RESULT = frozenset({"accel_bias_drift", "sequence_missing"})
+"""Faults that the result itself states: what drifts, and what is fixed, with the sequences to record."""
 
 
 def calibrate(
@@ -84,8 +86,7 @@ def calibrate(
             raise
         raise DataError(f"{error} The likely cause: {screened.first.sentence}", fault=screened.first.fault) from error
     diagnosis = staged.with_calibration(result)
-    # The result itself says what drifts.
-    warnings = tuple(f.sentence for f in diagnosis.findings if f.effect != "note" and f.fault != "accel_bias_drift")
+    warnings = tuple(f.sentence for f in diagnosis.findings if f.effect != "note" and f.fault not in _IN_RESULT)
     return replace(
         result,
         warnings=(*warnings, *result.warnings),

@@ -235,7 +235,7 @@ def correct(calibration: Calibration, recording: Recording, frame: Any, *, check
     Returns
     -------
     Recording
-        Corrected samples, without the stated ranges, which apply to raw readings.
+        Corrected samples with the pulses of the readings, and without the stated ranges, which apply to raw readings.
 
     Raises
     ------
@@ -248,6 +248,7 @@ def correct(calibration: Calibration, recording: Recording, frame: Any, *, check
 
     import numpy as np
 
+    from srt.noise.quantization import reading_steps
     from srt.result.applier import Applier
 
     applier = Applier(calibration, frame=frame)
@@ -265,7 +266,11 @@ def correct(calibration: Calibration, recording: Recording, frame: Any, *, check
             interval_s=recording.nominal_interval_s,
         )
     gyro, accel = applier.apply(recording.gyro, recording.accel, dt=recording.interval_s if increments else None)
-    noise = replace(recording.noise, gyro_range=None, accel_range=None)
+    # The correction mixes the steps of three axes, so that corrected readings do not show their pulses any more.
+    steps = reading_steps(recording).reshape(2, 3).max(axis=1).tolist()
+    pulses = zip(("gyro_quantization", "accel_quantization"), steps, strict=True)
+    unstated = {key: pulse for key, pulse in pulses if pulse and getattr(recording.noise, key) is None}
+    noise = replace(recording.noise, gyro_range=None, accel_range=None, **unstated)
     # These readings have had more than the correction that the logger applied.
     return replace(recording, gyro=gyro, accel=accel, noise=noise, applied=None)
 

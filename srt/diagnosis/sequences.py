@@ -25,6 +25,7 @@ from srt.diagnosis.window_edges import rotation_at_edges
 from srt.exceptions import DataError
 from srt.model import closed_form
 from srt.model.table1 import SEQUENCES
+from srt.sequences.moves import recorded_moves
 from srt.sequences.rest_detection import BLOCK_S
 from srt.sequences.stationary_windows import find_windows
 
@@ -272,12 +273,15 @@ def sequence_missing(evidence: Evidence) -> Iterator[Finding]:
         return
     missing = [name for name in SEQUENCES if name not in ids]
     several = len(missing) > 1
+    data = evidence.data
+    moves = data is not None and recorded_moves(data.recording, data.labels)
     yield finding(
         "sequence_missing",
         missing=f"Sequences {', '.join(missing)} are" if several else f"Sequence {missing[0]} is",
         found=len(SEQUENCES) - len(missing),
         parameters=", ".join(lost),
         them="them" if several else "it",
+        otherwise=", or use --estimator least-squares, which uses the recorded moves, too" if moves else "",
     )
 
 

@@ -1,4 +1,4 @@
-"""Quantization step of readings whose noise is far below it, as in a corrected recording."""
+"""Quantization steps of the readings of a recording, and of readings that a correction has mixed."""
 
 from __future__ import annotations
 
@@ -9,15 +9,35 @@ import numpy as np
 from srt.noise.noise_model import smallest_step
 
 if TYPE_CHECKING:
+    from srt.recording.recording import Recording
     from srt.types import Array
 
 
+_SAMPLES: Final = 4000
+"""Number of samples, spread over the recording, from which the step of the readings is taken."""
 _GAP: Final = 20.0
 """Ratio of two successive sorted differences that separates noise from steps."""
 _FEWEST_SMALL: Final = 10
 """Smallest number of differences below the gap; normal noise has such a gap with a probability of 1e-13."""
 _FEWEST_LARGE: Final = 3
 """Smallest number of differences above the gap; a spike makes two."""
+
+
+def reading_steps(recording: Recording) -> Array:
+    """Smallest step between distinct readings, as angle (rad) and velocity (m/s), gyros then accelerometers.
+
+    Parameters
+    ----------
+    recording : Recording
+
+    Returns
+    -------
+    ndarray, shape (6,)
+        Zero for channels whose readings hardly repeat.
+    """
+    stride = max(1, len(recording.time) // _SAMPLES)
+    step = np.concatenate([smallest_step(table[::stride]) for table in (recording.gyro, recording.accel)])
+    return step * recording.nominal_interval_s if recording.kind == "rate" else step
 
 
 def quantization_step(readings: Array) -> Array:

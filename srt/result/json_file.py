@@ -75,13 +75,9 @@ def _refuse_first(value: object, name: str) -> None:
 def parse_json(text: str) -> Any:
     """Read JSON. Raises InputError, a clause that follows "it is"."""
     try:
-        return json.loads(text, parse_constant=_refuse_constant)
+        return json.loads(text)
     except (ValueError, RecursionError) as error:
         raise InputError(f"not valid JSON ({error}): is it truncated?") from None
-
-
-def _refuse_constant(name: str) -> None:
-    raise ValueError(f"{name} is no number of JSON")
 
 
 def load_json_file(

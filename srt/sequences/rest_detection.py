@@ -19,7 +19,7 @@ from scipy.special import chdtri
 
 from srt.constants import EARTH_RATE_RAD_S
 from srt.exceptions import DataError
-from srt.noise.noise_model import smallest_step
+from srt.noise.quantization import reading_steps
 from srt.sequences.plausibility import check_interval
 
 if TYPE_CHECKING:
@@ -44,9 +44,6 @@ the variance at rest by a small factor; rotation by hand increases it some hundr
 recognised by their mean rate."""
 _SHAKEN: Final = 400.0
 """Ratio of the variance of specific force to its quiet level, above which the block contains a knock."""
-_MAX_SAMPLES_FOR_RESOLUTION: Final = 4000
-"""Number of samples from which the resolution of the readings is estimated."""
-
 _ROUNDING: Final = 1e-9
 """Rounding error of a block mean, relative to the largest reading."""
 
@@ -138,13 +135,9 @@ def resolution_floor(recording: Recording) -> Array:
 
     Pulses that were corrected hold those of the other axes, far below a pulse: the stated pulse counts.
     """
-    dt = recording.nominal_interval_s
-    factor = 1.0 if recording.kind == "rate" else 1.0 / dt
-    stride = max(1, len(recording.time) // _MAX_SAMPLES_FOR_RESOLUTION)
-    step = np.concatenate([smallest_step(table[::stride]) for table in (recording.gyro, recording.accel)]) * factor
     stated = recording.noise.gyro_quantization, recording.noise.accel_quantization
-    step = np.maximum(step, np.repeat([(pulse or 0.0) / dt for pulse in stated], 3))
-    return np.asarray(step**2 / 12.0 + 1e-300)
+    step = np.maximum(reading_steps(recording), np.repeat([pulse or 0.0 for pulse in stated], 3))
+    return np.asarray((step / recording.nominal_interval_s) ** 2 / 12.0 + 1e-300)
 
 
 _BATCH: Final = 1 << 16

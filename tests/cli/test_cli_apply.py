@@ -104,6 +104,18 @@ def test_the_samples_are_the_librarys(unit, tmp_path, capfd, kind, frame):
     assert found.noise == srt.ImuNoise(gyro_noise=1e-6)
 
 
+@pytest.mark.parametrize("kind", ["rate", "increment"])
+def test_pulses_that_the_correction_hides_are_stated(unit, tmp_path, kind):
+    """Half an arc second: the axes mixed, the smallest step between readings would be that of a misalignment."""
+    pulse, dt = np.radians(0.5 / 3600.0), 0.01
+    angle = np.random.default_rng(6).integers(-4, 5, size=(300, 3)) * pulse
+    recorded(tmp_path / "rec", kind=kind, gyro=angle if kind == "increment" else angle / dt)
+    assert main(["apply", str(unit), str(tmp_path / "rec"), "-o", str(tmp_path / "out"), "-q"]) == 0
+    noise = srt.load_recording(tmp_path / "out").noise
+    assert noise.gyro_quantization == pytest.approx(pulse, rel=1e-9)
+    assert noise.accel_quantization is None
+
+
 @pytest.mark.parametrize(("samples_format", "options"), [("csv", []), ("npz", []), ("csv", ["--samples-format", "h5"])])
 def test_the_samples_keep_their_format_unless_told(unit, tmp_path, samples_format, options):
     recorded(tmp_path / "raw", samples_format=samples_format)

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import accuracy_trials
 import numpy as np
 import pytest
 
@@ -44,6 +45,19 @@ def test_a_fault_that_is_told_stands_with_the_result(recording):
     (finding,) = [f for f in examined.diagnostics["faults"] if f["fault"] == "gravity"]
     assert finding["effect"] == "warning"
     assert finding["sentence"] in examined.warnings
+
+
+@pytest.mark.parametrize("estimator", ["closed-form", "least-squares"])
+def test_missing_sequences_are_no_warning_of_a_result(estimator):
+    """The recorded moves carry what the closed form cannot estimate; it fixes that, and names the sequence itself."""
+    whole, _ = accuracy_trials.fixture_recording(21, "tactical", moves="recorded", sample_rate_hz=50.0)
+    recording = replace(whole, sequences=tuple(s for s in whole.sequences if s.id not in ("6", "9")))
+    result = srt.calibrate(recording, estimator)
+    assert not any("cannot" in warning for warning in result.warnings)
+    assert any("sequence 6 is missing" in reason for reason in result.held.values()) == (estimator == "closed-form")
+    (found,) = [f for f in srt.inspect(recording).diagnosis.findings if f.fault == "sequence_missing"]
+    assert "the closed form cannot estimate gyro_orthogonality_xy" in found.sentence
+    assert "--estimator least-squares" in found.sentence
 
 
 def test_faults_that_only_a_calibration_shows_are_searched_for(recording):
