@@ -59,8 +59,11 @@ class Certificate(Presented):
     summary : tuple of str
         Main results, in sentences.
     parties : tuple of (str, str)
-        Laboratory, customer, operator and conditions, as labels and texts.
-    equipment, references : CertificateTable
+        Laboratory, customer, operator and conditions, as labels and texts, of those that are stated.
+    missing : str
+        Sentence on what the laboratory does not state; empty if it states all.
+    equipment : CertificateTable or None
+    references : CertificateTable
     description : tuple of (str, str)
         Unit, date, site, data and software, as labels and texts.
     parameters : CertificateTable
@@ -97,7 +100,8 @@ class Certificate(Presented):
     outcome: str
     summary: tuple[str, ...]
     parties: tuple[tuple[str, str], ...]
-    equipment: CertificateTable
+    missing: str
+    equipment: CertificateTable | None
     references: CertificateTable
     description: tuple[tuple[str, str], ...]
     parameters: CertificateTable
@@ -143,7 +147,7 @@ def make_certificate(
     change : ParameterChanges, optional
         Since an earlier calibration of the unit.
     laboratory : Laboratory, optional
-        Statements of the laboratory; without it, they are marked as not stated.
+        Statements of the laboratory; a sentence lists those that are missing.
 
     Returns
     -------
@@ -171,9 +175,8 @@ def make_certificate(
         unit=plain(source.serial, SERIAL_LENGTH) or "no serial",
         outcome=outcome,
         summary=tuple(_summary(calibration, limits, failed, change)),
-        parties=tuple(
-            stated.rows("certificate", "laboratory", "customer", "operator", "approval", "unit", "conditions")
-        ),
+        parties=tuple((label, text) for label, text in stated.rows() if text is not None),
+        missing=stated.missing,
         equipment=equipment_table(stated),
         references=references_table(calibration, stated),
         description=tuple(unit_description(source, course, limits)),

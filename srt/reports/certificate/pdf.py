@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, Final
 
 from srt.exceptions import MissingExtraError
 from srt.reports.certificate.figures import certificate_figures, figure_svg
-from srt.reports.certificate.laboratory import NOT_STATED
 from srt.reports.certificate.unit_description import FORMULAS
 from srt.reports.figures.style import FAINT, GREY, INK
 
@@ -79,20 +78,18 @@ def _write(certificate: Certificate, document: _Document) -> None:
     document.heading("Laboratory, customer and conditions")
     document.pairs(certificate.parties)
     document.titled_table(certificate.equipment)
+    document.paragraph(certificate.missing, size=_SMALL_PT, colour=_QUIET)
     document.titled_table(certificate.references)
     document.heading("The unit and its test")
     document.definitions(certificate.description)
-    if certificate.recordings is not None:
-        document.titled_table(certificate.recordings)
+    document.titled_table(certificate.recordings)
     document.heading(certificate.parameters.title, needs=50.0)
     document.certificate_table(certificate.parameters)
-    if certificate.g_sensitivity is not None:
-        document.titled_table(certificate.g_sensitivity)
+    document.titled_table(certificate.g_sensitivity)
     if certificate.held:
         document.paragraph("Fixed, not measured:")
         document.bullets(certificate.held)
-    if certificate.budget is not None:
-        document.titled_table(certificate.budget)
+    document.titled_table(certificate.budget)
     if certificate.changes is not None:
         document.heading(certificate.changes.title, needs=50.0)
         document.certificate_table(certificate.changes)
@@ -174,7 +171,9 @@ class _Document(FPDF):
     def paragraph(
         self, text: str, *, size: float = _BODY_PT, style: str = "", colour: str = INK, indent: float = 0.0
     ) -> None:
-        """Set a text in lines."""
+        """Set a text in lines; nothing for an empty one."""
+        if not text:
+            return
         self._letters(size, style, colour)
         self._text(text, indent)
         self.ln(0.9)
@@ -207,6 +206,8 @@ class _Document(FPDF):
     def pairs(self, pairs: Iterable[tuple[str, str]]) -> None:
         """Set labels and their texts in two pairs of columns, read down the first pair and then the second."""
         rows = [*pairs]
+        if not rows:
+            return
         half = -(-len(rows) // 2)
         rows += [("", "")] * (2 * half - len(rows))
         self._letters(_SMALL_PT)
@@ -220,11 +221,13 @@ class _Document(FPDF):
                 line = out.row()
                 for name, value in (left, right):
                     line.cell(name, style=FontFace(color=_QUIET))
-                    line.cell(value, style=FontFace(color=_QUIET if value == NOT_STATED else INK))
+                    line.cell(value, style=FontFace(color=INK))
         self.ln(1.0)
 
-    def titled_table(self, table: CertificateTable) -> None:
-        """Set a table below its title."""
+    def titled_table(self, table: CertificateTable | None) -> None:
+        """Set a table below its title; nothing for None."""
+        if table is None:
+            return
         self.ln(2.0)
         self._keep(25.0)
         self.paragraph(table.title, style="B")
