@@ -175,7 +175,7 @@ def make_certificate(
         unit=plain(source.serial, SERIAL_LENGTH) or "no serial",
         outcome=outcome,
         summary=tuple(_summary(calibration, limits, failed, change)),
-        parties=tuple((label, text) for label, text in stated.rows() if text is not None),
+        parties=tuple(stated.rows()),
         missing=stated.missing,
         equipment=equipment_table(stated),
         references=references_table(calibration, stated),

@@ -39,6 +39,8 @@ SECTIONS: Final[dict[str, tuple[tuple[str, str], ...]]] = {
     ),
 }  # fmt: skip
 """Sections of the file with their keys and labels, in the order of the certificate."""
+_WHOLE: Final = {section: section for section in SECTIONS} | {"certificate": "certificate number and date of issue"}
+"""Names of sections of which nothing is stated."""
 _EQUIPMENT: Final = ("name", "serial", "calibrated", "traceability")
 _REFERENCES: Final = {
     "gravity": "Gravity", "latitude": "Latitude", "heading": "Heading of the fixture", "time_base": "Time base",
@@ -67,19 +69,23 @@ class Laboratory:
     references: Mapping[str, str] = field(default_factory=dict)
     coverage_factor: float = COVERAGE_FACTOR
 
-    def rows(self) -> Iterator[tuple[str, str | None]]:
-        """Labels and texts of all sections; None for what is not stated."""
+    def rows(self) -> Iterator[tuple[str, str]]:
+        """Labels and texts of what is stated, in the order of the certificate."""
         for section, keys in SECTIONS.items():
-            for key, label in keys:
-                yield label, self.texts.get(section, {}).get(key)
+            stated = self.texts.get(section, {})
+            yield from ((label, stated[key]) for key, label in keys if key in stated)
 
     @property
     def missing(self) -> str:
-        """Sentence on what is not stated; empty if all is."""
-        labels = [label for label, text in self.rows() if text is None]
-        labels += [] if self.equipment else ["Equipment"]
-        labels += [f"Origin of the {label.lower()}" for key, label in _REFERENCES.items() if key not in self.references]
-        return f"Not stated: {', '.join(label[0].lower() + label[1:] for label in labels)}." if labels else ""
+        """Sentence on what is not stated, by section where a whole one is not; empty if all is stated."""
+        out = []
+        for section, keys in SECTIONS.items():
+            stated = self.texts.get(section, {})
+            out += [label.lower() for key, label in keys if key not in stated] if stated else [_WHOLE[section]]
+        out += [] if self.equipment else ["equipment"]
+        unknown = [label.lower() for key, label in _REFERENCES.items() if key not in self.references]
+        out += [f"origin of {label}" for label in unknown] if self.references else ["origin of the references"]
+        return f"Not stated: {', '.join(out)}." if out else ""
 
 
 def load_laboratory(path: Path) -> Laboratory:
