@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from srt.cli.grouped_command import GroupedCommand
 from srt.cli.messages import show, warn
 from srt.cli.output_paths import SAMPLES_FORMATS, check_file, check_recording_target, recording_folder
 from srt.cli.stream import NAMES, STANDARD, run_stream, stream_options
@@ -19,9 +20,14 @@ if TYPE_CHECKING:
     from srt.result.calibration import Calibration
 
 HEADER_SUFFIXES = (".h",)
+_USUAL = (
+    "output", "frame", "samples_format", "c_header", "source", "target", "gyro_unit", "accel_unit", "overwrite",
+    "quiet",
+)  # fmt: skip
+"""Options of the short help."""
 
 
-@click.command("apply")
+@click.command("apply", cls=GroupedCommand, usual=_USUAL)
 @click.argument("calibration_file", metavar="CALIBRATION", type=click.Path(path_type=Path))
 @click.argument("recording_path", metavar="[RECORDING]", required=False, type=click.Path(path_type=Path))
 @click.option("-o", "--output", type=click.Path(path_type=Path), help="Folder to write; made if absent.")

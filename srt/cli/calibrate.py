@@ -56,7 +56,13 @@ GROUPS = {
 """Groups of options in the help."""
 
 
-@click.command(cls=GroupedCommand, groups=GROUPS)
+USUAL = (
+    "estimator", "output", "plot", "details", "merge", "protocol", "no_asymmetry", "workers", "loss", "quiet",
+)  # fmt: skip
+"""Options of the short help."""
+
+
+@click.command(cls=GroupedCommand, usual=USUAL, groups=GROUPS)
 @click.argument("recordings", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="RECORDING...")
 @click.option(
     "--estimator",

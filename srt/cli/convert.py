@@ -137,7 +137,14 @@ _GROUPS = {
 """Groups of options in the help."""
 
 
-@click.command(cls=GroupedCommand, groups=_GROUPS)
+_USUAL = (
+    "list", "columns", "gyro_unit", "accel_unit", "time_unit", "gyro_lsb", "accel_lsb", "latitude_deg", "gravity_m_s2",
+    "heading_deg", "output",
+)  # fmt: skip
+"""Options of the short help."""
+
+
+@click.command(cls=GroupedCommand, usual=_USUAL, groups=_GROUPS)
 @click.argument("source", type=click.Path(path_type=Path))
 @click.argument("second", metavar="[SOURCE2]", required=False, type=click.Path(path_type=Path))
 @click.option(

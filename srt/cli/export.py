@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from srt.cli.apply import check_match, load_fit
+from srt.cli.grouped_command import GroupedCommand
 from srt.cli.messages import show, warn
 from srt.cli.output_paths import check_file
 from srt.exceptions import InputError
@@ -16,6 +17,10 @@ if TYPE_CHECKING:
     from srt.exporters.correction_difference import Readings
     from srt.exporters.file_format import Exporter
     from srt.result.calibration import Calibration
+
+
+_USUAL = ("target", "output", "recording", "frame", "topic", "gyro_random_walk", "accel_random_walk", "applied", "list")
+"""Options of the short help."""
 
 
 def _list(context: click.Context, _: click.Parameter, wanted: bool) -> None:
@@ -29,7 +34,7 @@ def _list(context: click.Context, _: click.Parameter, wanted: bool) -> None:
     context.exit()
 
 
-@click.command("export")
+@click.command("export", cls=GroupedCommand, usual=_USUAL)
 @click.argument("calibration_file", metavar="CALIBRATION", type=click.Path(path_type=Path))
 @click.option("--to", "target", required=True, metavar="TARGET", help="Format to write; see --list.")
 @click.option("-o", "--output", type=click.Path(path_type=Path), help="File to write; without it, only the report.")

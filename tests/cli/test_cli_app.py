@@ -108,6 +108,22 @@ def test_wrong_usage_is_one_sentence_and_2(arguments, fragments, tmp_path, monke
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize("command", ["convert", "calibrate", "apply", "export"])
+def test_the_help_has_the_usual_options_and_another_all(command, capfd):
+    found = application.app.get_command(click.Context(application.app), command)
+    options = {p.name: max(p.opts, key=len) for p in found.params if isinstance(p, click.Option)}
+    assert set(found.usual) <= set(options)
+    assert main([command, "--help"]) == 0
+    short = capfd.readouterr().out.partition("Options:")[2]
+    assert main([command, "--help-all"]) == 0
+    whole = capfd.readouterr().out
+    assert all(f"{name} " in whole for name in options.values())
+    shown = [name for name in options.values() if f"  {name} " in short or f", {name} " in short]
+    assert {options[name] for name in found.usual} == set(shown)
+    assert len(shown) <= 12
+    assert "--help " in short
+
+
 def test_no_command_shows_the_help_and_is_wrong_usage(capfd):
     assert main([]) == 2
     assert "Commands:" in capfd.readouterr().err
@@ -244,7 +260,7 @@ def test_earlier_names_of_options_are_accepted_and_not_shown(command, present, e
     found = application.app.get_command(click.Context(application.app), command)
     (option,) = [p for p in found.params if present in p.opts]
     assert earlier in option.opts
-    assert main([command, "--help"]) == 0
+    assert main([command, "--help-all" if command == "convert" else "--help"]) == 0
     lines = capfd.readouterr().out.splitlines()
     assert any(f"{present} " in line for line in lines)
     assert not any(earlier in line.replace(",", " ").split()[:2] for line in lines)
