@@ -8,13 +8,15 @@ from typing import TYPE_CHECKING, Any
 from srt.diagnosis.staged_diagnosis import StagedDiagnosis
 from srt.estimation.options import Options, chosen_options
 from srt.estimation.registry import estimate
-from srt.exceptions import DataError
+from srt.exceptions import DataError, SrtError
 from srt.recording.reading import READING_KEYS, read
+from srt.result.verdict import USABLE
 from srt.sequences.protocol_matching import with_protocol
 
 if TYPE_CHECKING:
     from srt.diagnosis.inspection import Inspection
     from srt.estimation.registry import Progress
+    from srt.recording.recording import Recording
     from srt.result.calibration import Calibration
 
 UNCHECKED = (
@@ -92,6 +94,31 @@ def calibrate(
         warnings=(*warnings, *result.warnings),
         diagnostics={**result.diagnostics, "faults": diagnosis.as_dicts()},
     )
+
+
+def sigmas_with_moves(recording: Recording, result: Calibration, options: Options) -> tuple[float, float] | None:
+    """Smallest and largest sigma of least squares, which uses recorded moves, over that of the closed form.
+
+    Parameters
+    ----------
+    recording : Recording
+    result : Calibration
+        Of the recording.
+    options : Options
+
+    Returns
+    -------
+    (float, float) or None
+        Over the parameters that both estimate; None for a result without unused moves, or if least squares has none.
+    """
+    if not result.diagnostics.get("unused_moves") or result.status not in USABLE:
+        return None
+    try:
+        whole = estimate(recording, "least-squares", options)
+    except SrtError:  # the closed form stands, whatever the other estimator refuses
+        return None
+    ratio = (whole.sigma / result.sigma)[whole.observed & result.observed]
+    return (float(ratio.min()), float(ratio.max())) if whole.status in USABLE else None
 
 
 def inspect(source: Any, *, deep: bool = False, **stated: Any) -> Inspection:
