@@ -15,7 +15,7 @@ from srt.reports.figures.style import FAINT, GREY, INK
 
 try:
     from fpdf import FPDF, FontFace
-    from fpdf.enums import CellBordersLayout, WrapMode, XPos, YPos
+    from fpdf.enums import CellBordersLayout, XPos, YPos
 except ModuleNotFoundError as error:
     if (error.name or "").partition(".")[0] != "fpdf":
         raise
@@ -122,6 +122,11 @@ def _write(certificate: Certificate, document: _Document) -> None:
         size=_SMALL_PT,
         colour=_QUIET,
     )
+
+
+def _unbroken(head: str) -> str:
+    """Text of a head that is not broken within an equation, as "U (k = 2)"."""
+    return head.replace(" = ", "\u00a0=\u00a0")
 
 
 class _Document(FPDF):
@@ -248,9 +253,8 @@ class _Document(FPDF):
             padding=(0.25, _PADDING),
             borders_layout="NONE",
             headings_style=FontFace(emphasis="BOLD", color=INK),
-            wrapmode=WrapMode.CHAR,
         ) as out:
-            out.row(table.head)
+            out.row([*map(_unbroken, table.head)])
             for number, row in enumerate(table.rows):
                 line = out.row()
                 rule = CellBordersLayout.TOP if number == 0 or number in table.breaks else CellBordersLayout.NONE
@@ -272,19 +276,21 @@ class _Document(FPDF):
         self.paragraph(caption, size=_SMALL_PT, colour=_QUIET)
 
     def _fitted(self, table: CertificateTable) -> tuple[float, list[float]]:
-        """Size of letters at which a table fits the page, and the widths of its columns."""
+        """Size of letters at which a table fits the page, and the widths of its columns; heads break at blanks."""
         longest = []
         for k, head in enumerate(table.head):
             self._letters(_SMALL_PT, "B")
-            width = self.get_string_width(head)
+            width = max(self.get_string_width(word) for word in _unbroken(head).split(" "))
             self._letters(_SMALL_PT)
             longest.append(max(width, *(self.get_string_width(row[k].text) for row in table.rows)) + 0.2)
         padding = 2.0 * _PADDING * len(longest)
         size = max(min(1.0, (self.epw - padding) / sum(longest)) * _SMALL_PT, _LEAST_PT)
         widths = [width * size / _SMALL_PT + 2.0 * _PADDING for width in longest]
-        widest = widths.index(max(widths))
-        widths[widest] -= max(sum(widths) - self.epw, 0.0)
-        return size, widths
+        # A table that is still too wide: the widest columns are narrowed to one width, and break their cells.
+        narrow: list[float] = []
+        for columns, width in zip(range(len(widths), 0, -1), sorted(widths), strict=True):
+            narrow.append(min(width, (self.epw - sum(narrow)) / columns))
+        return size, [min(width, narrow[-1]) for width in widths]
 
     def _letters(self, size: float, style: str = "", colour: str = INK) -> None:
         self.set_font("DejaVu", style, size)
