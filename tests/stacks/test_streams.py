@@ -16,7 +16,7 @@ import srt
 from srt.cli import main
 from srt.cli.stream import parse_address
 from srt.sensor_errors import N_PARAMETERS, SensorErrors
-from srt.stacks.stream_correction import StreamCorrector, StreamOptions
+from srt.stacks.stream_correction import Counts, StreamCorrector, StreamOptions
 from srt.stacks.text_lines import LineCorrector
 
 RNG = np.random.default_rng(1)
@@ -109,6 +109,7 @@ def test_damage_is_counted_and_the_stream_goes_on(told):
         "{" * 50,
     ]
     found = [lines.correct(line) for line in [*good[:3], *bad, *good[3:]]]
+    assert [line for line in found if not line] == [""] * len(bad)
     corrected = [line for line in found if line]
     np.testing.assert_array_equal(numbers(corrected), np.column_stack([TIME, TRUE]))
     counts = lines._corrector.counts
@@ -132,8 +133,8 @@ def test_damage_is_counted_and_the_stream_goes_on(told):
 )
 def test_hostile_lines_are_malformed(told, line):
     lines = LineCorrector(corrector(told))
-    assert lines.correct("0,0,0,0,0,0,9.8") is not None
-    assert lines.correct(line) is None
+    assert lines.correct("0,0,0,0,0,0,9.8")
+    assert lines.correct(line) == ""
     assert lines._corrector.counts["malformed"] == 1
 
 
@@ -192,12 +193,16 @@ def test_the_command_answers_each_line(tmp_path):
             # The answer comes before the next line is written.
             np.testing.assert_array_equal(numbers([child.stdout.readline()])[0, 1:], expected)
         child.stdin.flush()
-        child.stdin.buffer.write(b"\xff\xfe,1,2\n")
-        child.stdin.buffer.flush()
+        for without_sample in (b"\xff\xfe,1,2\n", b"nonsense\n", b"\n"):
+            child.stdin.buffer.write(without_sample)
+            child.stdin.buffer.flush()
+            assert child.stdout.readline() == "\n"
+        child.stdin.write("# a comment\n")
+        assert child.stdout.readline() == "# a comment\n"
         child.stdin.write(csv()[5] + "\n")
         np.testing.assert_array_equal(numbers([child.stdout.readline()])[0, 1:], TRUE[5])
         child.stdin.close()
-        assert "6 corrected, 1 malformed" in child.stderr.read()
+        assert "6 corrected, 2 malformed" in child.stderr.read()
         assert child.wait() == 0
 
 
@@ -256,7 +261,8 @@ def test_lines_through_udp(tmp_path):
     link.send(("\n".join(csv()[:3]) + "\n").encode())
     found = numbers(link.socket.recv(65536).decode().splitlines())
     np.testing.assert_array_equal(found[:, 1:], TRUE[:3])
-    link.send(b"garbage\n")
+    link.send(b"garbage\n\n")
+    assert link.socket.recv(65536) == b"\n\n"
     link.send(csv()[3].encode())
     np.testing.assert_array_equal(numbers([link.socket.recv(65536).decode()])[0, 1:], TRUE[3])
     assert "1 malformed" in link.end()
@@ -331,6 +337,79 @@ def test_mavlink_through_udp(tmp_path):
     # Two packets were damaged beyond their numbers, and five numbers skipped; the one of NaN was whole.
     assert re_count(errors, "lost") >= 7
     assert "40.0 °C" in errors
+
+
+def corrected_packet(told, message, *, raw=None, version_1=False, key=None):
+    """Answer to a message of system 7, component 3, with sequence number 9: the packet, and the message in it."""
+    common = pytest.importorskip("pymavlink.dialects.v20.common")
+    from srt.stacks.mavlink import MavlinkCorrector
+
+    sender = common.MAVLink(None, srcSystem=7, srcComponent=3)
+    sender.seq = 9
+    if key is not None:
+        sender.signing.secret_key, sender.signing.sign_outgoing = key, True
+    kind, *values = message
+    packed = getattr(common, f"MAVLink_{kind}_message")(*values).pack(sender, force_mavlink1=version_1)
+    packet = MavlinkCorrector(corrector(told), raw).correct(bytes(packed))
+    return packet, common.MAVLink(None).decode(bytearray(packet)) if packet else None
+
+
+SIX = (1, -2, 3, 4, -5, 6)
+ONE_EACH = Counts((1.0,) * 6, (0.0,) * 6)
+OF_IMU = {
+    "first": (("scaled_imu", 500, *SIX, 0, 0, 0, 0), 0),
+    "second": (("scaled_imu2", 500, *SIX, 0, 0, 0, 0), 1),
+    "third": (("scaled_imu3", 500, *SIX, 0, 0, 0, 0), 2),
+    "raw first": (("raw_imu", 500_000, *SIX, 0, 0, 0, 0, 0), 0),
+    "raw fourth": (("raw_imu", 500_000, *SIX, 0, 0, 0, 3, 0), 3),
+    "highres first": (("highres_imu", 500_000, *map(float, SIX), *[0.0] * 7, 63, 0), 0),
+    "highres third": (("highres_imu", 500_000, *map(float, SIX), *[0.0] * 7, 63, 2), 2),
+}
+
+
+@pytest.mark.parametrize("case", OF_IMU)
+@pytest.mark.parametrize("version_1", [False, True])
+def test_a_corrected_message_keeps_imu_sender_and_version(told, case, version_1):
+    message, imu = OF_IMU[case]
+    packet, out = corrected_packet(told, message, raw=ONE_EACH, version_1=version_1)
+    if version_1 and imu:
+        # The packet of MAVLink 1 has no place for the number of the IMU.
+        assert packet == b""
+        assert "send MAVLink 2" in told[0]
+        return
+    assert told == []
+    assert packet[0] == (0xFE if version_1 else 0xFD)
+    assert (out.get_type(), out.id, out.time_usec, out.fields_updated) == ("HIGHRES_IMU", imu, 500_000, 63)
+    assert (out.get_srcSystem(), out.get_srcComponent(), out.get_seq()) == (7, 3, 9)
+    if version_1:
+        assert packet[1] == 62  # bytes of the message without its extension
+
+
+def test_a_signed_message_goes_out_unsigned_and_this_is_told(told):
+    packet, out = corrected_packet(told, OF_IMU["first"][0], key=b"k" * 32)
+    assert out.get_type() == "HIGHRES_IMU"
+    assert packet[2] == 0
+    assert len(told) == 1
+    assert "sent without a signature" in told[0]
+    told.clear()
+    # What holds no IMU is not changed: its signature stays.
+    packet, _ = corrected_packet(told, ("heartbeat", 2, 3, 0, 0, 4, 3), key=b"k" * 32)
+    assert packet[2] == 1
+    assert "sent without" not in told[0]
+
+
+def test_messages_of_other_dialects_are_not_lost_ones(told):
+    """Their sequence numbers count, though pymavlink does not decode them."""
+    common = pytest.importorskip("pymavlink.dialects.v20.common")
+    other = pytest.importorskip("pymavlink.dialects.v20.ardupilotmega")
+    from srt.stacks.mavlink import MavlinkCorrector
+
+    sender, link = common.MAVLink(None, srcSystem=7, srcComponent=3), MavlinkCorrector(corrector(told))
+    beat = common.MAVLink_heartbeat_message(2, 3, 0, 0, 4, 3)
+    for number, message in enumerate((beat, other.MAVLink_ahrs_message(*[0.0] * 7), beat)):
+        sender.seq = number
+        assert link.correct(bytes(message.pack(sender)))
+    assert link._corrector.counts["lost"] == 0
 
 
 def re_count(text, kind):
@@ -431,7 +510,7 @@ def test_time_that_does_not_advance_is_told_and_losses_after_it_are_seen(told):
     lines = LineCorrector(corrector(told))
     stamps = np.array([0.01, 0.02, 0.03, 0.01, 0.02, 0.02, 0.03, 0.06])
     for line in csv(Y[:8], stamps):
-        assert lines.correct(line) is not None
+        assert lines.correct(line)
     counts = lines._corrector.counts
     assert (counts["with a time that does not advance"], counts["lost"]) == (2, 2)
     assert "line 4: the time goes from 0.03 to 0.01 s" in told[0]
