@@ -141,12 +141,6 @@ class ExportModel:
     g_sensitivity: Array = field(default_factory=lambda: np.zeros((3, 3)))
     applied: AppliedCorrection | None = None
 
-    def white_noise(self, sensor: str) -> Array | None:
-        """White noise of the uncorrected readings, shape (3,), rad/s/√Hz or m/s²/√Hz; None if not known."""
-        key = {"gyro": "gyro_noise_rad_per_sqrt_s", "accel": "accel_noise_m_s2_sqrt_s"}[sensor]
-        stated = self.calibration.noise.get(key)
-        return None if stated is None else np.array(stated, dtype=np.float64)
-
     def heading(self, item: FormatDescription) -> list[str]:
         """ASCII lines for a comment: unit, origin, formula, axes and losses."""
         provenance = self.calibration.provenance
