@@ -6,6 +6,7 @@ import importlib
 import os
 import sys
 from contextlib import suppress
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import click
@@ -141,6 +142,11 @@ def run(arguments: Sequence[str]) -> int:
     return guarded(lambda: _invoke(arguments))
 
 
+def _called() -> str:
+    """Name of the command in help and messages."""
+    return "strapdown-srt" if Path(sys.argv[0]).stem == "strapdown-srt" else "srt"
+
+
 def _complete(instruction: str) -> int:
     """Answer the shell's request to complete a command line."""
     from click.shell_completion import shell_complete
@@ -148,7 +154,7 @@ def _complete(instruction: str) -> int:
     from srt.exceptions import InputError
 
     try:
-        return shell_complete(app, {}, "srt", "_SRT_COMPLETE", instruction)
+        return shell_complete(app, {}, _called(), "_SRT_COMPLETE", instruction)
     except (KeyError, ValueError) as error:
         raise InputError(
             f"The completion of command lines lacks what the shell sets ({error}): unset _SRT_COMPLETE, or read the "
@@ -157,6 +163,6 @@ def _complete(instruction: str) -> int:
 
 
 def _invoke(arguments: Sequence[str]) -> int:
-    with app.make_context("srt", list(arguments)) as context:
+    with app.make_context(_called(), list(arguments)) as context:
         value: Any = app.invoke(context)
     return value if isinstance(value, int) else 0

@@ -166,10 +166,8 @@ def _standard(lines: LineCorrector) -> None:
         sys.stdin.reconfigure(errors="replace")
     write, flush = sys.stdout.write, sys.stdout.flush
     for line in sys.stdin:
-        corrected = lines.correct(line)
-        if corrected is not None:
-            write(corrected + "\n")
-            flush()
+        write(lines.correct(line) + "\n")
+        flush()
 
 
 def _datagrams(corrector: StreamCorrector, lines: LineCorrector, raw: Counts | None, given: dict[str, Any]) -> None:
@@ -225,7 +223,6 @@ def _datagram_corrector(
             if not link:
                 link.append(mavlink.MavlinkCorrector(corrector, raw))
             return link[0].correct(packet)
-        corrected = (lines.correct(line) for line in packet.decode("utf-8", "replace").splitlines())
-        return "".join(f"{line}\n" for line in corrected if line is not None).encode()
+        return "".join(f"{lines.correct(line)}\n" for line in packet.decode("utf-8", "replace").splitlines()).encode()
 
     return correct

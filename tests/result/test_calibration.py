@@ -55,6 +55,9 @@ def edited(calibration, **changes):
         ({"status": "fine"}, "status"),
         ({"covariance": [[0.0]]}, "covariance"),
         ({"parameters": []}, "27 sensor errors"),
+        ({"temperature": {"mean_c": 25.0}}, "mean_c and range_c .* write null"),
+        ({"temperature": {"mean_c": 25.0, "range_c": -1.0}}, "range not negative"),
+        ({"temperature": 25.0}, "mean_c and range_c"),
     ],
 )
 def test_inconsistent_files_are_refused(calibration, tmp_path, change, fragment):
