@@ -110,6 +110,14 @@ def test_like_another_recording(log, tmp_path, capsys):
     assert (second.site.gravity_m_s2, second.site.gravity_sigma_m_s2) == (9.81, 5e-6)
 
 
+def test_units_in_the_spellings_of_files(log, tmp_path, capsys):
+    units = ["--gyro-unit", "rad s^-1", "--accel-unit", "m/s²", "--time-unit", "sec"]
+    assert convert(log, "-o", tmp_path / "rec", "-q", *units, *SITE) == 0
+    np.testing.assert_array_equal(srt.load_recording(tmp_path / "rec").accel, ACCEL)
+    message = refused(capsys, tmp_path / "bad", log, *SITE, "--accel-unit", "ft/s^2")
+    assert "'ft/s^2' is not one of 'm/s^2', 'g', 'mg', 'm/s', 'g*s', 'counts'" in message
+
+
 @pytest.mark.parametrize(
     ("arguments", "fragments"),
     [
