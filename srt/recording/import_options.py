@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final, get_args
 
 import numpy as np
 
+from srt.constants import DEG
 from srt.exceptions import InputError, did_you_mean
 from srt.model.table1 import AXES
 from srt.recording.recording import Kind
@@ -293,6 +294,19 @@ def parse_lsb(text: str, sensor: str) -> Triple:
 def parse_offset(text: str, sensor: str) -> Triple:
     """Read the counts at zero input: one number, or three separated by commas. Raises InputError."""
     return _triple(text, f"{sensor}_offset", float)
+
+
+def counts_text(options: ImportOptions, sensor: str, unit: str) -> str:
+    """Value of a count in an SI unit, and the counts at zero input; for gyros in degrees, too, as data sheets do."""
+    lsb, offset = getattr(options, f"{sensor}_lsb"), getattr(options, f"{sensor}_offset")
+    text = f" of {_triple_text(lsb)} {unit}"
+    if sensor == "gyro" and len(set(lsb)) == 1:
+        text += f" ({_triple_text(tuple(value / DEG for value in lsb))} {unit.replace('rad', '°')})"
+    return text if offset is None else f"{text}, zero at {_triple_text(offset)}"
+
+
+def _triple_text(values: tuple[float, ...]) -> str:
+    return " ".join(f"{value:.6g}" for value in (values if len(set(values)) > 1 else values[:1]))
 
 
 def _fraction(text: str) -> float:

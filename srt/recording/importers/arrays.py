@@ -16,7 +16,6 @@ from srt.recording.importer_registry import Importer, head
 from srt.recording.importers.channels import assign, listed, with_temperature
 from srt.recording.importers.parser_errors import clear_errors
 from srt.recording.samples import TEMPERATURE, TIME
-from srt.recording.schema import TIME_UNITS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -38,6 +37,9 @@ _SENSOR_COLUMNS = 6
 
 _MOST_ARRAYS = 10_000
 """Datasets of an HDF5 file that are listed; those of a log number some hundreds."""
+
+_PANDAS_INDEX = "__index_level_0__"
+"""Column in which pandas writes an index without a name."""
 
 _NUMBERS = "fiu"
 """Kinds of NumPy's types that hold readings."""
@@ -104,14 +106,12 @@ def samples_from_arrays(file: ArrayFile, options: ImportOptions, stated: StatedU
     if len(set(rows.values())) > 1:
         shown = ", ".join(f"{channel} {count}" for channel, count in rows.items())
         raise InputError(f"{file.path}: the arrays are of different lengths ({shown}), but they must agree.")
-    time, time_unit = _as_stamps(table.get(TIME))
-    header = stated or found.stated
     return samples_in_si(
         options,
         gyro=_sensor(table, "gyro"),
         accel=_sensor(table, "accel"),
-        time=time,
-        stated=StatedUnits(header.gyro, header.accel, time_unit or header.time),
+        time=table.get(TIME),
+        stated=stated or found.stated,
         kind=None if options.kind is not None else found.kind,
         temperature=table.get(TEMPERATURE),
         notes=with_temperature(tuple(notes), table),
@@ -200,7 +200,7 @@ def _is_columns(shape: tuple[int, ...]) -> bool:
 def _oriented(file: ArrayFile, name: str, channel: str, notes: list[str]) -> NDArray[Any]:
     """An array as (n,), or as (n, 3) for a sensor."""
     values = file.read(name)
-    if values.dtype.kind not in _NUMBERS + "M":
+    if values.dtype.kind not in _NUMBERS + "mM":
         raise InputError(f"{file.path}: {name} is of type {values.dtype}, but numbers are expected.")
     if channel not in TRIADS:
         if values.size != max(values.shape, default=0):
@@ -218,16 +218,6 @@ def _sensor(table: Mapping[str, NDArray[Any]], sensor: str) -> Array:
     if sensor in table:
         return np.asarray(table[sensor], dtype=np.float64)
     return np.column_stack([table[name] for name in TRIADS[sensor]]).astype(np.float64, copy=False)
-
-
-def _as_stamps(time: NDArray[Any] | None) -> tuple[NDArray[Any] | None, str | None]:
-    """NumPy's dates as integers, with their unit."""
-    if time is None or time.dtype.kind != "M":
-        return time, None
-    unit, count = np.datetime_data(time.dtype)
-    if unit not in TIME_UNITS or count != 1:
-        time, unit = time.astype("datetime64[ns]"), "ns"
-    return time.astype(np.int64), unit
 
 
 def _listed(file: ArrayFile) -> str:
@@ -270,7 +260,7 @@ def _npz_shape(archive: Any, name: str) -> tuple[tuple[int, ...], bool]:
         version = np.lib.format.read_magic(stream)
         read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
         shape, _, dtype = read(stream)
-    return tuple(int(n) for n in shape), dtype.kind in _NUMBERS + "M"
+    return tuple(int(n) for n in shape), dtype.kind in _NUMBERS + "mM"
 
 
 def _read_hdf5(path: Path, options: ImportOptions) -> ImportedSamples:
@@ -346,22 +336,24 @@ def _read_parquet(path: Path, options: ImportOptions) -> ImportedSamples:
             guard_parquet(path, file.metadata, path.stat().st_size)
             types = {field.name: field.type for field in file.schema_arrow}
             rows = int(file.metadata.num_rows)
-        numbers = {
-            name: (rows,)
-            for name, kind in types.items()
-            if pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_timestamp(kind)
-        }
+        stamps = {name: "M8" for name, kind in types.items() if pa.types.is_timestamp(kind)}
+        stamps |= {name: "m8" for name, kind in types.items() if pa.types.is_duration(kind)}
+        kept = [name for name, kind in types.items() if pa.types.is_floating(kind) or pa.types.is_integer(kind)]
+        columns = {name: name for name in (*kept, *stamps)}
+        if _PANDAS_INDEX in stamps and TIME not in columns:
+            columns[TIME] = columns.pop(_PANDAS_INDEX)
 
-        def read(name: str) -> NDArray[Any]:
+        def read(shown: str) -> NDArray[Any]:
+            name = columns[shown]
             with clear_errors(path, "Parquet file"):
                 column = file.read(columns=[name]).column(0)
-                if pa.types.is_timestamp(types[name]):
-                    stamps: NDArray[Any] = column.cast(pa.int64()).to_numpy().astype(f"M8[{types[name].unit}]")
-                    return stamps
+                if name in stamps:
+                    ticks: NDArray[Any] = column.cast(pa.int64()).to_numpy()
+                    return ticks.astype(f"{stamps[name]}[{types[name].unit}]")
                 values: NDArray[Any] = column.to_numpy()
             return values
 
-        return samples_from_arrays(ArrayFile(path, numbers, read), options)
+        return samples_from_arrays(ArrayFile(path, dict.fromkeys(columns, (rows,)), read), options)
 
 
 def _starts_with(*magics: bytes) -> Callable[[Path], bool]:
