@@ -263,7 +263,12 @@ def test_columns_given_by_name_number_and_stem(tmp_path):
     for said, fragment in (
         ("gyro=rat", r"no column rat_x \(did you mean rot_x\?\)"),
         ("time=9", "has 7 columns, but column 9"),
-        ("gyro=rot", "no column was recognised as accel_x .*--columns accel_x=NAME"),
+        ("gyro=rat,accel_y=s", r"no column rat_x \(did you mean rot_x\?\), rat_y .*, s \(found: t0, .*\): name one"),
+        (
+            "gyro=rot,accel_y=q",
+            r"recognised as time, accel_x, accel_z \(found: t0, rot_x, rot_y, rot_z, p, q, r\): give --columns "
+            "'time=NAME,accel_x=NAME,accel_z=NAME' with a name found, or its number from 1, for each NAME",
+        ),
     ):
         with pytest.raises(InputError, match=fragment):
             import_file(tmp_path / "a.csv", ImportOptions(columns=parse_columns(said), **SI_TIME))

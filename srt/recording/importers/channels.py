@@ -55,6 +55,9 @@ _SUFFIX_UNITS: Final = {
 _PREFIXES: Final = ("field", "imu")
 """First words of names that carry no meaning: "field.angular_velocity.x" of rostopic."""
 
+_MOST_NAMES = 60
+"""Names of columns that are listed where some have to be chosen; logs with more have arrays for other sensors."""
+
 _BRACKETS = re.compile(r"[\[(]([^\])]*)[\])]")
 
 
@@ -106,9 +109,9 @@ def _words(text: str) -> list[str]:
     return [word for word in re.split(r"[^a-z0-9]+", text.lower()) if word]
 
 
-def listed(names: Sequence[str], none: str = "none") -> str:
-    """The first twelve names of a file, for a message."""
-    return ", ".join(map(clipped, names[:12])) + (" ..." if len(names) > 12 else "") if names else none
+def listed(names: Sequence[str], none: str = "none", most: int = 12) -> str:
+    """The first names of a file, for a message."""
+    return ", ".join(map(clipped, names[:most])) + (" ..." if len(names) > most else "") if names else none
 
 
 @dataclass(frozen=True, slots=True)
@@ -216,9 +219,7 @@ def assign(
     InputError
         Columns that are absent, not recognised, or ambiguous.
     """
-    columns: dict[str, int] = {}
-    for channel, column in wanted.items():
-        columns.update(_given(path, names, width, channel, column, arrays=arrays))
+    columns = _all_given(path, names, width, wanted, arrays=arrays)
     notes: list[str] = []
     both = False
     meanings = [meaning_of(name) for name in names]
@@ -269,55 +270,77 @@ def with_temperature(notes: tuple[str, ...], columns: Mapping[str, object]) -> t
     return (*notes, "Temperature is assumed to be in °C.") if TEMPERATURE in columns else notes
 
 
-def _given(
-    path: Path, names: Sequence[str], width: int, channel: str, column: str | int, *, arrays: bool
+def _all_given(
+    path: Path, names: Sequence[str], width: int, wanted: Mapping[str, str | int], *, arrays: bool
 ) -> dict[str, int]:
-    """Positions of a channel given by the user; for a sensor, three adjacent or named alike but for the axis."""
+    """Positions of the channels given by the user. Raises InputError that names all columns that are absent."""
+    given: dict[str, str | int] = {}
+    for channel, column in wanted.items():
+        given.update(_given(names, channel, column, arrays=arrays))
+    columns = {channel: _position(names, column) for channel, column in given.items()}
+    absent = []
+    for channel, column in given.items():
+        place = columns[channel]
+        if place is None:
+            absent.append(f"{column}{did_you_mean(str(column), [clipped(name) for name in names])}")
+        elif not 0 <= place < width:
+            raise InputError(f"{path} has {width} columns, but column {column} was asked for: columns count from 1.")
+    if absent:
+        raise InputError(
+            f"{path} has no column {', '.join(absent)} (found: {listed(names, 'none has a name', _MOST_NAMES)}): name "
+            "one of those."
+        )
+    return {channel: place for channel, place in columns.items() if place is not None}
+
+
+def _given(names: Sequence[str], channel: str, column: str | int, *, arrays: bool) -> dict[str, str | int]:
+    """Columns of a channel given by the user; for a sensor, three adjacent or named alike but for the axis."""
     triad = TRIADS.get(channel)
     if triad is None or (arrays and (isinstance(column, int) or column in names)):
-        return {channel: _position(path, names, width, column)}
+        return {channel: column}
     if isinstance(column, int):
-        return {each: _position(path, names, width, column + i) for i, each in enumerate(triad)}
-    result = {}
+        return {each: column + i for i, each in enumerate(triad)}
+    result: dict[str, str | int] = {}
     for each, axis in zip(triad, AXES, strict=True):
         spelled = [f"{column}{mark}{axis}" for mark in ("_", "", ".", " ", "-")]
-        result[each] = _position(path, names, width, next((s for s in spelled if s in names), spelled[0]))
+        result[each] = next((s for s in spelled if s in names), spelled[0])
     return result
 
 
-def _position(path: Path, names: Sequence[str], width: int, column: str | int) -> int:
+def _position(names: Sequence[str], column: str | int) -> int | None:
+    """Position of a column, from 0; None if no column has this name."""
     if isinstance(column, int):
-        if not 1 <= column <= width:
-            raise InputError(f"{path} has {width} columns, but column {column} was asked for: columns count from 1.")
         return column - 1
     for spelling in (str, lambda name: _BRACKETS.sub("", name).strip().lower()):
         hits = [i for i, name in enumerate(names) if spelling(name) == spelling(column)]
         if hits:
             return hits[0]
-    hint = did_you_mean(column, [clipped(name) for name in names])
-    raise InputError(
-        f"{path} has no column {column}{hint} (found: {listed(names, 'none has a name')}): name one of those."
-    )
+    return None
 
 
 def _require_all(path: Path, names: Sequence[str], width: int, columns: Mapping[str, int], *, arrays: bool) -> None:
+    missing: list[str] = []
     for sensor, triad in TRIADS.items():
         if arrays and sensor in columns:
             continue
-        missing = [channel for channel in triad if channel not in columns]
-        if not missing:
-            continue
-        if not names:
-            raise InputError(
-                f"{path} has no column names: list its {width} columns in their order, such as "
-                f"{option('columns')} time,gyro,accel (- for a column that is not read); or give {option('format')} "
-                "psins or kf-gins for a file of those."
-            )
-        example = f"{missing[0]}=NAME" if len(missing) < 3 or not arrays else f"{sensor}=NAME"
+        absent = [channel for channel in triad if channel not in columns]
+        # An array of three columns is one name.
+        missing += [sensor] if arrays and len(absent) == len(triad) else absent
+    if not missing:
+        return
+    if not names:
         raise InputError(
-            f"{path}: no column was recognised as {missing[0]} (found: {listed(names)}): "
-            f"name it with {option('columns')} {example}."
+            f"{path} has no column names: list its {width} columns in their order, such as "
+            f"{option('columns')} time,gyro,accel (- for a column that is not read); or give {option('format')} "
+            "psins or kf-gins for a file of those."
         )
+    channels = [*([] if TIME in columns else [TIME]), *missing]
+    line = ",".join(f"{channel}=NAME" for channel in channels)
+    raise InputError(
+        f"{path}: no column was recognised as {', '.join(channels)} (found: {listed(names, most=_MOST_NAMES)}): give "
+        f"{option('columns')} '{line}' with a name found, or its number from 1, for each NAME"
+        f"{f' (leave {TIME} out if there are no stamps)' if TIME in channels else ''}."
+    )
 
 
 def _fits(channel: str, unit: str | None) -> bool:
