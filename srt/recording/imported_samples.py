@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from srt.exceptions import InputError, NotStatedError
+from srt.exceptions import InputError, NotStatedError, clipped
 from srt.recording.import_options import SENSOR_UNITS, ImportOptions, counts_text, option, parse_axis_map
 from srt.recording.recording import Fixture, ImuNoise, Kind, Recording, SequenceLabel, Site, require_bounded
 from srt.recording.schema import COUNTS, TIME_UNITS
@@ -427,12 +427,12 @@ def _require_units(options: ImportOptions, stated: dict[str, str | None]) -> Non
             continue
         if (getattr(options, name) or unit) == COUNTS:
             counted.append(quantity)
-        if getattr(options, name) or unit:
-            continue
         allowed: Iterable[str] = TIME_UNITS
         if quantity in SENSOR_UNITS:
             allowed = [*SENSOR_UNITS[quantity]["rate"], *SENSOR_UNITS[quantity]["increment"], COUNTS]
-        missing.append(quantity)
+        if getattr(options, name) or (unit and unit in allowed):
+            continue
+        missing.append(f"{quantity} (its text {clipped(unit)!r} is not known)" if unit else quantity)
         counts = f" (for them {option(f'{quantity}_lsb')} alone is enough)" if quantity in SENSOR_UNITS else ""
         ways.append(f"{option(name)} ({name} in recording.toml), one of {', '.join(allowed)}{counts}")
     sentences = []

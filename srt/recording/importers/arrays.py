@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -56,14 +56,24 @@ class ArrayFile:
         Shapes of all arrays of numbers; nested names are separated by "/". A single array without a name has "".
     read : callable
         Returns an array by its name.
+    units : mapping of str to str
+        Units that the file states for its arrays, as it spells them.
     """
 
     path: Path
     shapes: Mapping[str, tuple[int, ...]]
     read: Callable[[str], NDArray[Any]]
+    units: Mapping[str, str] = field(default_factory=dict)
 
 
-def samples_from_arrays(file: ArrayFile, options: ImportOptions, stated: StatedUnits | None = None) -> ImportedSamples:
+def samples_from_arrays(
+    file: ArrayFile,
+    options: ImportOptions,
+    stated: StatedUnits | None = None,
+    *,
+    sample_rate_hz: float | None = None,
+    notes: tuple[str, ...] = (),
+) -> ImportedSamples:
     """Make samples of named arrays: one for each channel, one for each sensor, or one for all.
 
     Parameters
@@ -72,7 +82,11 @@ def samples_from_arrays(file: ArrayFile, options: ImportOptions, stated: StatedU
     options : ImportOptions
         ``variable`` names a group, or the one array that holds all columns.
     stated : StatedUnits, optional
-        Units that the format defines.
+        Units that the format defines; None: those that the file states for its arrays or in their names.
+    sample_rate_hz : float, optional
+        Rate by the file.
+    notes : tuple of str
+        Notes of the reader.
 
     Returns
     -------
@@ -99,9 +113,17 @@ def samples_from_arrays(file: ArrayFile, options: ImportOptions, stated: StatedU
             f"{file.path} holds no array of samples{f' in {options.variable}' if prefix else ''} "
             f"(found: {_listed(file)}): name one with {option('variable')}."
         )
-    found = assign(file.path, [each.removeprefix(prefix) for each in names], len(names), options.columns, arrays=True)
-    notes = list(found.notes)
-    table = {channel: _oriented(file, names[i], channel, notes) for channel, i in found.columns.items()}
+    found = assign(
+        file.path,
+        [each.removeprefix(prefix) for each in names],
+        len(names),
+        options.columns,
+        arrays=True,
+        units=[file.units.get(each) for each in names],
+    )
+    units = {channel: file.units.get(names[i]) for channel, i in found.columns.items()}
+    remarks = [*notes, *found.notes]
+    table = {channel: _oriented(file, names[i], channel, remarks) for channel, i in found.columns.items()}
     rows = {channel: len(values) for channel, values in table.items()}
     if len(set(rows.values())) > 1:
         shown = ", ".join(f"{channel} {count}" for channel, count in rows.items())
@@ -113,8 +135,9 @@ def samples_from_arrays(file: ArrayFile, options: ImportOptions, stated: StatedU
         time=table.get(TIME),
         stated=stated or found.stated,
         kind=None if options.kind is not None else found.kind,
+        sample_rate_hz=None if TIME in table else sample_rate_hz,
         temperature=table.get(TEMPERATURE),
-        notes=with_temperature(tuple(notes), table),
+        notes=with_temperature(tuple(remarks), table, units.get(TEMPERATURE)),
     )
 
 
@@ -298,6 +321,7 @@ def open_hdf5(path: Path, title: str, *, matlab: bool = False) -> Iterator[Array
         file = h5py.File(path, "r")
     try:
         shapes: dict[str, tuple[int, ...]] = {}
+        units: dict[str, str] = {}
 
         def note(name: str, node: Any) -> bool | None:
             text = matlab and node.attrs.get("MATLAB_class") in (b"char", b"cell", b"logical")
@@ -310,6 +334,9 @@ def open_hdf5(path: Path, title: str, *, matlab: bool = False) -> Iterator[Array
                 and not text
             ):
                 shapes[name] = node.shape[::-1] if matlab else node.shape
+                unit = _unit_attribute(h5py, node.attrs)
+                if unit:
+                    units[name] = unit
             # A value other than None ends the visit.
             return True if len(shapes) >= _MOST_ARRAYS else None
 
@@ -322,9 +349,22 @@ def open_hdf5(path: Path, title: str, *, matlab: bool = False) -> Iterator[Array
 
         with clear_errors(path, title):
             file.visititems(note)
-        yield ArrayFile(path, shapes, read)
+        yield ArrayFile(path, shapes, read, units)
     finally:
         file.close()
+
+
+def _unit_attribute(h5py: Any, attributes: Any) -> str | None:
+    """Text of the attribute "units" of a dataset; None if there is none, or something else than one text."""
+    for name in ("units", "unit"):
+        if name not in attributes:
+            continue
+        attribute = attributes.get_id(name)
+        if h5py.check_string_dtype(attribute.dtype) is None or attribute.shape not in ((), (1,)):
+            continue
+        value = np.asarray(attributes[name]).item()
+        return (value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)).strip()
+    return None
 
 
 def _read_parquet(path: Path, options: ImportOptions) -> ImportedSamples:

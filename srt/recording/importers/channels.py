@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import TYPE_CHECKING, Final
 
@@ -192,6 +192,7 @@ def assign(
     *,
     arrays: bool = False,
     kind: Kind | None = None,
+    units: Sequence[str | None] = (),
 ) -> ColumnAssignment:
     """Find the columns of all channels.
 
@@ -209,6 +210,8 @@ def assign(
         True: a column may be an array of three columns, "gyro" or "accel".
     kind : "rate" or "increment", optional
         Columns that are read where a table has both; rates if left out.
+    units : sequence of str or None, optional
+        Unit that the file states for each column beside its name; an unknown one is kept, for an error or a note.
 
     Returns
     -------
@@ -217,7 +220,7 @@ def assign(
     Raises
     ------
     InputError
-        Columns that are absent, not recognised, or ambiguous.
+        Columns that are absent, not recognised, or ambiguous, or whose units contradict each other.
     """
     columns = _all_given(path, names, width, wanted, arrays=arrays)
     notes: list[str] = []
@@ -256,6 +259,8 @@ def assign(
     if renamed:
         notes.append(f"Columns: {', '.join(renamed)}.")
     used = {channel: meanings[i] for channel, i in columns.items() if names}
+    for channel, i in columns.items() if units else ():
+        used[channel] = _with_unit(path, channel, names[i], used[channel], units[i])
     stated = StatedUnits(*(_common_unit(path, sensor, used) for sensor in ("gyro", "accel", TIME)))
     of_sensors = {meaning.kind for channel, meaning in used.items() if meaning and channel not in NO_SENSOR}
     return ColumnAssignment(columns, stated, "increment" if of_sensors == {"increment"} else None, tuple(notes))
@@ -265,9 +270,18 @@ NO_SENSOR: Final = (TIME, TEMPERATURE)
 """Channels that belong to no sensor."""
 
 
-def with_temperature(notes: tuple[str, ...], columns: Mapping[str, object]) -> tuple[str, ...]:
-    """Add a note on the unit of the temperature, if a column has the temperature."""
-    return (*notes, "Temperature is assumed to be in °C.") if TEMPERATURE in columns else notes
+def with_temperature(
+    notes: tuple[str, ...], columns: Mapping[str, object], stated: str | None = None
+) -> tuple[str, ...]:
+    """Add a note on the unit of the temperature, if a column has the temperature; the file may state a unit."""
+    if TEMPERATURE not in columns:
+        return notes
+    return (
+        *notes,
+        f"Temperature is read in °C; the file states {clipped(stated)}."
+        if stated
+        else "Temperature is assumed to be in °C.",
+    )
 
 
 def _all_given(
@@ -349,6 +363,24 @@ def _fits(channel: str, unit: str | None) -> bool:
     if sensor in SENSOR_UNITS:
         return unit == COUNTS or any(unit in units for units in SENSOR_UNITS[sensor].values())
     return channel == TIME and unit in TIME_UNITS
+
+
+def _with_unit(
+    path: Path, channel: str, name: str, meaning: ColumnMeaning | None, text: str | None
+) -> ColumnMeaning | None:
+    """Meaning of a column with the unit that the file states beside its name."""
+    if not text:
+        return meaning
+    # "seconds since 1970-01-01", by the CF conventions
+    unit = normal_unit(text.partition(" since ")[0] if channel == TIME else text)
+    if meaning is None:
+        return ColumnMeaning(channel, unit)
+    if meaning.unit not in (None, unit):
+        raise InputError(
+            f"{path}: the name of {clipped(name)} states {meaning.unit}, but its attribute states {clipped(unit)}: "
+            "correct one of them."
+        )
+    return replace(meaning, unit=unit)
 
 
 def _common_unit(path: Path, sensor: str, used: Mapping[str, ColumnMeaning | None]) -> str | None:
