@@ -58,6 +58,9 @@ def test_the_recording_holds_what_the_log_held(log, tmp_path, kind, capsys):
     np.testing.assert_array_equal(loaded.accel, ACCEL)
     assert loaded.fixture is None
     out, err = capsys.readouterr()
+    assert "No fixture is stated, so that attitudes and heading are unknown (a free recording)." in " ".join(
+        out.split()
+    )
     assert err == ""
     for fragment in ("table as text (csv)", "200 (rate)", "64 Hz (stamps), 0 gaps", "3.1 s", "rad/s (as given)"):
         assert fragment in out
@@ -99,6 +102,7 @@ def test_like_another_recording(log, tmp_path, capsys):
     assert convert(log, "-o", tmp_path / "a", "--like", tmp_path / "model", *SI) == 0
     assert convert(log, "-o", tmp_path / "b", "--like", tmp_path / "model" / "recording.toml", *SI, *SITE) == 0
     first, second = (srt.load_recording(tmp_path / name) for name in "ab")
+    assert "No fixture" not in capsys.readouterr().out
     for loaded in (first, second):
         assert loaded.fixture == model.fixture
         assert loaded.noise == model.noise
