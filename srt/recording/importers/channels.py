@@ -55,8 +55,8 @@ _SUFFIX_UNITS: Final = {
 _PREFIXES: Final = ("field", "imu")
 """First words of names that carry no meaning: "field.angular_velocity.x" of rostopic."""
 
-_MOST_NAMES = 60
-"""Names of columns that are listed where some have to be chosen; logs with more have arrays for other sensors."""
+_LONGEST_LIST = 800
+"""Characters of the list of all columns, where some have to be chosen: names of some forty."""
 
 _BRACKETS = re.compile(r"[\[(]([^\])]*)[\])]")
 
@@ -109,9 +109,14 @@ def _words(text: str) -> list[str]:
     return [word for word in re.split(r"[^a-z0-9]+", text.lower()) if word]
 
 
-def listed(names: Sequence[str], none: str = "none", most: int = 12) -> str:
-    """The first names of a file, for a message."""
-    return ", ".join(map(clipped, names[:most])) + (" ..." if len(names) > most else "") if names else none
+def listed(names: Sequence[str], none: str = "none") -> str:
+    """The first twelve names of a file, for a message."""
+    return ", ".join(map(clipped, names[:12])) + (" ..." if len(names) > 12 else "") if names else none
+
+
+def _all_listed(names: Sequence[str]) -> str:
+    """All names of a file, as far as a message may hold them."""
+    return clipped(", ".join(map(clipped, names)), _LONGEST_LIST) if names else "none has a name"
 
 
 @dataclass(frozen=True, slots=True)
@@ -300,10 +305,7 @@ def _all_given(
         elif not 0 <= place < width:
             raise InputError(f"{path} has {width} columns, but column {column} was asked for: columns count from 1.")
     if absent:
-        raise InputError(
-            f"{path} has no column {', '.join(absent)} (found: {listed(names, 'none has a name', _MOST_NAMES)}): name "
-            "one of those."
-        )
+        raise InputError(f"{path} has no column {', '.join(absent)} (found: {_all_listed(names)}): name one of those.")
     return {channel: place for channel, place in columns.items() if place is not None}
 
 
@@ -351,7 +353,7 @@ def _require_all(path: Path, names: Sequence[str], width: int, columns: Mapping[
     channels = [*([] if TIME in columns else [TIME]), *missing]
     line = ",".join(f"{channel}=NAME" for channel in channels)
     raise InputError(
-        f"{path}: no column was recognised as {', '.join(channels)} (found: {listed(names, most=_MOST_NAMES)}): give "
+        f"{path}: no column was recognised as {', '.join(channels)} (found: {_all_listed(names)}): give "
         f"{option('columns')} '{line}' with a name found, or its number from 1, for each NAME"
         f"{f' (leave {TIME} out if there are no stamps)' if TIME in channels else ''}."
     )
