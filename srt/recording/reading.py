@@ -22,6 +22,7 @@ from srt.recording.import_options import CHANNELS, TRIADS, ImportOptions, parse_
 from srt.recording.imported_samples import StatedUnits, in_imu_axes, samples_in_si, to_recording
 from srt.recording.importer_registry import AUTO, import_file
 from srt.recording.recording import Recording
+from srt.recording.samples import TIME
 from srt.recording.schema import FIXTURE_KEYS, IMU_KEYS, SITE_KEYS, in_file_unit
 
 if TYPE_CHECKING:
@@ -62,7 +63,8 @@ def read(
     source : path-like, Recording, mapping, DataFrame or tuple
         A folder with ``recording.toml``; a log in any format of ``srt convert --list``; arrays ``(time, gyro, accel)``,
         with None for time stamps that do not exist; or a mapping with ``gyro`` and ``accel`` (or ``gyro_x`` and so on),
-        ``time`` and ``temperature``. Arrays are in SI units unless a unit is stated.
+        ``time`` and ``temperature``. Arrays are in SI units unless a unit is stated. A DataFrame without a column of
+        time has the stamps in its index, if that consists of dates or durations, or is named "time".
     format : str
         Format of a log; "auto" recognises it.
     like : path-like or Recording, optional
@@ -277,7 +279,7 @@ def _from_arrays(source: Any, given: Mapping[str, Any], like: str | os.PathLike[
         options,
         gyro=_matrix("gyro", table["gyro"]),
         accel=_matrix("accel", table["accel"]),
-        time=None if table.get("time") is None else np.asarray(table["time"]),
+        time=None if table.get(TIME) is None else _stamps(table[TIME]),
         stated=replace(units, **counts),
         temperature=None if table.get("temperature") is None else np.asarray(table["temperature"]),
     )
@@ -300,18 +302,30 @@ def _arrays(source: Any) -> dict[str, Any]:
         )
     names = source.keys() if isinstance(source, Mapping) else source.columns
     table = {str(name): source[name] for name in names}
+    index: Any = getattr(source, "index", None)  # of pandas
+    if TIME not in table and hasattr(index, "dtype") and (index.dtype.kind in "mM" or index.name == TIME):
+        table[TIME] = index
     for sensor, channels in TRIADS.items():
         if sensor not in table and all(channel in table for channel in channels):
             table[sensor] = np.column_stack([np.asarray(table.pop(channel)) for channel in channels])
     missing = [sensor for sensor in TRIADS if sensor not in table]
     unknown = sorted(set(table) - {*TRIADS, *CHANNELS})
     if missing or unknown:
-        wrong = f"there is no {missing[0]}" if missing else f"{unknown[0]!r} is no channel"
+        wrong = " and ".join(
+            ([f"there is no {' and no '.join(missing)}"] if missing else [])
+            + ([f"no channel is called {' or '.join(map(repr, unknown))}"] if unknown else [])
+        )
         raise InputError(
             f"The arrays are not complete: {wrong}; expected are gyro and accel (or gyro_x and so on), with time and "
             "temperature where they exist."
         )
     return table
+
+
+def _stamps(values: Any) -> np.ndarray[Any, Any]:
+    # Dates with a time zone, of pandas, would become an array of objects.
+    zoned = hasattr(getattr(values, "dtype", None), "tz")
+    return np.asarray(values, dtype="M8[ns]" if zoned else None)
 
 
 def _matrix(name: str, values: Any) -> np.ndarray[Any, Any]:
