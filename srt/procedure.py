@@ -1,4 +1,4 @@
-"""Inspection and calibration of library and command line: fault detection, estimation, and checks of the result."""
+"""Inspection, noise and calibration of library and command line: fault detection, estimation, checks of the result."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from srt.sequences.protocol_matching import with_protocol
 if TYPE_CHECKING:
     from srt.diagnosis.inspection import Inspection
     from srt.estimation.registry import Progress
+    from srt.noise.noise_terms import NoiseTerms
     from srt.recording.recording import Recording
     from srt.result.calibration import Calibration
 
@@ -147,3 +148,31 @@ def inspect(source: Any, *, deep: bool = False, **stated: Any) -> Inspection:
     recording = read(source, **stated)
     units = inspection.declared_units(recording.source) if recording.source else {}
     return inspection.inspect(recording, calibrating=deep, units=units)
+
+
+def noise_terms(source: Any, **stated: Any) -> NoiseTerms:
+    """Fit the noise terms of a unit at rest over the longest stationary window, as ``srt noise`` does.
+
+    Parameters
+    ----------
+    source : Recording, path-like, or arrays
+        Recording, or what :func:`srt.read` makes one of.
+    **stated
+        Keywords of :func:`srt.read`; gravity has no effect on the terms.
+
+    Returns
+    -------
+    NoiseTerms
+
+    Raises
+    ------
+    InputError
+        A source that cannot be read.
+    DataError
+        No stationary window of 30 s.
+    """
+    from srt.noise import noise_terms as fit
+    from srt.sequences.rest_detection import undisturbed_rest
+
+    recording = read(source, **stated)
+    return fit.noise_terms(recording, undisturbed_rest(recording))

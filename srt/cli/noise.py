@@ -10,7 +10,6 @@ import click
 from srt.cli.grouped_command import RenamedOption
 from srt.cli.messages import announce, figure_title, show
 from srt.cli.output_paths import PLOT_SUFFIXES, RESULT_SUFFIXES, check_file, recording_folder, require_matplotlib
-from srt.exceptions import DataError
 
 if TYPE_CHECKING:
     from srt.recording.recording import Recording
@@ -42,10 +41,10 @@ def noise(
     import numpy as np
 
     from srt.cli.apply import check_match, load_fit
-    from srt.noise.allan import allan_deviation, undisturbed
+    from srt.noise.allan import allan_deviation
     from srt.noise.noise_terms import noise_terms
     from srt.recording.atomic_file import atomic_write_text
-    from srt.sequences.rest_detection import longest_rest
+    from srt.sequences.rest_detection import undisturbed_rest
 
     for file, suffixes, what in (
         (json_file, RESULT_SUFFIXES, "The result"),
@@ -60,11 +59,7 @@ def noise(
     calibration = None if into is None else load_fit(into, force=force, trust=trust)
     if calibration is not None and into is not None and not force:
         check_match(calibration, recording, into, log)
-    rest = longest_rest(recording)
-    pieces = undisturbed(recording, *rest) if rest is not None else []
-    if not pieces:
-        raise DataError(f"{log} has no stationary window: log the unit at rest.")
-    window = max(pieces, key=lambda piece: piece[1] - piece[0])
+    window = undisturbed_rest(recording)
     terms = noise_terms(recording, window)
     allan = allan_deviation(recording, np.array([window], dtype=np.intp))
     if not quiet:
