@@ -329,7 +329,7 @@ def residual_table(calibration: Calibration) -> CertificateTable | None:
     for residual in calibration.residuals:
         by_turn.setdefault((residual.sequence, residual.occurrence), []).append(residual)
     against = ("chi-square / dof", "p") if judged else ()
-    head = ("sequence", "residuals", "left over", "rms / sigma", "largest / sigma", "in", *against)
+    head = ("sequence", "residuals", "redundant", "rms / sigma", "largest / sigma", "in", *against)
     rows = []
     for turn, residuals in by_turn.items():
         left = _left(residuals)
@@ -360,9 +360,12 @@ def residual_table(calibration: Calibration) -> CertificateTable | None:
                 CertificateCell(probability_text(row["probability"]) or "-") if row else CertificateCell("-"),
             ]
         rows.append(tuple(cells))
-    note = "left over: components that are not solved exactly; a residual of about 1 sigma is expected for each." + (
-        " chi-square: against the prediction from all other sequences; p: probability of a larger one by noise."
-        * bool(judged)
+    note = (
+        "Redundant components are those that the parameters do not solve exactly; a residual of about 1 sigma is "
+        "expected for each."
+    ) + (
+        " Chi-square tests the sequence against its prediction from all others; p is the probability that noise alone "
+        "gives a larger value." * bool(judged)
     )
     return CertificateTable("Residuals by sequence", head, tuple(rows), "lrrrrl" + ("rr" if judged else ""), note)
 
@@ -383,7 +386,7 @@ def _summary(
         yield "No acceptance limits were given."
     measured = int(calibration.observed.sum())
     status = calibration.status.replace("_", " ")
-    yield f"{measured} of {len(NAMES)} parameters were measured (estimator {plain(calibration.estimator)}, {status})."
+    yield f"{measured} of {len(NAMES)} parameters were estimated (estimator {plain(calibration.estimator)}, {status})."
     yield f"Verdict: {plain(str(calibration.judgement), _VERDICT_LENGTH)}"
     if change is not None:
         names = change.names

@@ -183,7 +183,8 @@ def references_table(calibration: Calibration, laboratory: Laboratory) -> Certif
         ("quantity", "value", "standard uncertainty", "origin")[:columns],
         tuple(tuple(map(CertificateCell, row)) for row in rows),
         "llll"[:columns],
-        "Gravity and time base scale the accelerometers and the gyros; latitude and heading give the Earth rate.",
+        "Accelerometer scale factors refer to gravity, gyro scale factors to the time base. Latitude and heading give "
+        "the Earth rate.",
     )
 
 
