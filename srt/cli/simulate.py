@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 @click.command()
 @click.argument("scenario", metavar="SCENARIO")
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="Folder to write.")
-@click.option("--seed", type=click.IntRange(min=0), help="Seed; default: that of the scenario.")
+@click.option("--seed", type=click.IntRange(min=0), help="Seed; default: that of the scenario, or 1.")
 @click.option(
     "--samples-format",
     cls=RenamedOption,

@@ -81,6 +81,8 @@ def test_version(capfd):
     [
         (["calibrat"], ["no command 'calibrat'", "did you mean calibrate?"]),
         (["xyz"], ["no command 'xyz'", "srt --help"]),
+        (["merge", "a", "b"], ["no command 'merge'", "did you mean calibrate --merge?"]),
+        (["calibrate", "x", "-o", "unit-7"], ["The result cannot be written as unit-7", "as unit-7.json."]),
         (["--verbose"], ["--verbose"]),
         (["calibrate"], ["RECORDING", "srt calibrate --help"]),
         (["calibrate", "x", "--step", "big"], ["--step", "'jacobian', 'coefficients'"]),
