@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 import click
 
 from srt.cli.border import guarded
+from srt.cli.messages import show
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -93,7 +94,7 @@ def _print_version(ctx: click.Context, param: click.Parameter, value: bool) -> N
         number = version("strapdown-rotation-test")
     except PackageNotFoundError:
         number = "(not installed)"
-    click.echo(f"srt, strapdown-rotation-test {number}")
+    show(f"srt, strapdown-rotation-test {number}")
     ctx.exit()
 
 

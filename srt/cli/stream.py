@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import click
 
-from srt.cli.messages import say, warn
+from srt.cli.messages import output_errors, say, warn
 from srt.exceptions import InputError
 
 if TYPE_CHECKING:
@@ -168,8 +168,9 @@ def _standard(lines: LineCorrector) -> None:
     for line in sys.stdin:
         corrected = lines.correct(line)
         if corrected is not None:
-            write(corrected + "\n")
-            flush()
+            with output_errors():
+                write(corrected + "\n")
+                flush()
 
 
 def _datagrams(corrector: StreamCorrector, lines: LineCorrector, raw: Counts | None, given: dict[str, Any]) -> None:
