@@ -9,22 +9,23 @@ import click
 from srt.cli.apply import check_match, load_fit
 from srt.cli.messages import show, warn
 from srt.cli.output_paths import check_file
+from srt.cli.path_type import NamedPath
 from srt.exceptions import InputError
 
 RESULT_SUFFIXES = (".json",)
 
 
 @click.command("align-mount")
-@click.argument("recording_path", metavar="[RECORDING]", required=False, type=click.Path(path_type=Path))
+@click.argument("recording_path", metavar="[RECORDING]", required=False, type=NamedPath(path_type=Path))
 @click.option(
     "--calibration",
     "calibration_file",
     required=True,
     metavar="UNIT.json",
-    type=click.Path(path_type=Path),
+    type=NamedPath(path_type=Path),
     help="Calibration of the unit.",
 )
-@click.option("-o", "--output", type=click.Path(path_type=Path), metavar="FILE.json", help="Result: FILE.json.")
+@click.option("-o", "--output", type=NamedPath(path_type=Path), metavar="FILE.json", help="Result: FILE.json.")
 @click.option(
     "--level-sigma-mrad",
     type=float,

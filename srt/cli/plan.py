@@ -13,6 +13,7 @@ import click
 
 from srt.cli.messages import announce, say, show
 from srt.cli.output_paths import PLOT_SUFFIXES, RESULT_SUFFIXES, check_file, require_matplotlib
+from srt.cli.path_type import NamedPath
 from srt.cli.progress import status_line
 from srt.comparison.parallel import one_thread
 from srt.exceptions import InputError
@@ -39,11 +40,11 @@ class PlanFiles(NamedTuple):
 @click.command()
 @click.argument("plan_file", metavar="PLAN")
 @click.option("--total-time", type=float, metavar="S", help="Length of the test in s, instead of the file's.")
-@click.option("-o", "--output", type=click.Path(path_type=Path), help="Schedule for srt simulate: FILE.toml.")
-@click.option("--sheet", type=click.Path(path_type=Path), help="Sheet for the operator: FILE.md.")
-@click.option("--json", "document", type=click.Path(path_type=Path), help="Plan as JSON: FILE.json.")
+@click.option("-o", "--output", type=NamedPath(path_type=Path), help="Schedule for srt simulate: FILE.toml.")
+@click.option("--sheet", type=NamedPath(path_type=Path), help="Sheet for the operator: FILE.md.")
+@click.option("--json", "document", type=NamedPath(path_type=Path), help="Plan as JSON: FILE.json.")
 @click.option(
-    "--plot", type=click.Path(path_type=Path), help="Figure of timetable and accuracy: FILE.png, .pdf or .svg."
+    "--plot", type=NamedPath(path_type=Path), help="Figure of timetable and accuracy: FILE.png, .pdf or .svg."
 )
 @click.option("--table-1", is_flag=True, help="Compare with the 17 sequences of Table 1 in the same time.")
 @click.option(
@@ -54,7 +55,7 @@ class PlanFiles(NamedTuple):
 )
 @click.option(
     "--after",
-    type=click.Path(path_type=Path),
+    type=NamedPath(path_type=Path),
     metavar="CALIBRATION",
     help="Instead of a plan, propose the next sequence after the test so far, from its calibration (JSON).",
 )

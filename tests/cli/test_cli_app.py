@@ -17,6 +17,7 @@ from srt.cli import main
 from srt.cli.app import COMMANDS
 from srt.cli.calibrate import CHOICES
 from srt.cli.output_paths import SAMPLES_FORMATS as FORMATS
+from srt.cli.path_type import NamedPath
 from srt.recording.samples import SAMPLES_FORMATS
 
 HEAVY = ("numpy", "scipy", "matplotlib", "rich", "pydantic", "pandas", "gtsam", "filterpy", "h5py", "pyarrow", "numba")
@@ -81,6 +82,10 @@ def test_version(capfd):
     [
         (["calibrat"], ["no command 'calibrat'", "did you mean calibrate?"]),
         (["xyz"], ["no command 'xyz'", "srt --help"]),
+        (["calibrate", ""], ["RECORDING", "the path is empty", "srt calibrate --help"]),
+        (["simulate", "demo", "-o", ""], ["--output", "the path is empty"]),
+        (["export", "x.json", "--to", "kalibr", "-o", ""], ["--output", "the path is empty"]),
+        (["export", "x.json", "--to", "kalibr", "-o", "."], [". is a folder", ".yaml"]),
         (["merge", "a", "b"], ["no command 'merge'", "did you mean calibrate --merge?"]),
         (["calibrate", "x", "-o", "unit-7"], ["The result cannot be written as unit-7", "as unit-7.json."]),
         (["--verbose"], ["--verbose"]),
@@ -108,6 +113,13 @@ def test_wrong_usage_is_one_sentence_and_2(arguments, fragments, tmp_path, monke
     for fragment in fragments:
         assert fragment in err
     assert list(tmp_path.iterdir()) == []
+
+
+def test_every_path_of_every_command_is_of_the_type_that_refuses_an_empty_one():
+    for name in COMMANDS:
+        command = application.app.get_command(None, name)
+        paths = [each for each in command.params if isinstance(each.type, click.Path)]
+        assert all(isinstance(each.type, NamedPath) for each in paths), name
 
 
 def test_no_command_shows_the_help_and_is_wrong_usage(capfd):
