@@ -184,7 +184,6 @@ class Iteration:
         status, message = "not_converged", ""
         final: SrtMeasurements | None = None
         inside = errors, U
-        count = len(self.before)
         for i in range(self.options.max_playbacks):
             nominal = (i == 0 and not self.resumed) or not self.options.measured_vertical
             # Near the solution the full weights are computed once: they change with the estimate by about 1e-3.
@@ -204,13 +203,12 @@ class Iteration:
                 settled &= self._update_force_drift(measurements, correction, weights, sigma)
                 size = float(np.max(np.abs(correction) / _UNIT))
                 corrections.append(size)
-                count += 1
                 if progress is not None:
-                    progress(count, size)
+                    progress(len(self.before) + len(corrections), size)
                 _require_inside(errors)
                 inside = errors, U
             except _DivergenceError as reason:
-                status, message = "outside_model", f"After iteration {count} {reason}."
+                status, message = "outside_model", f"After iteration {len(self.before) + len(corrections)} {reason}."
                 break
             settled &= self._update_offsets(measurements, sigma)
             tolerance = np.maximum(CONVERGED_CORRECTION * _UNIT, CONVERGED_SIGMAS * sigma)
@@ -220,7 +218,7 @@ class Iteration:
                 continue
             if settled and not self._release_moving(measurements):
                 status = "converged"
-                message = f"Converged after {count} iterations."
+                message = f"Converged after {len(self.before) + len(corrections)} iterations."
                 # The last correction is below 0.01 sigma: linear prediction gives z without another iteration.
                 integrals = replace(measurements.integrals, noise=self.noise[0], time_parts=self.noise[1])
                 final = replace(measurements, z=measurements.z - measurements.H @ correction, integrals=integrals)
@@ -229,7 +227,7 @@ class Iteration:
                 weights = None
         else:
             message = (
-                f"Not converged after {count} iterations: the last correction was "
+                f"Not converged after {len(self.before) + len(corrections)} iterations: the last correction was "
                 f"{corrections[-1] if corrections else np.inf:.2e} "
                 "(largest component: ratios, rad; accelerometer biases in g)."
             )
