@@ -64,10 +64,15 @@ def align_mount(
         check_file(output, RESULT_SUFFIXES, "The mount alignment")
         if output.resolve() == calibration_file.resolve():
             raise InputError(f"{output} is the calibration itself: name another file.")
+    from srt.recording.schema import LARGEST_SIGMA_MRAD
+
     sigmas = {"--level-sigma-mrad": level_sigma_mrad, "--axis-sigma-mrad": axis_sigma_mrad}
     for name, value in sigmas.items():
-        if value is not None and not 0.0 < value < float("inf"):
-            raise InputError(f"{name} is {value:g}, but a positive number of milliradians is expected.")
+        if value is not None and not 0.0 < value <= LARGEST_SIGMA_MRAD:
+            raise InputError(
+                f"{name} is {value:g}, but a positive number of milliradians, of at most {LARGEST_SIGMA_MRAD:g}, is "
+                "expected."
+            )
         if value is not None and recording_path is None:
             raise InputError(f"{name} applies to static poses: name their RECORDING, or leave the option out.")
     calibration = load_fit(calibration_file, force=force, trust=trust)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -107,8 +106,12 @@ def plan(
             check_file(path, suffixes, what)
     for name in compare:
         load_protocol(name)
-    if total_time is not None and not (math.isfinite(total_time) and total_time > 0.0):
-        raise InputError(f"--total-time is {total_time:g}: give a positive number of seconds.")
+    from srt.recording.schema import LARGEST_TIME_S
+
+    if total_time is not None and not 0.0 < total_time <= LARGEST_TIME_S:
+        raise InputError(
+            f"--total-time is {total_time:g}: give a positive number of seconds of at most {LARGEST_TIME_S:g}."
+        )
     chosen = files.load_plan_file(plan_file)
     given = {"total_time_s": total_time, "moves": moves}
     options = chosen.plan.model_copy(update={name: value for name, value in given.items() if value is not None})

@@ -25,14 +25,14 @@ LARGEST_RATE_DEG_S: Final = 1e6
 """Bound of rates, °/s: gyros of spinning projectiles read 1e5."""
 _LARGEST_ANGLE_DEG: Final = 3.6e5
 """Bound of one rotation, degrees: a thousand revolutions."""
-_LARGEST_SIGMA_MRAD: Final = 3200.0
+LARGEST_SIGMA_MRAD: Final = 3200.0
 """Bound of the sigma of an angle, mrad: half a revolution, beyond which nothing is said of the direction."""
-_LARGEST_ELEMENT: Final = 1e6
+LARGEST_ELEMENT: Final = 1e6
 """Bound of matrices and offsets of a logger, SI units: far beyond any sensor's scale factor or reading."""
 LARGEST_PPM: Final = 1e6
 """Bound of a relative sigma, ppm: as large as the quantity."""
-LARGEST_TIME_S: Final = 1e6
-"""Bound of a duration within a test, s: more than a week."""
+LARGEST_TIME_S: Final = 1e5
+"""Bound of the duration of a test and of its parts, s: more than a day."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,11 +130,11 @@ def numbers(name: str, unit: str, attribute: str, count: int) -> Key:
     def read(value: Any) -> tuple[float, ...]:
         if not isinstance(value, list) or len(value) != count:
             raise ValueError
-        if not all(_is_number(v) and abs(v) <= _LARGEST_ELEMENT for v in value):
+        if not all(_is_number(v) and abs(v) <= LARGEST_ELEMENT for v in value):
             raise ValueError
         return tuple(map(float, value))
 
-    return Key(name, f"a list of {count} numbers of magnitudes up to {_LARGEST_ELEMENT:g}, {unit},", read, attribute)
+    return Key(name, f"a list of {count} numbers of magnitudes up to {LARGEST_ELEMENT:g}, {unit},", read, attribute)
 
 
 def _window(name: str) -> Key:
@@ -213,9 +213,9 @@ SITE_KEYS: Final = (
 
 FIXTURE_KEYS: Final = (
     number("heading_deg", "degrees", "heading_rad", factor=DEG, low=-360.0, high=360.0),
-    number("alignment_sigma_mrad", "mrad", "alignment_sigma_rad", factor=1e-3, above=0.0, high=_LARGEST_SIGMA_MRAD),
-    number("rotation_sigma_mrad", "mrad", "rotation_sigma_rad", factor=1e-3, above=0.0, high=_LARGEST_SIGMA_MRAD),
-    number("wobble_sigma_mrad", "mrad", "wobble_sigma_rad", factor=1e-3, low=0.0, high=_LARGEST_SIGMA_MRAD),
+    number("alignment_sigma_mrad", "mrad", "alignment_sigma_rad", factor=1e-3, above=0.0, high=LARGEST_SIGMA_MRAD),
+    number("rotation_sigma_mrad", "mrad", "rotation_sigma_rad", factor=1e-3, above=0.0, high=LARGEST_SIGMA_MRAD),
+    number("wobble_sigma_mrad", "mrad", "wobble_sigma_rad", factor=1e-3, low=0.0, high=LARGEST_SIGMA_MRAD),
 )
 
 IMU_KEYS: Final = (
