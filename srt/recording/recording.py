@@ -9,11 +9,13 @@ float64.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any, Final, Literal, TypeVar, get_args
 
 import numpy as np
 
+from srt.arguments import require_type
 from srt.exceptions import InputError
 from srt.model.table1 import AXES
 from srt.presentation import Presented
@@ -165,6 +167,15 @@ class ImuNoise:
         check_fields("The unit's", self, IMU_KEYS)
 
 
+_FIELDS: Final[dict[str, tuple[str, tuple[type, ...]]]] = {
+    "site": ("a Site", (Site,)),
+    "fixture": ("a Fixture or None", (Fixture, type(None))),
+    "noise": ("an ImuNoise", (ImuNoise,)),
+    "sequences": ("a tuple of SequenceLabel", (Iterable,)),
+}
+"""Content of fields of a recording, with their classes."""
+
+
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Recording(Presented):
     """Recording of an IMU: samples, site, fixture, noise and sequence labels.
@@ -224,6 +235,8 @@ class Recording(Presented):
     _memo: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
+        for name, (needed, kinds) in _FIELDS.items():
+            require_type(f"The field {name} of a recording", needed, getattr(self, name), *kinds)
         if self.kind not in get_args(Kind):
             raise InputError(f"The kind of a recording is {self.kind!r}, but 'rate' or 'increment' is expected.")
         check_fields("The recording's", self, (key for key in RECORDING_KEYS if key.name in _NUMBERS))
@@ -243,6 +256,8 @@ class Recording(Presented):
             object.__setattr__(self, name, values)
         require_increasing(time)
         object.__setattr__(self, "sequences", tuple(self.sequences))
+        for label in self.sequences:
+            require_type("The field sequences of a recording", _FIELDS["sequences"][0], label, SequenceLabel)
         self._check_overlap([self._checked_rotation(label) for label in self.sequences])
 
     def _check_overlap(self, rotations: Sequence[tuple[int, int]]) -> None:

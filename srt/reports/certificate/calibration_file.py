@@ -10,11 +10,13 @@ import hashlib
 import json
 import math
 from dataclasses import dataclass
+from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from srt.arguments import require_type
 from srt.exceptions import InputError, clipped
 from srt.model.sensor_model import outside_model
 from srt.recording.bounded_file import read_bounded
@@ -25,7 +27,6 @@ from srt.sensor_errors import INDEX, N_PARAMETERS, SYMBOLS, UNITS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
-    from os import PathLike
 
 _ROUNDING: Final = 1e-6
 """Relative tolerance between values stated twice: numbers are written in full, so the difference is rounding."""
@@ -70,6 +71,7 @@ class CalibrationFile:
 
 def calibration_file(source: Calibration | str | PathLike[str], *, trust: bool = False) -> CalibrationFile:
     """Calibration of a certificate, from its file or from memory; the hash of the latter is that of its file."""
+    require_type("A certificate", "a calibration, or the path of one", source, Calibration, str, PathLike)
     if not isinstance(source, Calibration):
         return load_calibration_file(Path(source), trust=trust)
     text = json_text(source.to_dict())
