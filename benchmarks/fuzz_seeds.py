@@ -55,8 +55,8 @@ start_static_s = [0.0, 0.03]
 end_static_s = [0.06, 0.11]
 [[sequence]]
 id = "own"
-start_static_s = [0.0, 0.02]
-end_static_s = [0.05, 0.1]
+start_static_s = [0.06, 0.08]
+end_static_s = [0.1, 0.11]
 down = "z"
 along_outer = "y"
 rotations = [["y", 180.0], ["z", -90.0]]

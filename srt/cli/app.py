@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 import click
 
 from srt.cli.border import guarded
+from srt.cli.messages import show
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -42,6 +43,9 @@ SECTIONS: Final = {
 }
 """Sections of the help: for every command its function (module:attribute) and its line of help."""
 
+OPTIONS_AS_COMMANDS: Final = {"merge": "calibrate --merge", "fleet": "calibrate FOLDER"}
+"""What does the work of a word that is no command."""
+
 COMMANDS: Final = {name: entry for section in SECTIONS.values() for name, entry in section.items()}
 
 
@@ -69,7 +73,9 @@ class LazyGroup(click.Group):
         if name not in COMMANDS and not name.startswith("-"):
             from srt.exceptions import did_you_mean
 
-            raise click.UsageError(f"There is no command {name!r}{did_you_mean(name, COMMANDS)}", ctx)
+            instead = OPTIONS_AS_COMMANDS.get(name)
+            hint = did_you_mean(name, COMMANDS) if instead is None else f" (did you mean {instead}?)"
+            raise click.UsageError(f"There is no command {name!r}{hint}", ctx)
         return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
@@ -89,7 +95,7 @@ def _print_version(ctx: click.Context, param: click.Parameter, value: bool) -> N
         number = version("strapdown-rotation-test")
     except PackageNotFoundError:
         number = "(not installed)"
-    click.echo(f"srt, strapdown-rotation-test {number}")
+    show(f"srt, strapdown-rotation-test {number}")
     ctx.exit()
 
 

@@ -10,6 +10,7 @@ import click
 from srt.cli.grouped_command import GroupedCommand, RenamedOption
 from srt.cli.messages import show
 from srt.cli.output_paths import SAMPLES_FORMATS, check_recording_target
+from srt.cli.path_type import NamedPath
 from srt.exceptions import DataError, InputError
 
 if TYPE_CHECKING:
@@ -103,7 +104,7 @@ _READ = [
 ]
 
 _SAY = [
-    click.option("--like", type=click.Path(path_type=Path), metavar="RECORDING", help="Take site, fixture, imu and "
+    click.option("--like", type=NamedPath(path_type=Path), metavar="RECORDING", help="Take site, fixture, imu and "
                  "sequences from this recording; options take precedence."),
     click.option("--latitude-deg", type=float, help="Latitude of the site."),
     click.option("--gravity-m-s2", type=float, help="Gravity at the site, positive."),
@@ -129,7 +130,7 @@ _SAY = [
 ]  # fmt: skip
 
 _WRITE = [
-    click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="Folder to write."),
+    click.option("-o", "--output", required=True, type=NamedPath(path_type=Path), help="Folder to write."),
     click.option("--samples-format", cls=RenamedOption, earlier=("--to",), type=click.Choice(SAMPLES_FORMATS),
                  default="csv", show_default=True, help="Format of the samples written."),
     click.option("--force", is_flag=True, help="Write even if the accelerometers do not read gravity."),
@@ -156,8 +157,8 @@ _USUAL = (
 
 
 @click.command(cls=GroupedCommand, usual=_USUAL, groups=_GROUPS)
-@click.argument("source", type=click.Path(path_type=Path))
-@click.argument("second", metavar="[SOURCE2]", required=False, type=click.Path(path_type=Path))
+@click.argument("source", type=NamedPath(path_type=Path))
+@click.argument("second", metavar="[SOURCE2]", required=False, type=NamedPath(path_type=Path))
 @click.option(
     "--list", is_flag=True, is_eager=True, expose_value=False, callback=_list_formats, help="List the formats and exit."
 )

@@ -10,18 +10,19 @@ import click
 from srt.cli.grouped_command import RenamedOption
 from srt.cli.messages import announce, figure_title, show
 from srt.cli.output_paths import PLOT_SUFFIXES, RESULT_SUFFIXES, check_file, recording_folder, require_matplotlib
+from srt.cli.path_type import NamedPath
 
 if TYPE_CHECKING:
     from srt.recording.recording import Recording
 
 
 @click.command()
-@click.argument("log", type=click.Path(path_type=Path), metavar="LOG")
-@click.option("--into", type=click.Path(path_type=Path), metavar="UNIT", help="Calibration UNIT.json of the same unit "
+@click.argument("log", type=NamedPath(path_type=Path), metavar="LOG")
+@click.option("--into", type=NamedPath(path_type=Path), metavar="UNIT", help="Calibration UNIT.json of the same unit "
               "that the terms are written into, for exports.")  # fmt: skip
-@click.option("-o", "--output", "json_file", cls=RenamedOption, earlier=("--json",), type=click.Path(path_type=Path),
+@click.option("-o", "--output", "json_file", cls=RenamedOption, earlier=("--json",), type=NamedPath(path_type=Path),
               metavar="FILE", help="Result: FILE.json.")  # fmt: skip
-@click.option("--plot", type=click.Path(path_type=Path), metavar="FILE", help="Figure: FILE.png, .pdf or .svg.")
+@click.option("--plot", type=NamedPath(path_type=Path), metavar="FILE", help="Figure: FILE.png, .pdf or .svg.")
 @click.option("--force", is_flag=True, help="Accept any status of the calibration and any serial.")
 @click.option("--trust", is_flag=True, help="Accept a calibration file that was changed after it was written.")
 @click.option("-q", "--quiet", is_flag=True, help="No table.")

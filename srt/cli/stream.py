@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import click
 
-from srt.cli.messages import say, warn
+from srt.cli.messages import output_errors, say, warn
 from srt.exceptions import InputError
 
 if TYPE_CHECKING:
@@ -166,8 +166,10 @@ def _standard(lines: LineCorrector) -> None:
         sys.stdin.reconfigure(errors="replace")
     write, flush = sys.stdout.write, sys.stdout.flush
     for line in sys.stdin:
-        write(lines.correct(line) + "\n")
-        flush()
+        corrected = lines.correct(line)
+        with output_errors():
+            write(corrected + "\n")
+            flush()
 
 
 def _datagrams(corrector: StreamCorrector, lines: LineCorrector, raw: Counts | None, given: dict[str, Any]) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Final, Protocol
@@ -12,6 +11,7 @@ import numpy as np
 from srt.exceptions import InputError
 from srt.exporters.linear_model import LinearModel
 from srt.model.rotations import rotation_vector
+from srt.recording.schema import LARGEST_ELEMENT
 from srt.result.calibration import G_SENSITIVITY
 
 if TYPE_CHECKING:
@@ -99,8 +99,11 @@ class ExportSettings:
     def __post_init__(self) -> None:
         for name in ("rate_hz", "gyro_random_walk", "accel_random_walk", "inflate"):
             value = getattr(self, name)
-            if value is not None and not (math.isfinite(value) and value > 0.0):
-                raise InputError(f"The setting {name} is {value:g}: give a positive number, or leave it out.")
+            if value is not None and not 0.0 < value <= LARGEST_ELEMENT:
+                raise InputError(
+                    f"The setting {name} is {value:g}: give a positive number of at most {LARGEST_ELEMENT:g}, or leave "
+                    "it out."
+                )
         if self.topic is not None and not _TOPIC.fullmatch(self.topic):
             raise InputError(f"{self.topic!r} is no topic: use letters, digits and / _ ~ . - as in /imu0.")
         if self.instance is not None and not 0 <= self.instance <= LAST_INSTANCE:

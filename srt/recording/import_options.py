@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
+from numbers import Real
 from typing import TYPE_CHECKING, Final, get_args
 
 import numpy as np
 
+from srt.arguments import require_type
 from srt.constants import DEG
 from srt.exceptions import InputError, did_you_mean
 from srt.model.table1 import AXES
@@ -17,7 +20,7 @@ from srt.recording.samples import ACCEL_COLUMNS, GYRO_COLUMNS, TEMPERATURE, TIME
 from srt.recording.schema import ACCEL_UNITS, COUNTS, GYRO_UNITS, TIME_UNITS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable
     from pathlib import Path
 
     from srt.types import Array
@@ -126,10 +129,13 @@ class ImportOptions:
                     )
         self._set_unit("time_unit", tuple(TIME_UNITS))
         rate = self.sample_rate_hz
+        if rate is not None:
+            require_type(option("sample_rate_hz"), "a number in Hz", rate, Real)
         if rate is not None and not (math.isfinite(rate) and rate > 0.0):
             raise InputError(f"{option('sample_rate_hz')} is {rate:g}, but a positive number in Hz is expected.")
         if self.skip < 0:
             raise InputError(f"{option('skip')} is {self.skip}, but a number of lines is expected.")
+        require_type(option("columns"), "a text, or a mapping of channels to columns", self.columns, Mapping)
         for channel in self.columns:
             if channel not in CHANNELS and channel not in TRIADS:
                 raise InputError(

@@ -34,7 +34,16 @@ from srt.constants import DEG
 from srt.exceptions import InputError, did_you_mean
 from srt.model.rotations import rotation_matrix
 from srt.model.table1 import AXES, SEQUENCES, SIGNED_AXES, axis_vector
-from srt.recording.schema import Key, fields_of, number, read_section, text
+from srt.recording.schema import (
+    LARGEST_PPM,
+    LARGEST_RATE_DEG_S,
+    LARGEST_TIME_S,
+    Key,
+    fields_of,
+    number,
+    read_section,
+    text,
+)
 from srt.recording.toml_text import read_toml
 
 if TYPE_CHECKING:
@@ -296,15 +305,19 @@ def _read_repeat(value: Any) -> int:
     return value
 
 
-_RATE: Final = number("rate_deg_s", "deg/s", "rate_rad_s", factor=DEG, above=0.0)
+_LARGEST_ACCELERATION_DEG_S2: Final = 1e9
+"""Bound of accelerations, °/s²: the largest rate within a millisecond."""
+_RATE: Final = number("rate_deg_s", "deg/s", "rate_rad_s", factor=DEG, above=0.0, high=LARGEST_RATE_DEG_S)
 _RESTS: Final = Key("rest_s", "a positive number of seconds, or a pair [before, after]", _read_rests, "rest_s")
 PROTOCOL_KEYS: Final = (
     text("description", "description"),
     _RATE,
-    number("acceleration_deg_s2", "deg/s²", "acceleration_rad_s2", factor=DEG, above=0.0),
+    number(
+        "acceleration_deg_s2", "deg/s²", "acceleration_rad_s2", factor=DEG, above=0.0, high=_LARGEST_ACCELERATION_DEG_S2
+    ),
     _RESTS,
-    number("place_s", "s", "place_s", low=0.0),
-    number("rate_sigma_ppm", "ppm", "rate_sigma", factor=1e-6, above=0.0),
+    number("place_s", "s", "place_s", low=0.0, high=LARGEST_TIME_S),
+    number("rate_sigma_ppm", "ppm", "rate_sigma", factor=1e-6, above=0.0, high=LARGEST_PPM),
 )
 STEP_KEYS: Final = (
     text("id", "id", tuple(SEQUENCES)),
@@ -313,8 +326,8 @@ STEP_KEYS: Final = (
     Key("rotations", 'a list like [["y", 90.0]] of axes and degrees, not zero', _read_rotations, "rotations"),
     _RESTS,
     _RATE,
-    number("turn_s", "s", "turn_s", above=0.0),
-    number("stated_rate_deg_s", "deg/s", "stated_rate_rad_s", factor=DEG, above=0.0),
+    number("turn_s", "s", "turn_s", above=0.0, high=LARGEST_TIME_S),
+    number("stated_rate_deg_s", "deg/s", "stated_rate_rad_s", factor=DEG, above=0.0, high=LARGEST_RATE_DEG_S),
     Key("repeat", f"a whole number from 1 to {_MOST_STEPS}", _read_repeat, "repeat"),
 )
 """Keys of the file and of a [[step]]."""

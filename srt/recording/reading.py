@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from srt.arguments import real_array, require_type
 from srt.exceptions import InputError, NotStatedError, did_you_mean
 from srt.recording.folder import TOML_NAME, load_recording, read_document, read_metadata, sha256_of
 from srt.recording.import_options import CHANNELS, TRIADS, ImportOptions, parse_columns, parse_lsb, parse_offset
@@ -99,6 +100,8 @@ def read(
             f"There is no keyword {unknown[0]!r}{did_you_mean(unknown[0], STATED_KEYS)}: "
             f"use one of {', '.join(STATED_KEYS)}."
         )
+    if like is not None:
+        require_type("like=", "a recording, or the path of one", like, Recording, str, os.PathLike)
     given = {key: value for key, value in stated.items() if value is not None}
     try:
         if isinstance(source, Recording):
@@ -268,6 +271,7 @@ def _sections_of(recording: Recording) -> dict[str, Any]:
 def _from_arrays(source: Any, given: Mapping[str, Any], like: str | os.PathLike[str] | Recording | None) -> Recording:
     """Recording of arrays."""
     table = _arrays(source)
+    table |= {name: real_array(name, table[name], dates=True) for name in CHANNELS if table.get(name) is not None}
     options = import_options(given)
     refused = sorted(options.given - {"kind", "time_unit", "sample_rate_hz", "map_gyro", "map_accel"} - {
         f"{sensor}_{what}" for sensor in TRIADS for what in ("unit", "lsb", "offset")})  # fmt: skip
@@ -307,7 +311,7 @@ def _arrays(source: Any) -> dict[str, Any]:
         table[TIME] = index
     for sensor, channels in TRIADS.items():
         if sensor not in table and all(channel in table for channel in channels):
-            table[sensor] = np.column_stack([np.asarray(table.pop(channel)) for channel in channels])
+            table[sensor] = np.column_stack([real_array(channel, table.pop(channel)) for channel in channels])
     missing = [sensor for sensor in TRIADS if sensor not in table]
     unknown = sorted(set(table) - {*TRIADS, *CHANNELS})
     if missing or unknown:
@@ -329,10 +333,7 @@ def _stamps(values: Any) -> np.ndarray[Any, Any]:
 
 
 def _matrix(name: str, values: Any) -> np.ndarray[Any, Any]:
-    try:
-        return np.asarray(values, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise InputError(f"{name} is no array of numbers of shape (n, 3).") from None
+    return np.asarray(real_array(name, values), dtype=np.float64)
 
 
 def _recording(imported: ImportedSamples, about: RecordingMetadata, rest: Mapping[str, Any]) -> Recording:
@@ -352,7 +353,7 @@ def _triple(name: str, value: Any, sensor: str, parse: Any) -> Triple:
     if isinstance(value, str):
         found: Triple = parse(value, sensor)
         return found
-    numbers = np.asarray(value, dtype=np.float64).ravel()
+    numbers = np.asarray(real_array(name, value), dtype=np.float64).ravel()
     if numbers.size not in (1, 3) or not np.all(np.isfinite(numbers)):
         raise InputError(f"{name} is {value!r}, but one finite number, or three, is expected.")
     x, y, z = np.broadcast_to(numbers, 3).tolist()

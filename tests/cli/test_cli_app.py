@@ -17,6 +17,7 @@ from srt.cli import main
 from srt.cli.app import COMMANDS
 from srt.cli.calibrate import CHOICES
 from srt.cli.output_paths import SAMPLES_FORMATS as FORMATS
+from srt.cli.path_type import NamedPath
 from srt.recording.samples import SAMPLES_FORMATS
 
 HEAVY = ("numpy", "scipy", "matplotlib", "rich", "pydantic", "pandas", "gtsam", "filterpy", "h5py", "pyarrow", "numba")
@@ -81,6 +82,15 @@ def test_version(capfd):
     [
         (["calibrat"], ["no command 'calibrat'", "did you mean calibrate?"]),
         (["xyz"], ["no command 'xyz'", "srt --help"]),
+        (["calibrate", ""], ["RECORDING", "the path is empty", "srt calibrate --help"]),
+        (["simulate", "demo", "-o", ""], ["--output", "the path is empty"]),
+        (["export", "x.json", "--to", "kalibr", "-o", ""], ["--output", "the path is empty"]),
+        (["export", "x.json", "--to", "kalibr", "-o", "."], [". is a folder", ".yaml"]),
+        (["plan", "navigation-equal", "--total-time", "1e300"], ["--total-time is 1e+300", "at most 100000"]),
+        (["watch", "x", "--every", "1e300"], ["--every", "0.1<=x<=3600"]),
+        (["align-mount", "x", "--calibration", "c.json", "--level-sigma-mrad", "1e300"], ["at most 3200"]),
+        (["merge", "a", "b"], ["no command 'merge'", "did you mean calibrate --merge?"]),
+        (["calibrate", "x", "-o", "unit-7"], ["The result cannot be written as unit-7", "as unit-7.json."]),
         (["--verbose"], ["--verbose"]),
         (["calibrate"], ["RECORDING", "srt calibrate --help"]),
         (["calibrate", "x", "--step", "big"], ["--step", "'jacobian', 'coefficients'"]),
@@ -122,6 +132,13 @@ def test_the_help_has_the_usual_options_and_another_all(command, capfd):
     assert {options[name] for name in found.usual} == set(shown)
     assert len(shown) <= 12
     assert "--help " in short
+
+
+def test_every_path_of_every_command_is_of_the_type_that_refuses_an_empty_one():
+    for name in COMMANDS:
+        command = application.app.get_command(None, name)
+        paths = [each for each in command.params if isinstance(each.type, click.Path)]
+        assert all(isinstance(each.type, NamedPath) for each in paths), name
 
 
 def test_no_command_shows_the_help_and_is_wrong_usage(capfd):

@@ -162,8 +162,8 @@ def test_repeated_sequences_are_all_used(unit):
     result = srt.calibrate(read_out(motion, truth))
     assert [r.occurrence for r in result.residuals if r.sequence == "1"] == [1] * 4 + [2] * 4
     assert np.abs(accuracy_trials.error_in_quoted_units(result, truth))[:24].max() < 1e-8
-    with pytest.raises(srt.DataError, match="labelled twice"):
-        srt.calibrate(recording.with_sequences(recording.sequences + recording.sequences[:1]))
+    with pytest.raises(srt.InputError, match="labelled twice"):
+        recording.with_sequences(recording.sequences + recording.sequences[:1])
 
 
 def test_fixed_values_widen_the_parameters_that_depend_on_them():
