@@ -73,7 +73,7 @@ def test_page_and_pdf_with_everything(lab, tmp_path, capfd):
     assert warning.startswith("srt: warning: ")
     assert "changed significantly: " in warning
     assert "are not met by gyro_scale_x (κxx), gyro_scale_y (κyy), gyro_scale_z (κzz)." in failure
-    assert "3 of 6 limited parameters failed" in out
+    assert "3 of 6 parameters with a limit failed" in out
     page, document = (tmp_path / "out" / "deep" / f"new-certificate.{suffix}" for suffix in ("html", "pdf"))
     assert {path.name for path in page.parent.iterdir()} == {page.name, document.name}
     text = page.read_text(encoding="utf-8")

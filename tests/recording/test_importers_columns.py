@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from table_files import ACCEL, COLUMNS, EUROC, GYRO, RNG, SI_TIME, TIME, N, write_rows, write_stamped
 
+import srt
 from srt.constants import DEG, STANDARD_GRAVITY_M_S2
 from srt.exceptions import InputError
 from srt.recording import importer_registry
@@ -190,6 +191,13 @@ def test_axis_maps(tmp_path):
 def test_bad_axis_maps(text):
     with pytest.raises(InputError, match=r"--map-gyro is .* each once"):
         parse_axis_map(text)
+
+
+def test_a_column_is_not_read_twice(tmp_path):
+    """Channels without a column count from the first column, whatever others are named."""
+    (tmp_path / "x.csv").write_text("t,wx,wy,wz,fx,fy,fz\n" + "1,2,3,4,5,6,7\n" * 20)
+    with pytest.raises(InputError, match="reads both time and gyro_x from column 1"):
+        srt.read(tmp_path / "x.csv", columns=parse_columns("time=t,gyro,accel"), gravity_m_s2=9.8)
 
 
 def test_column_maps():

@@ -292,7 +292,7 @@ def with_temperature(
 def _all_given(
     path: Path, names: Sequence[str], width: int, wanted: Mapping[str, str | int], *, arrays: bool
 ) -> dict[str, int]:
-    """Positions of the channels given by the user. Raises InputError that names all columns that are absent."""
+    """Positions of the channels given by the user. Raises InputError on columns that are absent or read twice."""
     given: dict[str, str | int] = {}
     for channel, column in wanted.items():
         given.update(_given(names, channel, column, arrays=arrays))
@@ -306,7 +306,15 @@ def _all_given(
             raise InputError(f"{path} has {width} columns, but column {column} was asked for: columns count from 1.")
     if absent:
         raise InputError(f"{path} has no column {', '.join(absent)} (found: {_all_listed(names)}): name one of those.")
-    return {channel: place for channel, place in columns.items() if place is not None}
+    found = {channel: place for channel, place in columns.items() if place is not None}
+    owner: dict[int, str] = {}
+    for channel, place in found.items():
+        if owner.setdefault(place, channel) != channel:
+            raise InputError(
+                f"{path}: {option('columns')} reads both {owner[place]} and {channel} from column {place + 1}: give "
+                "each channel a column of its own (channels without one count from column 1)."
+            )
+    return found
 
 
 def _given(names: Sequence[str], channel: str, column: str | int, *, arrays: bool) -> dict[str, str | int]:

@@ -329,7 +329,7 @@ def residual_table(calibration: Calibration) -> CertificateTable | None:
     for residual in calibration.residuals:
         by_turn.setdefault((residual.sequence, residual.occurrence), []).append(residual)
     against = ("chi-square / dof", "p") if judged else ()
-    head = ("sequence", "residuals", "redundant", "rms / sigma", "largest / sigma", "in", *against)
+    head = ("sequence", "residuals", "redundant", "rms / sigma", "largest / sigma", "component", *against)
     rows = []
     for turn, residuals in by_turn.items():
         left = _left(residuals)
@@ -361,8 +361,10 @@ def residual_table(calibration: Calibration) -> CertificateTable | None:
             ]
         rows.append(tuple(cells))
     note = (
-        "Redundant components are those that the parameters do not solve exactly; a residual of about 1 sigma is "
-        "expected for each."
+        "The residuals of some components are zero, as the parameters were computed from them. The others are "
+        "redundant: about 1 sigma is expected for each. Component: the one with the largest residual; start and end "
+        "down: specific force along the vertical before and after the rotations; horizontal: its change across the "
+        "vertical."
     ) + (
         " Chi-square tests the sequence against its prediction from all others; p is the probability that noise alone "
         "gives a larger value." * bool(judged)
@@ -376,11 +378,11 @@ def _summary(
     if limits is not None:
         count = int(limits.given.sum())
         yield (
-            f"{len(failed)} of {_count(count, 'limited parameter')} failed: {_symbols(failed)}."
+            f"{len(failed)} of {_count(count)} with a limit failed: {_symbols(failed)}."
             if failed
-            else f"All {count} limited parameters lie within their limits, but the calibration is doubtful."
+            else f"All {_count(count)} with a limit lie within it, but the calibration is doubtful."
             if calibration.judgement.word == DOUBTFUL
-            else f"All {count} limited parameters passed."
+            else f"All {_count(count)} with a limit passed."
         )
     elif calibration.status == "converged":
         yield "No acceptance limits were given."

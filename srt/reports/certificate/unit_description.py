@@ -152,8 +152,8 @@ def _sentences(calibration: Calibration, course: RecordingHistory | None) -> Ite
         yield f"{count} parameters were not measured: their values are prior values."
     if not {*NAMES[GROUP_SLICES["accel_asymmetry"]]} <= set(calibration.held):
         yield (
-            "Accelerometers were tested up to 1 g. There an asymmetry and a quadratic term cannot be told apart; "
-            "beyond 1 g they differ."
+            "Accelerometers were tested up to 1 g. There a quadratic error looks like an asymmetry, so that the "
+            "correction may be wrong beyond 1 g."
         )
     else:
         yield "Accelerometers were tested up to 1 g: a quadratic term is not known, and grows beyond 1 g."
@@ -186,7 +186,7 @@ def _sentences(calibration: Calibration, course: RecordingHistory | None) -> Ite
     yield (
         "Orientation of the MARS axes in the housing: "
         + (
-            "U relates them to the axes of the table only, to the accuracy of the mounting."
+            "C relates them to the axes of the table only, to the accuracy of the mounting."
             if calibration.U is not None
             else "there is no reference for it in this test."
         )
@@ -230,8 +230,8 @@ def application_section(calibration: Calibration) -> Application:
     sentences = [
         "y: reading; v: true value. Gyros in rad/s, accelerometers in m/s²; each has its own M, s and "
         "b. ∘ multiplies element by element.",
-        "Start with the signs of inverse(M) (y − b). Compute v with the signs of the last v until no sign changes; "
-        "where s is zero, one step suffices.",
+        "Start with v = inverse(M) (y − b). Compute v by the formula with the signs of the last v, until no sign "
+        "changes. |v| and sign v are taken element by element.",
         "Readings that are increments of a time step T: divide them by T, correct, multiply by T.",
         "v is in MARS axes, the axes in which the matrix M of the gyros is symmetric; they are close to the gyro axes.",
     ]
@@ -248,9 +248,12 @@ def application_section(calibration: Calibration) -> Application:
     if calibration.U is not None:
         sigma = calibration.U_sigma_rad
         known = "" if sigma is None else f", to {1e3 * sigma:.2g} mrad (1-sigma) about each axis"
-        sentences.append(f"U rotates the axes of the table to MARS axes{known}: transpose(U) v is v in table axes.")
+        sentences.append(
+            f"C takes components in the axes of the table to components in MARS axes{known}; it is frame.U of the "
+            "calibration file. In the axes of the table, v is transpose(C) v."
+        )
         rows = tuple(tuple(CertificateCell(f"{x:+.9f}", x) for x in row) for row in calibration.U.tolist())
-        tables.append(CertificateTable("U", ("", "", ""), rows, "rrr"))
+        tables.append(CertificateTable("C, table to MARS axes", ("", "", ""), rows, "rrr"))
     sentences.append("'srt apply' does this to a recording, 'srt apply --c-header' writes it as C.")
     return Application(FORMULAS, tuple(sentences), tuple(tables))
 
