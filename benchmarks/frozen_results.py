@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import re
 import sys
 from functools import partial
 from pathlib import Path
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
 
     from srt.recording.recording import Recording
 
+_NUMBER: Final = re.compile(r"[\d.]+(e[+-]?\d+)?")
 LARGEST: Final = 1e-6
 """Largest difference, in sigmas, that counts as none."""
 
@@ -99,7 +101,9 @@ RECORDINGS: Final[dict[str, Callable[[], Recording]]] = {
         simulated, seed=36, unplaced=True, protocol={"from": "19-positions"}, recording=_SLOW_SAMPLES
     ),
     "rate table": partial(simulated, seed=37, unplaced=True, protocol={"from": "rate-table"}, recording=_SLOW_SAMPLES),
-    "six faces": partial(simulated, seed=38, unplaced=True, protocol={"from": "six-face-tumble"}, recording=_SLOW_SAMPLES),
+    "six faces": partial(
+        simulated, seed=38, unplaced=True, protocol={"from": "six-face-tumble"}, recording=_SLOW_SAMPLES
+    ),
     "hand-turned protocol": partial(
         simulated, seed=39, unplaced=True, imu={"from": "industrial-mems"}, protocol={"from": "hand-turned"},
         recording=_SLOW_SAMPLES,
@@ -126,7 +130,7 @@ def result(recording: Recording, estimator: str) -> dict[str, Any]:
         found = srt.calibrate(recording, estimator, checks=False)
     except srt.SrtError as error:
         return {"refused": str(error)}
-    return {**found.to_dict(), "word": found.judgement.word}
+    return {**found.to_dict(), "word": found.judgement.word, "reason": found.judgement.reason}
 
 
 def difference(new: dict[str, Any], old: dict[str, Any]) -> tuple[float, float, str]:
@@ -135,6 +139,9 @@ def difference(new: dict[str, Any], old: dict[str, Any]) -> tuple[float, float, 
         messages = [one.get("refused", one.get("status")) for one in (old, new)]
         return 0.0, 0.0, "" if messages[0] == messages[1] else " -> ".join(map(str, messages))
     notes = [f"{key}: {old[key]} -> {new[key]}" for key in ("status", "word") if new[key] != old[key]]
+    # The figures of a reason follow from the values, which a wide prior changes by a thousandth of a sigma.
+    before, after = (_NUMBER.sub("#", one.get("reason", new["reason"])) for one in (old, new))
+    notes += [f"{before} -> {after}"] if before != after else []
     values, sigmas = [0.0], [0.0]
     for row, before in zip(new["parameters"], old["parameters"], strict=True):
         if row["observed"] != before["observed"]:

@@ -18,18 +18,18 @@ import numpy as np
 from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 from scipy.linalg import block_diag, solve_triangular
 
-from estimators.elimination_steps import global_columns
-from estimators.iteration import apply_correction
-from estimators.joint_model import JointModel
 from estimators.kalman_filter import prior_root
-from estimators.linearisation import linearise
 from estimators.sequential_filter import SequenceUpdate, SequentialFilter, require_valid
+from srt.joint.elimination_steps import global_columns
+from srt.joint.iteration import apply_correction
+from srt.joint.joint_model import JointModel
+from srt.joint.linearisation import linearise
 from srt.sequences.checked_preparation import prepare_checked
 
 if TYPE_CHECKING:
-    from estimators.drift_states import DriftStates
-    from estimators.joint_state import JointState
-    from estimators.linear_system import LinearSystem
+    from srt.joint.drift_states import DriftStates
+    from srt.joint.joint_state import JointState
+    from srt.joint.linear_system import LinearSystem
     from srt.model.prior import Prior
     from srt.types import Array, Mask
 

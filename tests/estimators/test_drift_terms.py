@@ -16,11 +16,11 @@ from srt.noise.drift_forms import WALK
 from srt.sensor_errors import N_PARAMETERS, SensorErrors
 
 pytest.importorskip("filterpy")
-from estimators.drift_terms import DriftTerms
-from estimators.iteration import default_prior
 from estimators.kalman_filter import run_filter
-from estimators.linearisation import linearise
-from estimators.recording_opening import open_joint_model
+from srt.estimation.observability import default_prior
+from srt.joint.drift_terms import DriftTerms
+from srt.joint.linearisation import linearise
+from srt.joint.recording_opening import open_joint_model
 
 ALL = np.ones(N_PARAMETERS, dtype=bool)
 TERMS = (DriftTerm("accel", "linear", 1.0), DriftTerm("gyro", "warm-up", 1e-2), DriftTerm("accel", WALK, 1e-2))
@@ -101,7 +101,7 @@ def test_ramps_on_a_fixture_are_named_and_modelled(estimator):
 
 def test_filter_is_the_block_solution_with_drift():
     """All forms together, a random walk included, at one point of linearisation."""
-    from estimators.block_solution import BlockSolution
+    from srt.joint.block_solution import BlockSolution
 
     recording = ramp(noisy_recording(3, "navigation", sample_rate_hz=50.0, instability=True)[0], 1000.0)
     joint = open_joint_model(recording, Options())

@@ -23,14 +23,14 @@ from srt.sensor_errors import N_PARAMETERS, SensorErrors
 
 pytest.importorskip("filterpy")
 pytest.importorskip("gtsam")
-from estimators.accuracy_targets import PARAMETER_UNITS
-from estimators.block_solution import BlockSolution
-from estimators.drift_terms import DriftTerms
-from estimators.iteration import default_prior
 from estimators.kalman_filter import run_filter
-from estimators.linearisation import linearise
-from estimators.recording_opening import open_joint_model
 from estimators.unscented_filter import SequenceModel
+from srt.estimation.convergence import PARAMETER_UNITS
+from srt.estimation.observability import default_prior
+from srt.joint.block_solution import BlockSolution
+from srt.joint.drift_terms import DriftTerms
+from srt.joint.linearisation import linearise
+from srt.joint.recording_opening import open_joint_model
 
 PER_G = DEG_PER_H / STANDARD_GRAVITY_M_S2
 SIZE = 30.0 * PER_G

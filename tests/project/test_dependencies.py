@@ -29,6 +29,7 @@ EXTRAS = {
     "srt/cli": ("cli",),
     "srt/comparison": ("campaign", "cluster"),
     "srt/exporters": ("formats", "graph"),
+    "srt/joint": ("ekf",),
     "srt/model": ("fast",),
     "srt/noise": ("allan",),
     "srt/recording": ("io", "formats"),

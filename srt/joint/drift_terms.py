@@ -15,12 +15,12 @@ from srt.estimation.drift_model import (
     DriftEstimate,
     DriftSearch,
     DriftTerm,
-    Unmodelled,
     candidates,
     change,
+    gyro_courses,
+    gyro_statistics,
     most_significant,
 )
-from srt.estimation.drift_search import gyro_courses, gyro_statistics
 from srt.estimation.error_sources import accel_drift, by_drift
 from srt.model.sensor_model import gyro_triad
 from srt.noise.drift_forms import LINEAR, WALK, Statistics, variance_component
@@ -29,11 +29,11 @@ from srt.result.verdict import MISFIT_PROBABILITY
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from estimators.block_solution import BlockSolution
-    from estimators.joint_model import JointModel
-    from estimators.solver import IterationState
     from srt.estimation.drift_model import Sensor
     from srt.estimation.error_sources import Slopes
+    from srt.joint.block_solution import BlockSolution
+    from srt.joint.joint_model import JointModel
+    from srt.joint.solver import IterationState
     from srt.sequences.preparation import PreparedRecording
     from srt.types import Array, Indices
 
@@ -171,17 +171,15 @@ def search(joint: JointModel, iteration: IterationState, solution: BlockSolution
         (sensor, form): of_accel(data.drift_shapes[form].tested.windows) for sensor, form in keys if sensor == "accel"
     }
     found |= {("gyro", form): statistics for form, statistics in of_gyro(gyro_courses(data, keys)).items()}
-    present = Unmodelled(joint.unmodelled_sigma.rotation, joint.unmodelled_sigma.force, joint.drift.terms)
-    return most_significant(
-        found, len(keys), present, {form: shape.windows for form, shape in data.drift_shapes.items()}, by_window
-    )
+    courses = {form: shape.windows for form, shape in data.drift_shapes.items()}
+    return most_significant(found, len(keys), joint.drift.terms, joint.unmodelled_sigma.force, courses, by_window)
 
 
 def shows_instability(joint: JointModel, iteration: IterationState, solution: BlockSolution, freedom: int) -> bool:
     """True if the residuals show a bias instability of the accelerometers beyond that of the noise model.
 
     Three quarters of the residuals are those of gyros and rotations. The chi-square of all therefore does not show an
-    instability that closed form and least squares notice.
+    instability that the windows show.
     """
     assert iteration.compensated is not None
     effect = accel_drift(joint.data, iteration.compensated.force_slope, joint.data.noise.accel_limit)

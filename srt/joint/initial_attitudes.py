@@ -11,8 +11,8 @@ from srt.model.rotations import rotation_matrix, smallest_rotation
 from srt.sequences.preparation import nominal_attitude, sequence_of_label
 
 if TYPE_CHECKING:
-    from estimators.joint_model import JointModel
-    from estimators.joint_state import CompensatedData, JointState
+    from srt.joint.joint_model import JointModel
+    from srt.joint.joint_state import CompensatedData, JointState
     from srt.model.table1 import RotationSequence
     from srt.recording.recording import SequenceLabel
     from srt.types import Array
