@@ -55,8 +55,8 @@ start_static_s = [0.0, 0.03]
 end_static_s = [0.06, 0.11]
 [[sequence]]
 id = "own"
-start_static_s = [0.0, 0.02]
-end_static_s = [0.05, 0.1]
+start_static_s = [0.06, 0.08]
+end_static_s = [0.1, 0.11]
 down = "z"
 along_outer = "y"
 rotations = [["y", 180.0], ["z", -90.0]]
@@ -238,6 +238,7 @@ def csv() -> list[Seed]:
     columns = _columns()
     table = np.column_stack(list(columns.values()))
     units = ImportOptions(gyro_unit="deg/s", accel_unit="g", time_unit="ms")
+    dated = [f"2024-05-06T07:08:09.{k:03d}Z," + ",".join(map(repr, row)) for k, row in enumerate(table[:, 1:].tolist())]
     headless = ImportOptions(
         gyro_unit="deg/s", accel_unit="g", sample_rate_hz=100.0, columns=parse_columns("accel,gyro"), skip=0
     )
@@ -249,6 +250,11 @@ def csv() -> list[Seed]:
             replace(units, decimal_comma=True),
         ),
         Seed({"a.log": _text("", table[:, [4, 5, 6, 1, 2, 3]], " ")}, "a.log", headless),
+        Seed(
+            {"b.csv": "\n".join([",".join(NAMES), *dated, "," * 7, ""]).encode()},
+            "b.csv",
+            replace(units, time_unit=None),
+        ),
     ]
 
 
@@ -269,11 +275,18 @@ def hdf5() -> list[Seed]:
             for name, values in _columns().items():
                 file.create_dataset(name, data=values, **how)
 
+    def stated(path: Path) -> None:
+        with h5py.File(path, "w") as file:
+            for name, values in _columns().items():
+                of_sensor = {"g": "deg/s", "a": "m s-2", "t": "s"}
+                file.create_dataset(name, data=values).attrs["units"] = of_sensor[name[0]]
+
     units = ImportOptions(gyro_unit="deg/s", accel_unit="g", time_unit="ms")
     return [
         _made(write, "a.h5", options=units),
         _made(lambda path: write(path, chunks=(8,), compression="gzip"), "a.h5", options=units),
         _made(lambda path: write(path, "latest", chunks=(8,)), "a.h5", options=units),
+        _made(stated, "a.h5"),
     ]
 
 
@@ -293,6 +306,9 @@ def matlab() -> list[Seed]:
     units = ImportOptions(gyro_unit="deg/s", accel_unit="g", time_unit="ms")
     columns = _columns()
 
+    gyro, accel = (np.column_stack([columns[f"{name}_{a}"] for a in "xyz"]) for name in ("gyro", "accel"))
+    navego = {"t": columns["time"], "wb": gyro, "fb": accel, "freq": 200.0}
+
     def version_73(path: Path) -> None:
         with h5py.File(path, "w", userblock_size=512) as file:
             for name, values in columns.items():
@@ -304,6 +320,7 @@ def matlab() -> list[Seed]:
         _made(lambda path: scipy.io.savemat(path, columns), "a.mat", options=units),
         _made(lambda path: scipy.io.savemat(path, columns, do_compression=True), "a.mat", options=units),
         _made(version_73, "a.mat", options=units),
+        _made(lambda path: scipy.io.savemat(path, {"imu1": navego}), "a.mat"),
     ]
 
 

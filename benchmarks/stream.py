@@ -60,7 +60,7 @@ def steps(texts: list[str]) -> dict[str, float]:
     def everything() -> None:
         out.seek(0)
         for text in texts:
-            out.write((whole.correct(text) or "") + "\n")
+            out.write(whole.correct(text) + "\n")
 
     spans = {}
     for name, call in (("parsing", parse), ("correction", correct), ("parsing, correction and text", everything)):

@@ -88,7 +88,9 @@ def solve_linear(built: FactorGraph, values: Any) -> GraphSolution:
         linear.add(gtsam.JacobianFactor(tie))
     tree = linear.eliminateMultifrontal(built.elimination_order, gtsam.EliminateQR)
     delta = tree.optimize()
-    root = tree.roots()[0].conditional()
+    # Without a pose of known attitude, the fixture's angles are a tree of their own.
+    roots = (clique.conditional() for clique in tree.roots())
+    root = next(conditional for conditional in roots if not last or last[-1] in list(conditional.keys()))
     keys = list(root.keys())[root.size() - len(last) :]
     n = sum(len(delta.at(key)) for key in keys)
     R = root.R()

@@ -30,12 +30,18 @@ from sims.scenarios.library import configs_path
 from srt.exceptions import MissingExtraError
 
 if TYPE_CHECKING:
+    from sims.accuracy.budget import budget
+    from sims.robustness.campaign import load_campaign
+    from sims.robustness.run import run_campaign
     from sims.scenarios.plan_file import load_plan_file
     from sims.scenarios.scenario import Scenario, load_scenario, scenario_from_dict
     from sims.scenarios.simulation import Simulation, draw_errors, simulate
 
 _NEEDS_PYDANTIC = {
     "Scenario": "scenarios.scenario",
+    "budget": "accuracy.budget",
+    "load_campaign": "robustness.campaign",
+    "run_campaign": "robustness.run",
     "load_plan_file": "scenarios.plan_file",
     "load_scenario": "scenarios.scenario",
     "scenario_from_dict": "scenarios.scenario",
@@ -55,16 +61,19 @@ __all__ = [
     "Simulation",
     "TrueMotion",
     "TurnSequence",
+    "budget",
     "configs_path",
     "draw_errors",
     "draw_fixture",
     "free_motion",
+    "load_campaign",
     "load_plan_file",
     "load_scenario",
     "random_attitude",
     "random_turns",
     "read_out",
     "rotation",
+    "run_campaign",
     "run_schedule",
     "scenario_from_dict",
     "simulate",

@@ -19,14 +19,18 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from srt.comparison.comparison_run import compare
+    from srt.comparison.fleet import calibrate_fleet
     from srt.comparison.merge import merge_calibrations
     from srt.diagnosis import diagnose
     from srt.estimation.options import Options
     from srt.estimation.registry import estimators
     from srt.exceptions import DataError, InputError, MissingExtraError, SrtError
+    from srt.mount.alignment import mount_from_calibration
+    from srt.mount.poses import mount_from_recording
+    from srt.planning.monitoring.followed_test import FollowedTest
     from srt.planning.task import plan
     from srt.presentation import plot, to_frame
-    from srt.procedure import calibrate, inspect
+    from srt.procedure import calibrate, inspect, noise_terms
     from srt.recording.reading import read
     from srt.recording.reading import read as import_file
     from srt.recording.reading import read as load_recording
@@ -44,8 +48,13 @@ _HOME = {
     "diagnose": "diagnosis",
     "import_file": "recording.reading:read",
     "compare": "comparison.comparison_run",
+    "calibrate_fleet": "comparison.fleet",
     "certificate": "reports.certificate.issue",
     "inspect": "procedure",
+    "mount_from_calibration": "mount.alignment",
+    "mount_from_recording": "mount.poses",
+    "noise_terms": "procedure",
+    "FollowedTest": "planning.monitoring.followed_test",
     "plan": "planning.task",
     "plot": "presentation",
     "to_frame": "presentation",
@@ -84,6 +93,7 @@ __all__ = [
     "Calibration",
     "DataError",
     "Fixture",
+    "FollowedTest",
     "ImuNoise",
     "InputError",
     "MissingExtraError",
@@ -94,6 +104,7 @@ __all__ = [
     "Site",
     "SrtError",
     "calibrate",
+    "calibrate_fleet",
     "certificate",
     "compare",
     "diagnose",
@@ -104,6 +115,9 @@ __all__ = [
     "load_calibration",
     "load_recording",
     "merge_calibrations",
+    "mount_from_calibration",
+    "mount_from_recording",
+    "noise_terms",
     "plan",
     "plot",
     "read",

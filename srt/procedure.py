@@ -1,4 +1,4 @@
-"""Inspection and calibration of library and command line: fault detection, estimation, and checks of the result."""
+"""Inspection, noise and calibration of library and command line: fault detection, estimation, checks of the result."""
 
 from __future__ import annotations
 
@@ -8,13 +8,16 @@ from typing import TYPE_CHECKING, Any
 from srt.diagnosis.staged_diagnosis import StagedDiagnosis
 from srt.estimation.options import Options, chosen_options
 from srt.estimation.registry import estimate
-from srt.exceptions import DataError
+from srt.exceptions import DataError, SrtError
 from srt.recording.reading import READING_KEYS, read
+from srt.result.verdict import USABLE
 from srt.sequences.protocol_matching import with_protocol
 
 if TYPE_CHECKING:
     from srt.diagnosis.inspection import Inspection
     from srt.estimation.registry import Progress
+    from srt.noise.noise_terms import NoiseTerms
+    from srt.recording.recording import Recording
     from srt.result.calibration import Calibration
 
 UNCHECKED = (
@@ -94,6 +97,31 @@ def calibrate(
     )
 
 
+def sigmas_with_moves(recording: Recording, result: Calibration, options: Options) -> tuple[float, float] | None:
+    """Smallest and largest sigma of least squares, which uses recorded moves, over that of the closed form.
+
+    Parameters
+    ----------
+    recording : Recording
+    result : Calibration
+        Of the recording.
+    options : Options
+
+    Returns
+    -------
+    (float, float) or None
+        Over the parameters that both estimate; None for a result without unused moves, or if least squares has none.
+    """
+    if not result.diagnostics.get("unused_moves") or result.status not in USABLE:
+        return None
+    try:
+        whole = estimate(recording, "least-squares", options)
+    except SrtError:  # the closed form stands, whatever the other estimator refuses
+        return None
+    ratio = (whole.sigma / result.sigma)[whole.observed & result.observed]
+    return (float(ratio.min()), float(ratio.max())) if whole.status in USABLE else None
+
+
 def inspect(source: Any, *, deep: bool = False, **stated: Any) -> Inspection:
     """Inspect a recording: rate, gaps, noise at rest, stationary windows, rotations, recognised sequences, faults.
 
@@ -120,3 +148,31 @@ def inspect(source: Any, *, deep: bool = False, **stated: Any) -> Inspection:
     recording = read(source, **stated)
     units = inspection.declared_units(recording.source) if recording.source else {}
     return inspection.inspect(recording, calibrating=deep, units=units)
+
+
+def noise_terms(source: Any, **stated: Any) -> NoiseTerms:
+    """Fit the noise terms of a unit at rest over the longest stationary window, as ``srt noise`` does.
+
+    Parameters
+    ----------
+    source : Recording, path-like, or arrays
+        Recording, or what :func:`srt.read` makes one of.
+    **stated
+        Keywords of :func:`srt.read`; gravity has no effect on the terms.
+
+    Returns
+    -------
+    NoiseTerms
+
+    Raises
+    ------
+    InputError
+        A source that cannot be read.
+    DataError
+        No stationary window of 30 s.
+    """
+    from srt.noise import noise_terms as fit
+    from srt.sequences.rest_detection import undisturbed_rest
+
+    recording = read(source, **stated)
+    return fit.noise_terms(recording, undisturbed_rest(recording))

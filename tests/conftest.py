@@ -8,6 +8,7 @@ import importlib.util
 import math
 import os
 import sys
+from collections import Counter
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
@@ -160,3 +161,13 @@ def plain_layout():
 
             patch.setattr(ConstrainedLayoutEngine, "execute", lambda engine, figure: None)
         yield
+
+
+def pytest_terminal_summary(terminalreporter):
+    """Count the blocks of the documentation over all pages: tests/project/test_docs_run.py gives those of a page."""
+    total = Counter()
+    for report in terminalreporter.getreports("passed"):
+        total.update(dict(report.user_properties).get("documentation", {}) if report.when == "call" else {})
+    if total:
+        kinds = ", ".join(f"{total[kind]} {kind}" for kind in ("run", "parsed", "skipped"))
+        terminalreporter.write_line(f"Commands and blocks of README and docs: {kinds}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sims.robustness.result_folder import ResultFolder
@@ -11,7 +12,7 @@ from srt.comparison.parallel import Engine
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
+    from os import PathLike
 
     import pyarrow as pa
 
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 
 def run_campaign(
     campaign: Campaign,
-    folder: Path,
+    folder: str | PathLike[str],
     *,
     engine: Engine | None = None,
     fresh: bool = False,
@@ -33,7 +34,7 @@ def run_campaign(
     Parameters
     ----------
     campaign : Campaign
-    folder : Path
+    folder : path-like
         Folder of the results; created if absent.
     engine : Engine, optional
         Default: this process alone. The numbers do not depend on it.
@@ -54,7 +55,7 @@ def run_campaign(
     DataError
         If a worker process died; finished trials are kept.
     """
-    with ResultFolder(folder, campaign, fresh=fresh) as store:
+    with ResultFolder(Path(folder), campaign, fresh=fresh) as store:
         # The folder may also contain trials of an earlier, longer run of the same campaign.
         finished = sum(number < campaign.trials for _, number in store.done)
         if progress is not None:

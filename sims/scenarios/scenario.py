@@ -2,7 +2,7 @@
 
 Tables of a scenario::
 
-    seed = 1     (and motion_seed, for several units that run through one motion)
+    seed = 1     (the default; and motion_seed, for several units that run through one motion)
     [imu]        from = "navigation-rlg"; [imu.noise] and [imu.errors] lie over the grade's; frame_turn_mrad
     [fixture]    from = "lab-1mrad"; heading_deg              (absent with [free])
     [site]       from = "latitude-45"; latitude_deg, gravity_m_s2 or height_m
@@ -368,7 +368,7 @@ class Scenario(TomlTable):
     """Complete scenario of one simulation."""
 
     description: str = ""
-    seed: Annotated[int, Field(strict=True, ge=0)]
+    seed: Annotated[int, Field(strict=True, ge=0)] = 1
     motion_seed: Annotated[int, Field(strict=True, ge=0)] | None = None
     """Seed of the motion: the fixture's errors and the unit's orientation on it. Scenarios of several units can share
     it; by default these are drawn with ``seed``."""

@@ -4,7 +4,8 @@ Every command is one module, imported when it is run, so that ``srt --help`` is 
 progress, warnings and errors go to standard error. The text of results is made in ``srt.reports.text``.
 
 Exit codes: 0 success; 1 the data cannot support a result, or not a converged one; 2 wrong usage or unreadable
-input; 130 interrupted (129 and 143 by SIGHUP and SIGTERM), 141 standard output closed by its reader.
+input, or a standard output that cannot be written; 130 interrupted (129 and 143 by SIGHUP and SIGTERM), 141 standard
+output closed by its reader.
 """
 
 from __future__ import annotations

@@ -9,22 +9,23 @@ import click
 from srt.cli.apply import check_match, load_fit
 from srt.cli.messages import show, warn
 from srt.cli.output_paths import check_file
+from srt.cli.path_type import NamedPath
 from srt.exceptions import InputError
 
 RESULT_SUFFIXES = (".json",)
 
 
 @click.command("align-mount")
-@click.argument("recording_path", metavar="[RECORDING]", required=False, type=click.Path(path_type=Path))
+@click.argument("recording_path", metavar="[RECORDING]", required=False, type=NamedPath(path_type=Path))
 @click.option(
     "--calibration",
     "calibration_file",
     required=True,
     metavar="UNIT.json",
-    type=click.Path(path_type=Path),
+    type=NamedPath(path_type=Path),
     help="Calibration of the unit.",
 )
-@click.option("-o", "--output", type=click.Path(path_type=Path), metavar="FILE.json", help="Result: FILE.json.")
+@click.option("-o", "--output", type=NamedPath(path_type=Path), metavar="FILE.json", help="Result: FILE.json.")
 @click.option(
     "--level-sigma-mrad",
     type=float,
@@ -63,10 +64,15 @@ def align_mount(
         check_file(output, RESULT_SUFFIXES, "The mount alignment")
         if output.resolve() == calibration_file.resolve():
             raise InputError(f"{output} is the calibration itself: name another file.")
+    from srt.recording.schema import LARGEST_SIGMA_MRAD
+
     sigmas = {"--level-sigma-mrad": level_sigma_mrad, "--axis-sigma-mrad": axis_sigma_mrad}
     for name, value in sigmas.items():
-        if value is not None and not 0.0 < value < float("inf"):
-            raise InputError(f"{name} is {value:g}, but a positive number of milliradians is expected.")
+        if value is not None and not 0.0 < value <= LARGEST_SIGMA_MRAD:
+            raise InputError(
+                f"{name} is {value:g}, but a positive number of milliradians, of at most {LARGEST_SIGMA_MRAD:g}, is "
+                "expected."
+            )
         if value is not None and recording_path is None:
             raise InputError(f"{name} applies to static poses: name their RECORDING, or leave the option out.")
     calibration = load_fit(calibration_file, force=force, trust=trust)

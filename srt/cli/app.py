@@ -6,11 +6,13 @@ import importlib
 import os
 import sys
 from contextlib import suppress
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import click
 
 from srt.cli.border import guarded
+from srt.cli.messages import show
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -41,6 +43,9 @@ SECTIONS: Final = {
 }
 """Sections of the help: for every command its function (module:attribute) and its line of help."""
 
+OPTIONS_AS_COMMANDS: Final = {"merge": "calibrate --merge", "fleet": "calibrate FOLDER"}
+"""What does the work of a word that is no command."""
+
 COMMANDS: Final = {name: entry for section in SECTIONS.values() for name, entry in section.items()}
 
 
@@ -68,7 +73,9 @@ class LazyGroup(click.Group):
         if name not in COMMANDS and not name.startswith("-"):
             from srt.exceptions import did_you_mean
 
-            raise click.UsageError(f"There is no command {name!r}{did_you_mean(name, COMMANDS)}", ctx)
+            instead = OPTIONS_AS_COMMANDS.get(name)
+            hint = did_you_mean(name, COMMANDS) if instead is None else f" (did you mean {instead}?)"
+            raise click.UsageError(f"There is no command {name!r}{hint}", ctx)
         return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
@@ -88,7 +95,7 @@ def _print_version(ctx: click.Context, param: click.Parameter, value: bool) -> N
         number = version("strapdown-rotation-test")
     except PackageNotFoundError:
         number = "(not installed)"
-    click.echo(f"srt, strapdown-rotation-test {number}")
+    show(f"srt, strapdown-rotation-test {number}")
     ctx.exit()
 
 
@@ -141,6 +148,11 @@ def run(arguments: Sequence[str]) -> int:
     return guarded(lambda: _invoke(arguments))
 
 
+def _called() -> str:
+    """Name of the command in help and messages."""
+    return "strapdown-srt" if Path(sys.argv[0]).stem == "strapdown-srt" else "srt"
+
+
 def _complete(instruction: str) -> int:
     """Answer the shell's request to complete a command line."""
     from click.shell_completion import shell_complete
@@ -148,7 +160,7 @@ def _complete(instruction: str) -> int:
     from srt.exceptions import InputError
 
     try:
-        return shell_complete(app, {}, "srt", "_SRT_COMPLETE", instruction)
+        return shell_complete(app, {}, _called(), "_SRT_COMPLETE", instruction)
     except (KeyError, ValueError) as error:
         raise InputError(
             f"The completion of command lines lacks what the shell sets ({error}): unset _SRT_COMPLETE, or read the "
@@ -157,6 +169,6 @@ def _complete(instruction: str) -> int:
 
 
 def _invoke(arguments: Sequence[str]) -> int:
-    with app.make_context("srt", list(arguments)) as context:
+    with app.make_context(_called(), list(arguments)) as context:
         value: Any = app.invoke(context)
     return value if isinstance(value, int) else 0

@@ -7,8 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from srt.cli.grouped_command import GroupedCommand
 from srt.cli.messages import show, warn
 from srt.cli.output_paths import SAMPLES_FORMATS, check_file, check_recording_target, recording_folder
+from srt.cli.path_type import NamedPath
 from srt.cli.stream import NAMES, STANDARD, run_stream, stream_options
 from srt.exceptions import InputError
 
@@ -19,12 +21,17 @@ if TYPE_CHECKING:
     from srt.result.calibration import Calibration
 
 HEADER_SUFFIXES = (".h",)
+_USUAL = (
+    "output", "frame", "samples_format", "c_header", "source", "target", "gyro_unit", "accel_unit", "overwrite",
+    "quiet",
+)  # fmt: skip
+"""Options of the short help."""
 
 
-@click.command("apply")
-@click.argument("calibration_file", metavar="CALIBRATION", type=click.Path(path_type=Path))
-@click.argument("recording_path", metavar="[RECORDING]", required=False, type=click.Path(path_type=Path))
-@click.option("-o", "--output", type=click.Path(path_type=Path), help="Folder to write; made if absent.")
+@click.command("apply", cls=GroupedCommand, usual=_USUAL)
+@click.argument("calibration_file", metavar="CALIBRATION", type=NamedPath(path_type=Path))
+@click.argument("recording_path", metavar="[RECORDING]", required=False, type=NamedPath(path_type=Path))
+@click.option("-o", "--output", type=NamedPath(path_type=Path), help="Folder to write; made if absent.")
 @click.option(
     "--frame",
     type=click.Choice(("mars", "table")),
@@ -33,7 +40,7 @@ HEADER_SUFFIXES = (".h",)
     help="Axes of the result.",
 )
 @click.option("--samples-format", type=click.Choice(SAMPLES_FORMATS), help="Default: as in RECORDING.")
-@click.option("--c-header", type=click.Path(path_type=Path), metavar="FILE.h", help="Also write the correction as C99.")
+@click.option("--c-header", type=NamedPath(path_type=Path), metavar="FILE.h", help="Also write the correction as C99.")
 @stream_options
 @click.option("--force", is_flag=True, help="Accept any status of the calibration, serial and size of readings.")
 @click.option("--trust", is_flag=True, help="Accept a calibration file that was changed after it was written.")

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 import click
 
-from srt.cli.messages import say
+from srt.cli.messages import output_errors, say
 from srt.exceptions import InputError, SrtError
 from srt.recording.memory_limit import memory_is_limited, require_memory
 
@@ -52,18 +52,19 @@ def guarded(work: Callable[[], int]) -> int:
     work : callable
         Gives the exit code.
     """
-    with _signals(), _without_display():
+    with _signals(), _without_display(), _output():
         try:
             code = _sentences(work)
-            if sys.stdout is not None:  # None where a shell closed it
+            with output_errors():
                 sys.stdout.flush()
         except BrokenPipeError:
             _discard_output()
             return BROKEN_PIPE
-        except OSError as error:
+        except InputError as error:
             _discard_output()
-            say(f"Standard output cannot be written ({error.strerror or error}): give it a place with space.")
-            return InputError.exit_code
+            if code == 0:  # else a sentence tells already why
+                say(str(error))
+            return code or error.exit_code
         return code
 
 
@@ -145,6 +146,23 @@ def _discard_output() -> None:
     """Send standard output nowhere: the interpreter flushes it once more at its end, and must not fail then."""
     with suppress(OSError, ValueError, AttributeError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+@contextmanager
+def _output() -> Iterator[None]:
+    """Let every write fail where a shell closed standard output: python has no stream then, and results would be lost.
+
+    The descriptor is taken again, too, as the next file that is opened would have it and receive what libraries print.
+    """
+    if sys.stdout is not None:
+        yield
+        return
+    with suppress(OSError), os.fdopen(os.open(os.devnull, os.O_RDONLY), "w") as refusing:
+        sys.stdout = refusing
+        try:
+            yield
+        finally:
+            sys.stdout = None
 
 
 @contextmanager

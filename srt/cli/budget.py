@@ -11,6 +11,7 @@ import click
 from srt.cli.calibrate import choice_option
 from srt.cli.messages import announce, figure_title, show
 from srt.cli.output_paths import PLOT_SUFFIXES, RESULT_SUFFIXES, check_file, require_matplotlib
+from srt.cli.path_type import NamedPath
 from srt.cli.progress import count_progress
 from srt.exceptions import InputError
 
@@ -31,10 +32,10 @@ if TYPE_CHECKING:
 @click.option("--paper", is_flag=True, help="Analysis of Savage 2020, §9, with the noise of the scenario.")
 @click.option("--draws", type=click.IntRange(min=2), default=30, show_default=True, help="Draws of the fixture errors.")
 @choice_option("--gyro-bias", "Model of the gyro bias, as in calibrate.")
-@click.option("-o", "--output", type=click.Path(path_type=Path), help="Result: FILE.json.")
+@click.option("-o", "--output", type=NamedPath(path_type=Path), help="Result: FILE.json.")
 @click.option(
     "--plot",
-    type=click.Path(path_type=Path),
+    type=NamedPath(path_type=Path),
     help="Figure: FILE.png, .pdf or .svg; one for each estimator, as FILE-least-squares.png.",
 )
 @click.option("--details", is_flag=True, help="Show all parameters, and the errors that are not in the sum.")

@@ -13,6 +13,7 @@ from srt.cli.grouped_command import GroupedCommand
 from srt.cli.merge import run_merging
 from srt.cli.messages import announce, figure_title, say, show, warn
 from srt.cli.output_paths import RESULT_SUFFIXES, make_directory, require_matplotlib
+from srt.cli.path_type import NamedPath
 from srt.cli.recording_arguments import find_recordings
 from srt.exceptions import DataError, InputError, SrtError
 
@@ -56,8 +57,14 @@ GROUPS = {
 """Groups of options in the help."""
 
 
-@click.command(cls=GroupedCommand, groups=GROUPS)
-@click.argument("recordings", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="RECORDING...")
+USUAL = (
+    "estimator", "output", "plot", "details", "merge", "protocol", "no_asymmetry", "workers", "loss", "quiet",
+)  # fmt: skip
+"""Options of the short help."""
+
+
+@click.command(cls=GroupedCommand, usual=USUAL, groups=GROUPS)
+@click.argument("recordings", nargs=-1, required=True, type=NamedPath(path_type=Path), metavar="RECORDING...")
 @click.option(
     "--estimator",
     default="auto",
@@ -65,8 +72,8 @@ GROUPS = {
     metavar="NAME",
     help="auto, closed-form, least-squares, ekf, graph, or another that is installed.",
 )
-@click.option("-o", "--output", type=click.Path(path_type=Path), help="Result: FILE.json, or a folder for several.")
-@click.option("--plot", type=click.Path(path_type=Path), help="Figure: FILE.png, .pdf or .svg.")
+@click.option("-o", "--output", type=NamedPath(path_type=Path), help="Result: FILE.json, or a folder for several.")
+@click.option("--plot", type=NamedPath(path_type=Path), help="Figure: FILE.png, .pdf or .svg.")
 @click.option("--details", is_flag=True, help="Show sources of sigma, sequences and residuals, too.")
 @click.option("--budget", is_flag=True, help="As --details, with all sources of sigma instead of three.")
 @click.option("--verdict", is_flag=True, help="As --details, with the observability of every parameter.")
@@ -76,7 +83,7 @@ GROUPS = {
     metavar="NAME",
     help="Protocol of the test in place of labels: a shipped one (srt list protocols), or FILE.toml.",
 )
-@click.option("--truth", type=click.Path(path_type=Path), help="truth.json of a simulated recording: show errors.")
+@click.option("--truth", type=NamedPath(path_type=Path), help="truth.json of a simulated recording: show errors.")
 @click.option("-q", "--quiet", is_flag=True, help="No progress and no table; warnings and errors only.")
 @click.option("--no-asymmetry", is_flag=True, help="Fix the gyro scale-factor asymmetries at zero.")
 @click.option(
@@ -110,7 +117,7 @@ GROUPS = {
 @choice_option("--filter", "Form of ekf, for comparison: iterated or not, covariance form, unscented.")
 @click.option(
     "--prior",
-    type=click.Path(path_type=Path),
+    type=NamedPath(path_type=Path),
     metavar="FILE.json",
     help="Earlier calibration of the unit as prior of ekf or graph.",
 )
@@ -321,6 +328,7 @@ def run_job(job: Job, estimator: str, options: Options, display: Display) -> Cal
     """
     import srt
     from srt.cli.progress import iteration_progress
+    from srt.procedure import sigmas_with_moves
     from srt.reports.text.calibration_summary import calibration_text
 
     recording = display.load(job.recording)
@@ -338,6 +346,7 @@ def run_job(job: Job, estimator: str, options: Options, display: Display) -> Cal
                 details=display.details,
                 budget=display.budget,
                 verdict=display.verdict,
+                with_moves=sigmas_with_moves(recording, calibration, options),
             )
         )
     if job.plot is not None:

@@ -11,6 +11,7 @@ import click
 from srt.cli.calibrate import calibrate as calibrate_command
 from srt.cli.messages import announce, figure_title, say, show, warn
 from srt.cli.output_paths import PLOT_SUFFIXES, RESULT_SUFFIXES, check_file, recording_folder, require_matplotlib
+from srt.cli.path_type import NamedPath
 from srt.exceptions import DataError, InputError
 
 if TYPE_CHECKING:
@@ -29,7 +30,7 @@ _FOREIGN_TRUTH = 10.0
 
 
 @click.command()
-@click.argument("recording", type=click.Path(path_type=Path), metavar="RECORDING")
+@click.argument("recording", type=NamedPath(path_type=Path), metavar="RECORDING")
 @click.option(
     "--estimator",
     "names",
@@ -44,9 +45,9 @@ _FOREIGN_TRUTH = 10.0
     help="Estimate that the others are compared with. Default: the first of "
     "graph, ekf, least-squares, closed-form that ran.",
 )
-@click.option("-o", "--output", type=click.Path(path_type=Path), help="Result: FILE.json.")
-@click.option("--plot", type=click.Path(path_type=Path), help="Figure: FILE.png, .pdf or .svg.")
-@click.option("--truth", type=click.Path(path_type=Path), help="truth.json of a simulated recording: show errors.")
+@click.option("-o", "--output", type=NamedPath(path_type=Path), help="Result: FILE.json.")
+@click.option("--plot", type=NamedPath(path_type=Path), help="Figure: FILE.png, .pdf or .svg.")
+@click.option("--truth", type=NamedPath(path_type=Path), help="truth.json of a simulated recording: show errors.")
 @click.option("--details", is_flag=True, help="Show the estimates and sigmas of all estimators (120 columns).")
 @click.option("-q", "--quiet", is_flag=True, help="No progress and no tables; warnings and errors only.")
 def compare(

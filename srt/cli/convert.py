@@ -10,12 +10,24 @@ import click
 from srt.cli.grouped_command import GroupedCommand, RenamedOption
 from srt.cli.messages import show
 from srt.cli.output_paths import SAMPLES_FORMATS, check_recording_target
+from srt.cli.path_type import NamedPath
 from srt.exceptions import DataError, InputError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from srt.recording.recording import Recording
+
+
+class _Unit(click.Choice):  # type: ignore[type-arg]  # generic from click 8.2 on
+    """Unit in any spelling that a file may use."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        from srt.recording.import_options import normal_unit
+
+        unit = normal_unit(value)
+        chosen: str = super().convert(unit if unit in self.choices else value, param, ctx)
+        return chosen
 
 
 _GYRO_UNITS = ("rad/s", "deg/s", "deg/h", "rad", "deg", "counts")
@@ -60,9 +72,9 @@ def _options(*groups: list[Callable[[Any], Any]]) -> Callable[[Any], Any]:
 _READ = [
     click.option("--format", "name", default="auto", show_default=True, metavar="FORMAT", help="Format of SOURCE."),
     click.option("--columns", metavar="MAP", help="time,gyro,accel in order, or gyro_x=NAME,... or gyro_x=4,..."),
-    click.option("--gyro-unit", type=click.Choice(_GYRO_UNITS), help="Unit, if the file does not state it."),
-    click.option("--accel-unit", type=click.Choice(_ACCEL_UNITS), help="Unit, if the file does not state it."),
-    click.option("--time-unit", type=click.Choice(_TIME_UNITS), help="Unit, if the file does not state it."),
+    click.option("--gyro-unit", type=_Unit(_GYRO_UNITS), help="Unit, if the file does not state it."),
+    click.option("--accel-unit", type=_Unit(_ACCEL_UNITS), help="Unit, if the file does not state it."),
+    click.option("--time-unit", type=_Unit(_TIME_UNITS), help="Unit, if the file does not state it."),
     click.option("--kind", type=click.Choice(("rate", "increment")), help="Kind of the samples; default: rate."),
     click.option("--sample-rate-hz", type=float, help="Sample rate; it replaces time stamps."),
     click.option(
@@ -92,7 +104,7 @@ _READ = [
 ]
 
 _SAY = [
-    click.option("--like", type=click.Path(path_type=Path), metavar="RECORDING", help="Take site, fixture, imu and "
+    click.option("--like", type=NamedPath(path_type=Path), metavar="RECORDING", help="Take site, fixture, imu and "
                  "sequences from this recording; options take precedence."),
     click.option("--latitude-deg", type=float, help="Latitude of the site."),
     click.option("--gravity-m-s2", type=float, help="Gravity at the site, positive."),
@@ -118,7 +130,7 @@ _SAY = [
 ]  # fmt: skip
 
 _WRITE = [
-    click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="Folder to write."),
+    click.option("-o", "--output", required=True, type=NamedPath(path_type=Path), help="Folder to write."),
     click.option("--samples-format", cls=RenamedOption, earlier=("--to",), type=click.Choice(SAMPLES_FORMATS),
                  default="csv", show_default=True, help="Format of the samples written."),
     click.option("--force", is_flag=True, help="Write even if the accelerometers do not read gravity."),
@@ -137,9 +149,16 @@ _GROUPS = {
 """Groups of options in the help."""
 
 
-@click.command(cls=GroupedCommand, groups=_GROUPS)
-@click.argument("source", type=click.Path(path_type=Path))
-@click.argument("second", metavar="[SOURCE2]", required=False, type=click.Path(path_type=Path))
+_USUAL = (
+    "list", "columns", "gyro_unit", "accel_unit", "time_unit", "gyro_lsb", "accel_lsb", "latitude_deg", "gravity_m_s2",
+    "heading_deg", "output",
+)  # fmt: skip
+"""Options of the short help."""
+
+
+@click.command(cls=GroupedCommand, usual=_USUAL, groups=_GROUPS)
+@click.argument("source", type=NamedPath(path_type=Path))
+@click.argument("second", metavar="[SOURCE2]", required=False, type=NamedPath(path_type=Path))
 @click.option(
     "--list", is_flag=True, is_eager=True, expose_value=False, callback=_list_formats, help="List the formats and exit."
 )

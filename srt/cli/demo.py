@@ -10,6 +10,7 @@ from srt.cli.calibrate import report_problems, run_job
 from srt.cli.calibration_jobs import Display, Job
 from srt.cli.messages import show, warn
 from srt.cli.output_paths import check_directory, check_recording_target, make_directory, require_matplotlib
+from srt.cli.path_type import NamedPath
 from srt.cli.simulate import run_scenario, summary, write_simulation
 from srt.exceptions import MissingExtraError
 
@@ -22,7 +23,7 @@ SCENARIO = "demo"
     "--output",
     default="demo-output",
     show_default=True,
-    type=click.Path(path_type=Path),
+    type=NamedPath(path_type=Path),
     help="Folder for recording, result and plot.",
 )
 @click.option("--seed", type=click.IntRange(min=0), help="Seed of unit, fixture and noise.")

@@ -8,14 +8,20 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from srt.cli.apply import check_match, load_fit
+from srt.cli.grouped_command import GroupedCommand
 from srt.cli.messages import show, warn
 from srt.cli.output_paths import check_file
+from srt.cli.path_type import NamedPath
 from srt.exceptions import InputError
 
 if TYPE_CHECKING:
     from srt.exporters.correction_difference import Readings
     from srt.exporters.file_format import Exporter
     from srt.result.calibration import Calibration
+
+
+_USUAL = ("target", "output", "recording", "frame", "topic", "gyro_random_walk", "accel_random_walk", "applied", "list")
+"""Options of the short help."""
 
 
 def _list(context: click.Context, _: click.Parameter, wanted: bool) -> None:
@@ -29,11 +35,11 @@ def _list(context: click.Context, _: click.Parameter, wanted: bool) -> None:
     context.exit()
 
 
-@click.command("export")
-@click.argument("calibration_file", metavar="CALIBRATION", type=click.Path(path_type=Path))
+@click.command("export", cls=GroupedCommand, usual=_USUAL)
+@click.argument("calibration_file", metavar="CALIBRATION", type=NamedPath(path_type=Path))
 @click.option("--to", "target", required=True, metavar="TARGET", help="Format to write; see --list.")
-@click.option("-o", "--output", type=click.Path(path_type=Path), help="File to write; without it, only the report.")
-@click.option("--recording", type=click.Path(path_type=Path), help="Raw readings on which the difference is measured.")
+@click.option("-o", "--output", type=NamedPath(path_type=Path), help="File to write; without it, only the report.")
+@click.option("--recording", type=NamedPath(path_type=Path), help="Raw readings on which the difference is measured.")
 @click.option(
     "--frame", type=click.Choice(("mars", "table", "accel")), help="Axes of the file, where there is a choice."
 )

@@ -10,15 +10,16 @@ import click
 from srt.cli.grouped_command import RenamedOption
 from srt.cli.messages import announce, figure_title, say, show
 from srt.cli.output_paths import PLOT_SUFFIXES, RESULT_SUFFIXES, check_file, recording_folder, require_matplotlib
+from srt.cli.path_type import NamedPath
 from srt.exceptions import DataError
 
 
 @click.command()
-@click.argument("recording", type=click.Path(path_type=Path), metavar="RECORDING")
+@click.argument("recording", type=NamedPath(path_type=Path), metavar="RECORDING")
 @click.option("--deep", is_flag=True, help="Also calibrate, and look for faults that only a calibration shows.")
-@click.option("-o", "--output", "json_file", cls=RenamedOption, earlier=("--json",), type=click.Path(path_type=Path),
+@click.option("-o", "--output", "json_file", cls=RenamedOption, earlier=("--json",), type=NamedPath(path_type=Path),
               metavar="FILE", help="Result: FILE.json.")  # fmt: skip
-@click.option("--plot", type=click.Path(path_type=Path), metavar="FILE", help="Figure: FILE.png, .pdf or .svg.")
+@click.option("--plot", type=NamedPath(path_type=Path), metavar="FILE", help="Figure: FILE.png, .pdf or .svg.")
 @click.option("-q", "--quiet", is_flag=True, help="No table; fatal faults only.")
 def inspect(recording: Path, deep: bool, json_file: Path | None, plot: Path | None, quiet: bool) -> int:
     """Show the content of RECORDING, a folder with recording.toml and samples, and look for faults.

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import re
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Final
 
 import click
 
+from srt.exceptions import InputError
+
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from pathlib import Path
 
 _UNPRINTABLE: Final = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
@@ -27,9 +30,23 @@ def figure_title(text: str) -> str:
     return printable(text).replace("$", r"\$")
 
 
+@contextmanager
+def output_errors() -> Iterator[None]:
+    """Raise InputError where standard output cannot be written, and BrokenPipeError where its reader has gone."""
+    try:
+        yield
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        raise InputError(
+            f"Standard output cannot be written ({error.strerror or error}): redirect it to a place that takes it."
+        ) from None
+
+
 def show(text: str = "") -> None:
-    """Print a result on standard output."""
-    click.echo(printable(text))
+    """Print a result on standard output. Raises InputError if it cannot be written."""
+    with output_errors():
+        click.echo(printable(text))
 
 
 def progress_line(text: str) -> None:

@@ -10,19 +10,19 @@ import click
 from srt.cli.grouped_command import RenamedOption
 from srt.cli.messages import announce, figure_title, show
 from srt.cli.output_paths import PLOT_SUFFIXES, RESULT_SUFFIXES, check_file, recording_folder, require_matplotlib
-from srt.exceptions import DataError
+from srt.cli.path_type import NamedPath
 
 if TYPE_CHECKING:
     from srt.recording.recording import Recording
 
 
 @click.command()
-@click.argument("log", type=click.Path(path_type=Path), metavar="LOG")
-@click.option("--into", type=click.Path(path_type=Path), metavar="UNIT", help="Calibration UNIT.json of the same unit "
+@click.argument("log", type=NamedPath(path_type=Path), metavar="LOG")
+@click.option("--into", type=NamedPath(path_type=Path), metavar="UNIT", help="Calibration UNIT.json of the same unit "
               "that the terms are written into, for exports.")  # fmt: skip
-@click.option("-o", "--output", "json_file", cls=RenamedOption, earlier=("--json",), type=click.Path(path_type=Path),
+@click.option("-o", "--output", "json_file", cls=RenamedOption, earlier=("--json",), type=NamedPath(path_type=Path),
               metavar="FILE", help="Result: FILE.json.")  # fmt: skip
-@click.option("--plot", type=click.Path(path_type=Path), metavar="FILE", help="Figure: FILE.png, .pdf or .svg.")
+@click.option("--plot", type=NamedPath(path_type=Path), metavar="FILE", help="Figure: FILE.png, .pdf or .svg.")
 @click.option("--force", is_flag=True, help="Accept any status of the calibration and any serial.")
 @click.option("--trust", is_flag=True, help="Accept a calibration file that was changed after it was written.")
 @click.option("-q", "--quiet", is_flag=True, help="No table.")
@@ -42,10 +42,10 @@ def noise(
     import numpy as np
 
     from srt.cli.apply import check_match, load_fit
-    from srt.noise.allan import allan_deviation, undisturbed
+    from srt.noise.allan import allan_deviation
     from srt.noise.noise_terms import noise_terms
     from srt.recording.atomic_file import atomic_write_text
-    from srt.sequences.rest_detection import longest_rest
+    from srt.sequences.rest_detection import undisturbed_rest
 
     for file, suffixes, what in (
         (json_file, RESULT_SUFFIXES, "The result"),
@@ -60,11 +60,7 @@ def noise(
     calibration = None if into is None else load_fit(into, force=force, trust=trust)
     if calibration is not None and into is not None and not force:
         check_match(calibration, recording, into, log)
-    rest = longest_rest(recording)
-    pieces = undisturbed(recording, *rest) if rest is not None else []
-    if not pieces:
-        raise DataError(f"{log} has no stationary window: log the unit at rest.")
-    window = max(pieces, key=lambda piece: piece[1] - piece[0])
+    window = undisturbed_rest(recording)
     terms = noise_terms(recording, window)
     allan = allan_deviation(recording, np.array([window], dtype=np.intp))
     if not quiet:

@@ -41,10 +41,13 @@ def check_file(path: Path, suffixes: Sequence[str], what: str) -> None:
     ------
     InputError
     """
-    if path.suffix.lower() not in suffixes:
-        raise InputError(f"{what} cannot be written as {path}: name a file that ends in {' or '.join(suffixes)}.")
     if path.is_dir():
         raise InputError(f"{what} cannot be written as {path}: it is a folder; name a file.")
+    if path.suffix.lower() not in suffixes:
+        raise InputError(
+            f"{what} cannot be written as {path}: name a file that ends in {' or '.join(suffixes)}, "
+            f"as {path.with_suffix(suffixes[0])}."
+        )
     # A link is written through, so its target decides.
     _check_folder(path.resolve().parent, path)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -13,6 +12,7 @@ import click
 
 from srt.cli.messages import announce, say, show
 from srt.cli.output_paths import PLOT_SUFFIXES, RESULT_SUFFIXES, check_file, require_matplotlib
+from srt.cli.path_type import NamedPath
 from srt.cli.progress import status_line
 from srt.comparison.parallel import one_thread
 from srt.exceptions import InputError
@@ -39,11 +39,11 @@ class PlanFiles(NamedTuple):
 @click.command()
 @click.argument("plan_file", metavar="PLAN")
 @click.option("--total-time", type=float, metavar="S", help="Length of the test in s, instead of the file's.")
-@click.option("-o", "--output", type=click.Path(path_type=Path), help="Schedule for srt simulate: FILE.toml.")
-@click.option("--sheet", type=click.Path(path_type=Path), help="Sheet for the operator: FILE.md.")
-@click.option("--json", "document", type=click.Path(path_type=Path), help="Plan as JSON: FILE.json.")
+@click.option("-o", "--output", type=NamedPath(path_type=Path), help="Schedule for srt simulate: FILE.toml.")
+@click.option("--sheet", type=NamedPath(path_type=Path), help="Sheet for the operator: FILE.md.")
+@click.option("--json", "document", type=NamedPath(path_type=Path), help="Plan as JSON: FILE.json.")
 @click.option(
-    "--plot", type=click.Path(path_type=Path), help="Figure of timetable and accuracy: FILE.png, .pdf or .svg."
+    "--plot", type=NamedPath(path_type=Path), help="Figure of timetable and accuracy: FILE.png, .pdf or .svg."
 )
 @click.option("--table-1", is_flag=True, help="Compare with the 17 sequences of Table 1 in the same time.")
 @click.option(
@@ -54,7 +54,7 @@ class PlanFiles(NamedTuple):
 )
 @click.option(
     "--after",
-    type=click.Path(path_type=Path),
+    type=NamedPath(path_type=Path),
     metavar="CALIBRATION",
     help="Instead of a plan, propose the next sequence after the test so far, from its calibration (JSON).",
 )
@@ -106,8 +106,12 @@ def plan(
             check_file(path, suffixes, what)
     for name in compare:
         load_protocol(name)
-    if total_time is not None and not (math.isfinite(total_time) and total_time > 0.0):
-        raise InputError(f"--total-time is {total_time:g}: give a positive number of seconds.")
+    from srt.recording.schema import LARGEST_TIME_S
+
+    if total_time is not None and not 0.0 < total_time <= LARGEST_TIME_S:
+        raise InputError(
+            f"--total-time is {total_time:g}: give a positive number of seconds of at most {LARGEST_TIME_S:g}."
+        )
     chosen = files.load_plan_file(plan_file)
     given = {"total_time_s": total_time, "moves": moves}
     options = chosen.plan.model_copy(update={name: value for name, value in given.items() if value is not None})

@@ -80,9 +80,17 @@ def iteration_progress(name: str, *, quiet: bool) -> Iterator[Callable[[int, flo
     if quiet:
         yield None
         return
+    before = 0
     with status_line(f"{name}: preparing") as update:
         report = progress_line if update is None else update
-        yield lambda number, correction: report(f"{name}: iteration {number}, largest correction {correction:.1e}")
+
+        def show(number: int, correction: float) -> None:
+            nonlocal before
+            again = " (starts again with another model)" if number <= before else ""
+            report(f"{name}: iteration {number}{again}, largest correction {correction:.1e}")
+            before = number
+
+        yield show
 
 
 @contextmanager

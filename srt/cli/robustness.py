@@ -10,6 +10,7 @@ import click
 
 from srt.cli.messages import say, show
 from srt.cli.output_paths import check_directory, check_file, check_recording_target
+from srt.cli.path_type import NamedPath
 from srt.cli.progress import count_progress
 from srt.exceptions import InputError
 
@@ -26,7 +27,7 @@ _ALWAYS: Final = ("trials", "converged")
 @click.option(
     "-o",
     "--output",
-    type=click.Path(path_type=Path),
+    type=NamedPath(path_type=Path),
     help="Folder of the results, or of the recording with --replay. Default for results: robustness-NAME.",
 )
 @click.option(
@@ -41,7 +42,7 @@ _ALWAYS: Final = ("trials", "converged")
 @click.option("--trials", type=click.IntRange(min=1), metavar="N", help="Trials of every point; default: as in CONFIG.")
 @click.option("--fresh", is_flag=True, help="Delete the results of an earlier run in the folder.")
 @click.option("--replay", metavar="POINT:TRIAL", help="Repeat one trial and show it; -o keeps its recording.")
-@click.option("--markdown", type=click.Path(path_type=Path), help="Tables of the report: FILE.md.")
+@click.option("--markdown", type=NamedPath(path_type=Path), help="Tables of the report: FILE.md.")
 @click.option("-q", "--quiet", is_flag=True, help="No progress and no table; warnings and errors only.")
 def robustness(
     config: str,

@@ -11,6 +11,7 @@ import click
 from srt.cli.grouped_command import RenamedOption
 from srt.cli.messages import show
 from srt.cli.output_paths import SAMPLES_FORMATS, check_recording_target
+from srt.cli.path_type import NamedPath
 
 if TYPE_CHECKING:
     from sims import Scenario, Simulation
@@ -18,8 +19,8 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.argument("scenario", metavar="SCENARIO")
-@click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="Folder to write.")
-@click.option("--seed", type=click.IntRange(min=0), help="Seed; default: that of the scenario.")
+@click.option("-o", "--output", required=True, type=NamedPath(path_type=Path), help="Folder to write.")
+@click.option("--seed", type=click.IntRange(min=0), help="Seed; default: that of the scenario, or 1.")
 @click.option(
     "--samples-format",
     cls=RenamedOption,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import click
 
-from srt.cli.messages import say, warn
+from srt.cli.messages import output_errors, say, warn
 from srt.exceptions import InputError
 
 if TYPE_CHECKING:
@@ -167,7 +167,7 @@ def _standard(lines: LineCorrector) -> None:
     write, flush = sys.stdout.write, sys.stdout.flush
     for line in sys.stdin:
         corrected = lines.correct(line)
-        if corrected is not None:
+        with output_errors():
             write(corrected + "\n")
             flush()
 
@@ -225,7 +225,6 @@ def _datagram_corrector(
             if not link:
                 link.append(mavlink.MavlinkCorrector(corrector, raw))
             return link[0].correct(packet)
-        corrected = (lines.correct(line) for line in packet.decode("utf-8", "replace").splitlines())
-        return "".join(f"{line}\n" for line in corrected if line is not None).encode()
+        return "".join(f"{lines.correct(line)}\n" for line in packet.decode("utf-8", "replace").splitlines()).encode()
 
     return correct

@@ -11,6 +11,7 @@ import click
 from srt.cli.calibration_jobs import Display, Job
 from srt.cli.messages import announce, figure_title, progress_line, show
 from srt.cli.output_paths import PLOT_SUFFIXES, RESULT_SUFFIXES, check_file, recording_folder
+from srt.cli.path_type import NamedPath
 from srt.cli.progress import live_text
 from srt.exceptions import DataError
 
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("recording", type=click.Path(path_type=Path), metavar="RECORDING")
+@click.argument("recording", type=NamedPath(path_type=Path), metavar="RECORDING")
 @click.option(
     "--estimator",
     default="auto",
@@ -36,7 +37,9 @@ if TYPE_CHECKING:
     metavar="NAME=SIGMA",
     help="Sigma wanted of a parameter or group in the units of the table, as gyro_scale=1.",
 )
-@click.option("--every", type=click.FloatRange(min=0.1), default=1.0, show_default=True, help="Time between looks, s.")
+@click.option(
+    "--every", type=click.FloatRange(0.1, 3600.0), default=1.0, show_default=True, help="Time between looks, s."
+)
 @click.option(
     "--idle",
     type=click.FloatRange(min=0.0),
@@ -44,8 +47,8 @@ if TYPE_CHECKING:
     show_default=True,
     help="Time without new samples after which the test ends, s; 0: look once.",
 )
-@click.option("-o", "--output", type=click.Path(path_type=Path), help="Result at the end: FILE.json.")
-@click.option("--plot", type=click.Path(path_type=Path), help="Figure of sigma against sequence: FILE.png, .pdf, .svg.")
+@click.option("-o", "--output", type=NamedPath(path_type=Path), help="Result at the end: FILE.json.")
+@click.option("--plot", type=NamedPath(path_type=Path), help="Figure of sigma against sequence: FILE.png, .pdf, .svg.")
 @click.option("-q", "--quiet", is_flag=True, help="Only errors of the test, and warnings of the final result.")
 def watch(
     recording: Path,

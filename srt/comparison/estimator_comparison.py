@@ -22,6 +22,7 @@ from srt.comparison.estimate_difference import (
     listing,
     ratio_of,
 )
+from srt.estimation.fixed_parameters import in_frame_of_poses
 from srt.estimation.options import Options
 from srt.estimation.registry import ESTIMATORS, automatic_estimator, find_estimator
 from srt.exceptions import DataError, InputError, SrtError
@@ -99,12 +100,12 @@ def run_estimators(
     InputError
         An estimator that is not registered, or whose packages are not installed.
     """
-    options = Options() if options is None else options
     recording, recognition = label_sequences(recording)
     calibrations: dict[str, Calibration] = {}
     seconds: dict[str, float] = {}
     failures: dict[str, str] = {}
     found = {name: find_estimator(name) for name in names}  # imported before the run times are measured
+    options = in_frame_of_poses(recording, options or Options())
     for name, estimator in found.items():
         started = perf_counter()
         try:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from scipy.special import chdtrc
 
+from srt.arguments import require_type
 from srt.comparison.merge_model import GROUP_OF, StackedEstimates, between_sigma, estimate, stack_estimates
 from srt.comparison.repeatability import repeatability
 from srt.estimation.leave_one_out import SequenceDiagnostics, consistency_tests, leave_one_out_estimates, verdict
@@ -57,7 +59,10 @@ def merge_calibrations(
     DataError
         If none converged.
     """
+    require_type("Merging", "a list of calibrations", calibrations, Iterable)
     given = list(calibrations)
+    for each in given:
+        require_type("Merging", "calibrations (srt.calibrate, srt.load_calibration)", each, Calibration)
     titles = [str(n + 1) for n in range(len(given))] if names is None else list(names)
     _check(given, titles)
     left_out = {t: c.status for t, c in zip(titles, given, strict=True) if c.status not in USABLE}

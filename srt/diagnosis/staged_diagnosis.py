@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, Final
 
+from srt.arguments import require_type
 from srt.diagnosis import (
     axes,
     channels,
@@ -25,10 +26,10 @@ from srt.diagnosis import (
 from srt.diagnosis.evidence import Evidence, plain
 from srt.diagnosis.faults import STAGES
 from srt.diagnosis.findings import Finding, sort_by_cause, stage_checks
+from srt.recording.recording import Recording
 
 if TYPE_CHECKING:
     from srt.estimation.options import Options
-    from srt.recording.recording import Recording
     from srt.result.calibration import Calibration
     from srt.result.verdict import Verdict
     from srt.sequences.recognition import Recognition
@@ -161,7 +162,13 @@ def diagnose(
     Returns
     -------
     Diagnosis
+
+    Raises
+    ------
+    InputError
+        Anything but a recording.
     """
+    require_type("diagnose", "a recording (srt.read makes one of arrays)", recording, Recording)
     examination = StagedDiagnosis(recording, options, recognition)
     screened = examination.before_calibration()
     return examination.with_calibration() if calibrating else screened

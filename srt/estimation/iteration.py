@@ -167,11 +167,11 @@ class Iteration:
                 size = float(np.max(np.abs(correction) / PARAMETER_UNITS))
                 corrections.append(size)
                 if progress is not None:
-                    progress(i + 1, size)
+                    progress(len(self.before) + len(corrections), size)
                 _require_inside(errors)
                 inside = errors, U
             except _DivergenceError as reason:
-                status, message = "outside_model", f"After iteration {i + 1} {reason}."
+                status, message = "outside_model", f"After iteration {len(self.before) + len(corrections)} {reason}."
                 break
             settled = self._update_offsets(measurements, sigma)
             tolerance = np.maximum(CONVERGED_CORRECTION * PARAMETER_UNITS, CONVERGED_SIGMAS * sigma)
@@ -187,7 +187,7 @@ class Iteration:
                 weights = None
         else:
             message = (
-                f"Not converged after {len(corrections)} iterations: the last correction was "
+                f"Not converged after {len(self.before) + len(corrections)} iterations: the last correction was "
                 f"{corrections[-1] if corrections else np.inf:.2e} "
                 "(largest component: ratios, rad; accelerometer biases in g)."
             )
@@ -385,7 +385,7 @@ def iterate(
     U : ndarray, shape (3, 3)
         T to MARS components.
     progress : callable, optional
-        Called with the number of the iteration and the largest correction.
+        Called with the number of the iteration, counted on from ``resume``, and the largest correction.
     excess : UnmodelledErrors
         Errors beyond the noise of the sensors.
     resume : Solution, optional

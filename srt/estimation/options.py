@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
+from srt.arguments import require_type
 from srt.exceptions import InputError, did_you_mean
 from srt.model.prior import Prior
 from srt.sensor_errors import SensorErrors, expand_names
@@ -193,6 +194,7 @@ def chosen_options(options: Options | None, choices: Mapping[str, Any]) -> Optio
     if options is not None:
         if choices:
             raise InputError("Give either options or single choices, not both.")
+        require_type("options=", "srt.Options", options, Options)
         return options
     known = [f.name for f in fields(Options)]
     for name in sorted(set(choices) - set(known)):

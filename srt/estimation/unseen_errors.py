@@ -132,7 +132,8 @@ def _row(source: str, error: tuple[str, float | None], effect: _Effect) -> dict[
     size = f"{'up to ' if effect.largest else ''}{effect.coefficient:.3g} {effect.unit}"
     name = effect.group.replace("_", " ")
     where = f"every {name}" if effect.axes in ("", "".join(AXES)) else f"{name} {' and '.join(effect.axes)}"
-    stated = "not stated" if sigma is None else f"stated: {sigma:.3g} {unit}, 1-sigma"
+    origin = "the time base" if source == "time base" else source
+    known = "not stated" if sigma is None else f"{sigma:.3g} {unit}"
     return {
         "source": source,
         "unit": unit,
@@ -142,5 +143,5 @@ def _row(source: str, error: tuple[str, float | None], effect: _Effect) -> dict[
         "coefficient": effect.coefficient,
         "group_unit": effect.unit,
         "largest": effect.largest,
-        "sentence": f"1 {unit} of {source} is {size} of {where} ({stated}).",
+        "sentence": f"An error of 1 {unit} in {origin} changes {where} by {size}; its 1-sigma is {known}.",
     }

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from srt.exceptions import InputError
+from srt.exporters.export_model import origin
 from srt.exporters.file_format import SINGLE, Exporter
 from srt.model.sensor_model import Triad
 from srt.result.applier import Applier
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
 _NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,30}")
 _SUFFIXES: Final = {"double": "", "float": "f"}
 """Suffix of a literal by type."""
-_UNSAFE: Final = re.compile(r"[^A-Za-z0-9 ./:,;()+@=_-]")
 
 _MULTIPLY: Final = """\
 static inline void {name}_multiply_(const {real} m[9], const {real} x[3], {real} v[3])
@@ -348,12 +348,7 @@ def _number(value: float, precision: str) -> str:
 
 
 def _comment(calibration: Calibration, options: HeaderOptions, applier: Applier) -> str:
-    """Heading comment; texts from files keep only characters that cannot end a comment."""
-
-    def stated(key: str) -> str:
-        value = calibration.provenance.get(key)
-        return _UNSAFE.sub("_", str(value))[:200] if value else "not stated"
-
+    """Heading comment."""
     name, precision, kind = options.name, options.precision, options.kinds[0]
     table = "; _table: table-mounted frame" if applier.rotation is not None else ""
     frame = f"MARS, the frame in which the gyro matrix is symmetric{table}"
@@ -361,11 +356,7 @@ def _comment(calibration: Calibration, options: HeaderOptions, applier: Applier)
     lines = [
         "Correction of IMU readings; generated, do not edit.",
         "",
-        f"serial:    {stated('serial')}",
-        f"date:      {stated('date')}",
-        f"data hash: {stated('data_sha256')} (SHA-256 of the samples)",
-        f"software:  {stated('software')}",
-        f"status:    {_UNSAFE.sub('_', calibration.status)} ({_UNSAFE.sub('_', str(calibration.estimator))})",
+        *origin(calibration),
         "",
         "units:     rad/s and m/s^2; increments rad and m/s with dt in s",
         f"frame:     {frame}",

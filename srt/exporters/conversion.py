@@ -268,8 +268,10 @@ def read_texts(chosen: Exporter, path: str | PathLike[str]) -> dict[str, str]:
 
 
 def part_paths(chosen: Exporter, path: str | PathLike[str]) -> dict[str, Path]:
-    """Paths of the files of a format, by part."""
+    """Paths of the files of a format, by part. Raises InputError for a folder without a name."""
     base = Path(path)
+    if not base.name:
+        raise InputError(f"{base} is a folder: name a file that ends in {' or '.join(chosen.suffixes)}.")
     return {
         part: base.with_name(base.stem + part + base.suffix) if part else base
         for part in (*chosen.parts, *chosen.companions)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Final, Protocol
@@ -12,6 +11,7 @@ import numpy as np
 from srt.exceptions import InputError
 from srt.exporters.linear_model import LinearModel
 from srt.model.rotations import rotation_vector
+from srt.recording.schema import LARGEST_ELEMENT
 from srt.result.calibration import G_SENSITIVITY
 
 if TYPE_CHECKING:
@@ -99,8 +99,11 @@ class ExportSettings:
     def __post_init__(self) -> None:
         for name in ("rate_hz", "gyro_random_walk", "accel_random_walk", "inflate"):
             value = getattr(self, name)
-            if value is not None and not (math.isfinite(value) and value > 0.0):
-                raise InputError(f"The setting {name} is {value:g}: give a positive number, or leave it out.")
+            if value is not None and not 0.0 < value <= LARGEST_ELEMENT:
+                raise InputError(
+                    f"The setting {name} is {value:g}: give a positive number of at most {LARGEST_ELEMENT:g}, or leave "
+                    "it out."
+                )
         if self.topic is not None and not _TOPIC.fullmatch(self.topic):
             raise InputError(f"{self.topic!r} is no topic: use letters, digits and / _ ~ . - as in /imu0.")
         if self.instance is not None and not 0 <= self.instance <= LAST_INSTANCE:
@@ -141,26 +144,13 @@ class ExportModel:
     g_sensitivity: Array = field(default_factory=lambda: np.zeros((3, 3)))
     applied: AppliedCorrection | None = None
 
-    def white_noise(self, sensor: str) -> Array | None:
-        """White noise of the uncorrected readings, shape (3,), rad/s/√Hz or m/s²/√Hz; None if not known."""
-        key = {"gyro": "gyro_noise_rad_per_sqrt_s", "accel": "accel_noise_m_s2_sqrt_s"}[sensor]
-        stated = self.calibration.noise.get(key)
-        return None if stated is None else np.array(stated, dtype=np.float64)
-
     def heading(self, item: FormatDescription) -> list[str]:
         """ASCII lines for a comment: unit, origin, formula, axes and losses."""
-        provenance = self.calibration.provenance
-        stated = {
-            key: _UNSAFE.sub("_", str(provenance.get(key) or "not stated"))[:200]
-            for key in ("serial", "date", "data_sha256", "software")
-        }
         lost: tuple[str, ...] = () if item.asymmetry else ("scale-factor asymmetry",)
         lost += ("g-sensitivity",) if G_SENSITIVITY in self.calibration.diagnostics and not item.g_sensitivity else ()
         return [
             f"{item.title}; generated, do not edit.",
-            f"unit {stated['serial']}, {stated['date']}, by {stated['software']}, "
-            f"status {_UNSAFE.sub('_', self.calibration.status)}",
-            f"samples (SHA-256) {stated['data_sha256']}",
+            *origin(self.calibration),
             f"formula: {item.formula}",
             f"axes: {_AXES[self.frame]}; a vector v in MARS axes is C v in these, C =",
             *(f"  [{', '.join(f'{value:.15g}' for value in row)}]" for row in self.C_FB.tolist()),
@@ -207,6 +197,19 @@ class ExportModel:
     def turn_mrad(self) -> Array:
         """Rotation vector from MARS axes to F, shape (3,), mrad."""
         return 1e3 * np.asarray(rotation_vector(self.C_FB[None])[0])
+
+
+def origin(calibration: Calibration) -> list[str]:
+    """ASCII lines on the unit, the test and the software; texts keep only characters that cannot end a comment."""
+    known = calibration.temperature
+    words = {
+        **{key: calibration.provenance.get(key) for key in ("serial", "date", "software")},
+        "status": f"{calibration.status} ({calibration.estimator})",
+        "temperature": known and f"mean {known['mean_c']:.1f} degC, range {known['range_c']:.1f} degC in the test",
+        "SHA-256": calibration.provenance.get("data_sha256"),
+    }
+    stated = {key: _UNSAFE.sub("_", str(value or "not stated"))[:200] for key, value in words.items()}
+    return [f"{key + ':':<12} {value}" for key, value in stated.items()]
 
 
 def comment(lines: Sequence[str], mark: str = "#") -> str:

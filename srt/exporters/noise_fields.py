@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
-from srt.noise.allan import FLAT, RANDOM_WALK, TERMS
+import numpy as np
+
+from srt.noise.allan import FLAT, TERMS
+from srt.noise.stated_figures import stated_term, white_noise
 
 if TYPE_CHECKING:
     from srt.exporters.export_model import ExportModel
@@ -26,19 +29,17 @@ def known_figures(model: ExportModel) -> dict[str, float]:
     -------
     dict of str to float
         Any of "gyro_noise", "accel_noise" (white, rad/s/√Hz and m/s²/√Hz), "gyro_random_walk", "accel_random_walk" and
-        "rate_hz". Settings come first, then the terms of ``srt noise``, then the white noise of the test; unknown
-        values are absent. All but the rate are multiplied by the inflation of the settings.
+        "rate_hz", each of the noisiest axis. Settings come first, then the calibration
+        (:mod:`srt.noise.stated_figures`); unknown values are absent. All but the rate are multiplied by the inflation
+        of the settings.
     """
     found: dict[str, float] = {}
     for sensor in ("gyro", "accel"):
-        white = model.white_noise(sensor)
-        terms = {
-            f"{sensor}_noise": _worst(model, sensor, RANDOM_WALK),
-            f"{sensor}_random_walk": _worst(model, sensor, _BIAS_WALK),
+        figures = {
+            f"{sensor}_noise": white_noise(model.calibration.noise, sensor),
+            f"{sensor}_random_walk": stated_term(model.calibration.noise, sensor, _BIAS_WALK)[0],
         }
-        if white is not None:
-            found[f"{sensor}_noise"] = float(white.max())
-        found |= {name: term[0] for name, term in terms.items() if term is not None}
+        found |= {name: float(np.nanmax(values)) for name, values in figures.items() if not np.isnan(values).all()}
     for name in ("gyro_random_walk", "accel_random_walk"):
         value = getattr(model.settings, name)
         if value is not None:
@@ -67,12 +68,9 @@ def worst_bias_instability(model: ExportModel, sensor: str) -> float | None:
 
 def _worst(model: ExportModel, sensor: str, term: int) -> tuple[float, bool] | None:
     """Largest figure of a term over the three axes, SI, and True if it is an upper limit; None without srt noise."""
-    s = ("gyro", "accel").index(sensor)
-    channels = model.calibration.noise.get("terms", {}).get("channels", {})
-    key = TERMS[term].keys[s]
-    figures = [row[key] for name, row in channels.items() if name.startswith(sensor) and key in row]
-    values = [(float(f.get("value", f.get("below"))) * TERMS[term].scales[s], "below" in f) for f in figures]
-    return max(values, default=None)
+    figures, limits = stated_term(model.calibration.noise, sensor, term)
+    known = zip(figures.tolist(), limits.tolist(), strict=True)
+    return max((each for each in known if not np.isnan(each[0])), default=None)
 
 
 def named(model: ExportModel, names: dict[str, str]) -> dict[str, Any]:

@@ -20,6 +20,7 @@ from srt.exceptions import InputError, MissingExtraError
 from srt.exporters.file_format import Exporter, field, from_json, to_json
 from srt.exporters.noise_fields import known_figures, statement
 from srt.model.sensor_model import accel_triad, gyro_triad
+from srt.noise.stated_figures import white_density
 from srt.sensor_errors import GROUP_SLICES
 
 if TYPE_CHECKING:
@@ -136,20 +137,13 @@ def preintegration_figures(
     if gravity is None or not (math.isfinite(gravity) and gravity > 0.0):
         raise InputError(f"Gravity is {gravity}: give gravity_m_s2, in m/s² and positive, of the place of the data.")
     triads = {"accel": accel_triad(calibration.errors), "gyro": gyro_triad(calibration.errors)}
-    keys = {"accel": "accel_noise_m_s2_sqrt_s", "gyro": "gyro_noise_rad_per_sqrt_s"}
     index = np.concatenate([np.arange(27)[GROUP_SLICES[group]] for group in _GROUPS])
     bias_covariance = calibration.covariance[np.ix_(index, index)]
     corrections, noise = [], {}
     for sensor, triad in triads.items():
-        white = calibration.noise.get(keys[sensor])
-        if white is None:
-            raise InputError(
-                f"This calibration does not state the white noise of the {sensor} channels ({keys[sensor]}): take one "
-                "that is not merged."
-            )
-        D = np.eye(3) if readings == "raw" else np.linalg.inv(triad.matrix)
+        D = np.asarray(np.eye(3) if readings == "raw" else np.linalg.inv(triad.matrix))
         corrections.append(D)
-        noise[sensor] = D @ np.diag(np.square(np.asarray(white, dtype=np.float64))) @ D.T
+        noise[sensor] = white_density(calibration.noise, sensor, D)
     both = np.block([[corrections[0], np.zeros((3, 3))], [np.zeros((3, 3)), corrections[1]]])
     figures = {
         "bias_accel": triads["accel"].bias * (readings == "raw"),

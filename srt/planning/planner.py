@@ -30,6 +30,7 @@ from srt.planning.information import Signatures
 from srt.planning.plan import MET, Plan, PlanLimits, TooLongError, accuracy_criterion, check_targets, scheduled_plan
 from srt.planning.prediction import predict
 from srt.planning.selection import AccuracyCriterion, CandidatePool, Selection, select
+from srt.recording.schema import LARGEST_TIME_S
 from srt.sensor_errors import NAMES
 
 if TYPE_CHECKING:
@@ -120,8 +121,10 @@ def make_plan(
     planner = Planner(fixture, conditions, targets, limits, progress)
     planner.require_observable()
     if total_s is not None:
-        if not (math.isfinite(total_s) and total_s > 0.0):
-            raise InputError(f"The time for the test is {total_s!r}: give a positive number of seconds.")
+        if not 0.0 < total_s <= LARGEST_TIME_S:
+            raise InputError(
+                f"The time for the test is {total_s!r}: give a positive number of seconds, at most {LARGEST_TIME_S:g}."
+            )
         return planner.plan_for_time(total_s)
     return planner.shortest_plan()
 

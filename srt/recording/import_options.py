@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import math
+import re
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
+from numbers import Real
 from typing import TYPE_CHECKING, Final, get_args
 
 import numpy as np
 
+from srt.arguments import require_type
 from srt.constants import DEG
 from srt.exceptions import InputError, did_you_mean
 from srt.model.table1 import AXES
@@ -16,7 +20,7 @@ from srt.recording.samples import ACCEL_COLUMNS, GYRO_COLUMNS, TEMPERATURE, TIME
 from srt.recording.schema import ACCEL_UNITS, COUNTS, GYRO_UNITS, TIME_UNITS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable
     from pathlib import Path
 
     from srt.types import Array
@@ -30,50 +34,23 @@ SENSOR_UNITS: Final = {"gyro": GYRO_UNITS, "accel": ACCEL_UNITS}
 
 Triple = tuple[float, float, float]
 
-_SPELLINGS = {
-    "rad s^-1": "rad/s",
-    "rads^-1": "rad/s",
-    "rad*s^-1": "rad/s",
-    "rad/sec": "rad/s",
-    "rps": "rad/s",
-    "°/s": "deg/s",
-    "deg/sec": "deg/s",
-    "degree/s": "deg/s",
-    "degrees/s": "deg/s",
-    "deg s^-1": "deg/s",
-    "dps": "deg/s",
-    "°/h": "deg/h",
-    "deg/hr": "deg/h",
-    "°": "deg",
-    "degree": "deg",
-    "degrees": "deg",
-    "m/s²": "m/s^2",
-    "m/s2": "m/s^2",
-    "m/s/s": "m/s^2",
-    "m/sec^2": "m/s^2",
-    "m s^-2": "m/s^2",
-    "ms^-2": "m/s^2",
-    "m*s^-2": "m/s^2",
-    "g0": "g",
-    "milli-g": "mg",
-    "m s^-1": "m/s",
-    "sec": "s",
-    "seconds": "s",
-    "second": "s",
-    "msec": "ms",
-    "milliseconds": "ms",
-    "µs": "us",
-    "μs": "us",
-    "usec": "us",
-    "microseconds": "us",
-    "nsec": "ns",
-    "nanoseconds": "ns",
-    "lsb": COUNTS,
-    "count": COUNTS,
-    "raw": COUNTS,
-}
+_WORDS = {
+    "radian": "rad", "radians": "rad", "°": "deg", "degree": "deg", "degrees": "deg", "g0": "g", "milli-g": "mg",
+    "sec": "s", "second": "s", "seconds": "s", "hr": "h", "hour": "h", "s2": "s^2", "sec^2": "s^2",
+    "msec": "ms", "milliseconds": "ms", "µs": "us", "μs": "us", "usec": "us", "microseconds": "us",
+    "nsec": "ns", "nanoseconds": "ns", "lsb": COUNTS, "count": COUNTS, "digit": COUNTS, "raw": COUNTS,
+}  # fmt: skip
+"""Spellings of the parts of a unit."""
 
-_LSB_UNITS = {"gyro": {**GYRO_UNITS["rate"], "rad": 1.0, "deg": DEG}, "accel": {**ACCEL_UNITS["rate"], "m/s": 1.0}}
+_WHOLE = {"rps": "rad/s", "dps": "deg/s", "m/s/s": "m/s^2"}
+
+_RAISED = str.maketrans({"²": "^2", "⁻": "-", "¹": "1"})
+
+_NEGATIVE_POWER = re.compile(r"[\s*·.]*s(?:\^?-|-\^)([12])(?=$|/)")
+"""Seconds in the denominator, as in "rad s^-1" and "m s-2"."""
+
+_LSB = re.compile(r"([\d.,/eE+\- ]*[\d.])\s*(.*)")
+"""Numbers of the value of a count, and its unit."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,10 +129,13 @@ class ImportOptions:
                     )
         self._set_unit("time_unit", tuple(TIME_UNITS))
         rate = self.sample_rate_hz
+        if rate is not None:
+            require_type(option("sample_rate_hz"), "a number in Hz", rate, Real)
         if rate is not None and not (math.isfinite(rate) and rate > 0.0):
             raise InputError(f"{option('sample_rate_hz')} is {rate:g}, but a positive number in Hz is expected.")
         if self.skip < 0:
             raise InputError(f"{option('skip')} is {self.skip}, but a number of lines is expected.")
+        require_type(option("columns"), "a text, or a mapping of channels to columns", self.columns, Mapping)
         for channel in self.columns:
             if channel not in CHANNELS and channel not in TRIADS:
                 raise InputError(
@@ -193,14 +173,16 @@ def normal_unit(text: str) -> str:
     Parameters
     ----------
     text : str
-        Such as "dps", "rad s^-1" or "m/s²".
+        Such as "dps", "rad s^-1", "degrees per second" or "m/s²".
 
     Returns
     -------
     str
     """
-    folded = " ".join(text.strip().lower().replace("**", "^").split())
-    return _SPELLINGS.get(folded, folded)
+    folded = " ".join(text.lower().replace("**", "^").replace(" per ", "/").translate(_RAISED).split())
+    folded = _NEGATIVE_POWER.sub(lambda power: "/s" if power[1] == "1" else "/s^2", folded)
+    unit = "/".join(_WORDS.get(word.strip(), word.strip()) for word in folded.split("/"))
+    return _WHOLE.get(unit, unit)
 
 
 def parse_columns(text: str) -> dict[str, str | int]:
@@ -286,8 +268,8 @@ def parse_lsb(text: str, sensor: str) -> Triple:
     Parameters
     ----------
     text : str
-        One number or three, each also as 1/N, and a unit: "1/131 deg/s", "1/415,1/413,1/415 m/s^2". The default unit
-        is SI.
+        One number or three, each also as 1/N, and a unit: "1/131 deg/s", "1/415,1/413,1/415 m/s^2", "0.061 mg/LSB".
+        The units are those of ``gyro_unit`` and ``accel_unit``; the default is SI.
     sensor : "gyro" or "accel"
 
     Returns
@@ -300,9 +282,10 @@ def parse_lsb(text: str, sensor: str) -> Triple:
     InputError
     """
     name = f"{sensor}_lsb"
-    numbers, _, unit_text = text.strip().partition(" ")
-    factors = _LSB_UNITS[sensor]
-    unit = normal_unit(unit_text)
+    split = _LSB.fullmatch(text.strip())
+    numbers, unit_text = split.groups() if split else (text.strip(), "")
+    factors = {unit: factor for units in SENSOR_UNITS[sensor].values() for unit, factor in units.items()}
+    unit = normal_unit(unit_text).removesuffix(f"/{COUNTS}")
     if unit and unit not in factors:
         raise InputError(f"{option(name)}: the unit {unit_text!r} is not one of {', '.join(factors)}.")
     factor = factors[unit] if unit else 1.0
@@ -317,6 +300,19 @@ def parse_lsb(text: str, sensor: str) -> Triple:
 def parse_offset(text: str, sensor: str) -> Triple:
     """Read the counts at zero input: one number, or three separated by commas. Raises InputError."""
     return _triple(text, f"{sensor}_offset", float)
+
+
+def counts_text(options: ImportOptions, sensor: str, unit: str) -> str:
+    """Value of a count in an SI unit, and the counts at zero input; for gyros in degrees, too, as data sheets do."""
+    lsb, offset = getattr(options, f"{sensor}_lsb"), getattr(options, f"{sensor}_offset")
+    text = f" of {_triple_text(lsb)} {unit}"
+    if sensor == "gyro" and len(set(lsb)) == 1:
+        text += f" ({_triple_text(tuple(value / DEG for value in lsb))} {unit.replace('rad', '°')})"
+    return text if offset is None else f"{text}, zero at {_triple_text(offset)}"
+
+
+def _triple_text(values: tuple[float, ...]) -> str:
+    return " ".join(f"{value:.6g}" for value in (values if len(set(values)) > 1 else values[:1]))
 
 
 def _fraction(text: str) -> float:

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from srt.constants import DEG
-from srt.exceptions import InputError, NotStatedError
-from srt.recording.import_options import SENSOR_UNITS, ImportOptions, option, parse_axis_map
+from srt.exceptions import InputError, NotStatedError, clipped
+from srt.recording.import_options import SENSOR_UNITS, ImportOptions, counts_text, option, parse_axis_map
 from srt.recording.recording import Fixture, ImuNoise, Kind, Recording, SequenceLabel, Site, require_bounded
 from srt.recording.schema import COUNTS, TIME_UNITS
 from srt.recording.timing import GAP_STEPS
@@ -110,7 +109,8 @@ def samples_in_si(
     gyro, accel : ndarray, shape (n, 3)
         In the units of the file.
     time : ndarray, shape (n,), or None
-        Integers stay exact: they are counted from the first one before the conversion to seconds.
+        Integers stay exact: they are counted from the first one before the conversion to seconds. Dates and durations
+        of NumPy state their unit.
     stated : StatedUnits
         Units by the format or the header.
     kind : "rate" or "increment", optional
@@ -139,6 +139,9 @@ def samples_in_si(
             f"{option('kind')} is {options.kind}, but this format holds samples of kind {kind}: leave it out."
         )
     chosen: Kind = kind or options.kind or "rate"
+    if time is not None and time.dtype.kind in "mM":
+        time, unit = _ticks(time, options)
+        stated = replace(stated, time=unit)
     _require_units(
         options, {"gyro": stated.gyro, "accel": stated.accel} | ({} if time is None else {"time": stated.time})
     )
@@ -151,7 +154,7 @@ def samples_in_si(
         unit, units[sensor] = _unit(options, f"{sensor}_unit", own, changes)
         arrays[sensor] = _to_si(options, sensor, unit, chosen, raw)
         if unit == COUNTS:
-            units[sensor] += _counts_text(options, sensor, _SI[chosen][sensor])
+            units[sensor] += counts_text(options, sensor, _SI[chosen][sensor])
     seconds = None
     if time is not None:
         if time.shape != (len(gyro),):
@@ -173,6 +176,19 @@ def samples_in_si(
         notes=(*notes, *changes),
         applied=applied,
     )
+
+
+def _ticks(stamps: NDArray[Any], options: ImportOptions) -> tuple[NDArray[Any], str]:
+    """Dates or durations as integers, and the unit of these. Raises InputError for a unit in the options, or a NaT."""
+    if options.time_unit is not None:
+        raise InputError(f"{option('time_unit')} is given, but the time stamps are dates or durations: leave it out.")
+    absent = np.flatnonzero(np.isnat(stamps))
+    if absent.size:
+        raise InputError(f"Time stamp {absent[0] + 1} of {stamps.size} is empty (NaT): repair or remove the sample.")
+    unit, count = np.datetime_data(stamps.dtype)
+    if unit not in TIME_UNITS or count != 1:
+        stamps, unit = stamps.astype(f"{stamps.dtype.kind}8[ns]"), "ns"
+    return stamps.astype(np.int64), unit
 
 
 def seconds_of(stamps: NDArray[Any], unit: str, notes: list[str]) -> Array:
@@ -411,12 +427,12 @@ def _require_units(options: ImportOptions, stated: dict[str, str | None]) -> Non
             continue
         if (getattr(options, name) or unit) == COUNTS:
             counted.append(quantity)
-        if getattr(options, name) or unit:
-            continue
         allowed: Iterable[str] = TIME_UNITS
         if quantity in SENSOR_UNITS:
             allowed = [*SENSOR_UNITS[quantity]["rate"], *SENSOR_UNITS[quantity]["increment"], COUNTS]
-        missing.append(quantity)
+        if getattr(options, name) or (unit and unit in allowed):
+            continue
+        missing.append(f"{quantity} (its text {clipped(unit)!r} is not known)" if unit else quantity)
         counts = f" (for them {option(f'{quantity}_lsb')} alone is enough)" if quantity in SENSOR_UNITS else ""
         ways.append(f"{option(name)} ({name} in recording.toml), one of {', '.join(allowed)}{counts}")
     sentences = []
@@ -444,19 +460,6 @@ def _unit(options: ImportOptions, name: str, stated: str | None, notes: list[str
             f"The file states {stated} for {name.removesuffix('_unit')}; read as {given}, as stated by the user."
         )
     return given, f"{given} (as given)"
-
-
-def _counts_text(options: ImportOptions, sensor: str, unit: str) -> str:
-    """Value of a count, and the counts at zero input; for gyros in degrees, too, as data sheets state it."""
-    lsb, offset = getattr(options, f"{sensor}_lsb"), getattr(options, f"{sensor}_offset")
-    text = f" of {_triple_text(lsb)} {unit}"
-    if sensor == "gyro" and len(set(lsb)) == 1:
-        text += f" ({_triple_text(tuple(value / DEG for value in lsb))} {unit.replace('rad', '°')})"
-    return text if offset is None else f"{text}, zero at {_triple_text(offset)}"
-
-
-def _triple_text(values: tuple[float, ...]) -> str:
-    return " ".join(f"{value:.6g}" for value in (values if len(set(values)) > 1 else values[:1]))
 
 
 def _to_si(options: ImportOptions, sensor: str, unit: str, kind: Kind, raw: NDArray[Any]) -> Array:

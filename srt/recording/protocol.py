@@ -24,6 +24,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -33,7 +34,16 @@ from srt.constants import DEG
 from srt.exceptions import InputError, did_you_mean
 from srt.model.rotations import rotation_matrix
 from srt.model.table1 import AXES, SEQUENCES, SIGNED_AXES, axis_vector
-from srt.recording.schema import Key, fields_of, number, read_section, text
+from srt.recording.schema import (
+    LARGEST_PPM,
+    LARGEST_RATE_DEG_S,
+    LARGEST_TIME_S,
+    Key,
+    fields_of,
+    number,
+    read_section,
+    text,
+)
 from srt.recording.toml_text import read_toml
 
 if TYPE_CHECKING:
@@ -169,23 +179,57 @@ class Protocol:
             steps=tuple(replace(s, rest_s=(s.rest_s[0] * factor, s.rest_s[1] * factor)) for s in self.steps),
         )
 
+    @property
+    def states_attitudes(self) -> bool:
+        """True if every placing states the IMU axis along the outer axis, so that attitudes on a fixture are known."""
+        return all(step.along_outer is not None for step in self.steps if step.down is not None)
+
     def on_fixture(self) -> tuple[tuple[str, str, tuple[tuple[str, float], ...]], ...]:
         """Steps as a two-axis fixture executes them: IMU axes down and along the outer axis, and rotations (rad).
+
+        Where a placing does not state the axis along the outer axis, it is one with which the fixture can execute the
+        steps up to the next placing.
 
         Raises
         ------
         InputError
             A step that the fixture cannot execute: which, and why.
         """
+        placings = [number for number, step in enumerate(self.steps) if step.down is not None]
+        chains = [self.steps[first:last] for first, last in pairwise([*placings, len(self.steps)])]
+        return tuple(executed for chain in chains for executed in self._chain_on_fixture(chain))
+
+    def _chain_on_fixture(self, chain: tuple[Step, ...]) -> list[tuple[str, str, tuple[tuple[str, float], ...]]]:
+        """Steps from a placing to the last one before the next."""
+        placed, refused = chain[0], None
+        down = None if placed.down is None else _axis_name(placed.down)
+        if down is None:
+            raise self._impossible(placed, "down is not an IMU axis, and the fixture's angles are quarter turns there")
+        # The opposite sense of an axis turns the fixture by half a turn, and makes nothing possible.
+        for outer in [placed.along_outer] if placed.along_outer else [axis for axis in "yx" if axis != down[-1]]:
+            try:
+                return self._executed(chain, down, outer)
+            except InputError as error:
+                refused = refused or error
+        assert refused is not None
+        raise refused
+
+    def _executed(
+        self, chain: tuple[Step, ...], down: str, outer: str
+    ) -> list[tuple[str, str, tuple[tuple[str, float], ...]]]:
+        """Steps of a chain from the attitude with one IMU axis down, and another along the outer axis."""
+        if outer[-1] in (down[-1], "z"):
+            raise self._impossible(
+                chain[0],
+                f"{outer} cannot be along the outer axis: z is the inner axis"
+                + ("" if outer[-1] == "z" else f", and {down[-1]} is vertical"),
+            )
+        u, along = axis_vector(down), axis_vector(outer)
+        C = np.stack([np.cross(along, u), along, u])  # IMU to fixture base: rows are x, the outer axis y, and down
         out = []
-        C: Array | None = None  # attitude, IMU to fixture base: rows are x, the outer axis y, and down
-        for step in self.steps:
-            if step.down is not None:
-                C = self._placed(step)
-            if C is None:
-                raise self._impossible(step, "it continues from a pose that nothing states; give down and along_outer")
-            down, outer = _axis_name(C[2]), _axis_name(C[1])
-            if down is None or outer is None:
+        for step in chain:
+            names = _axis_name(C[2]), _axis_name(C[1])
+            if names[0] is None or names[1] is None:
                 raise self._impossible(step, "no IMU axis is down, or none lies along the outer axis")
             rotations = []
             for axis, angle in step.rotations:
@@ -198,28 +242,13 @@ class Protocol:
                     )
                 rotations.append((name[-1], -angle if name.startswith("-") else angle))
                 C = C @ rotation_matrix(axis * angle)
-            out.append((down, outer, tuple(rotations)))
-        return tuple(out)
-
-    def _placed(self, step: Step) -> Array:
-        down = None if step.down is None else _axis_name(step.down)
-        if down is None:
-            raise self._impossible(step, "down is not an IMU axis, and the fixture's angles are quarter turns there")
-        if step.along_outer is None:
-            raise self._impossible(step, "it does not say which IMU axis is along the outer axis; give along_outer")
-        if step.along_outer[-1] in (down[-1], "z"):
-            raise self._impossible(
-                step,
-                f"{step.along_outer} cannot be along the outer axis: z is the inner axis"
-                + ("" if step.along_outer[-1] == "z" else f", and {down[-1]} is vertical"),
-            )
-        u, outer = axis_vector(down), axis_vector(step.along_outer)
-        return np.stack([np.cross(outer, u), outer, u])
+            out.append((names[0], names[1], tuple(rotations)))
+        return out
 
     def _impossible(self, step: Step, why: str) -> InputError:
         return InputError(
             f"Step {step.number} of protocol {self.name!r} ({step.described()}) cannot run on a two-axis fixture: "
-            f"{why}."
+            f"{why}; correct the step, or leave [fixture] out."
         )
 
 
@@ -276,15 +305,19 @@ def _read_repeat(value: Any) -> int:
     return value
 
 
-_RATE: Final = number("rate_deg_s", "deg/s", "rate_rad_s", factor=DEG, above=0.0)
+_LARGEST_ACCELERATION_DEG_S2: Final = 1e9
+"""Bound of accelerations, °/s²: the largest rate within a millisecond."""
+_RATE: Final = number("rate_deg_s", "deg/s", "rate_rad_s", factor=DEG, above=0.0, high=LARGEST_RATE_DEG_S)
 _RESTS: Final = Key("rest_s", "a positive number of seconds, or a pair [before, after]", _read_rests, "rest_s")
 PROTOCOL_KEYS: Final = (
     text("description", "description"),
     _RATE,
-    number("acceleration_deg_s2", "deg/s²", "acceleration_rad_s2", factor=DEG, above=0.0),
+    number(
+        "acceleration_deg_s2", "deg/s²", "acceleration_rad_s2", factor=DEG, above=0.0, high=_LARGEST_ACCELERATION_DEG_S2
+    ),
     _RESTS,
-    number("place_s", "s", "place_s", low=0.0),
-    number("rate_sigma_ppm", "ppm", "rate_sigma", factor=1e-6, above=0.0),
+    number("place_s", "s", "place_s", low=0.0, high=LARGEST_TIME_S),
+    number("rate_sigma_ppm", "ppm", "rate_sigma", factor=1e-6, above=0.0, high=LARGEST_PPM),
 )
 STEP_KEYS: Final = (
     text("id", "id", tuple(SEQUENCES)),
@@ -293,8 +326,8 @@ STEP_KEYS: Final = (
     Key("rotations", 'a list like [["y", 90.0]] of axes and degrees, not zero', _read_rotations, "rotations"),
     _RESTS,
     _RATE,
-    number("turn_s", "s", "turn_s", above=0.0),
-    number("stated_rate_deg_s", "deg/s", "stated_rate_rad_s", factor=DEG, above=0.0),
+    number("turn_s", "s", "turn_s", above=0.0, high=LARGEST_TIME_S),
+    number("stated_rate_deg_s", "deg/s", "stated_rate_rad_s", factor=DEG, above=0.0, high=LARGEST_RATE_DEG_S),
     Key("repeat", f"a whole number from 1 to {_MOST_STEPS}", _read_repeat, "repeat"),
 )
 """Keys of the file and of a [[step]]."""

@@ -16,12 +16,14 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from srt.arguments import real_array, require_type
 from srt.exceptions import InputError, NotStatedError, did_you_mean
 from srt.recording.folder import TOML_NAME, load_recording, read_document, read_metadata, sha256_of
 from srt.recording.import_options import CHANNELS, TRIADS, ImportOptions, parse_columns, parse_lsb, parse_offset
 from srt.recording.imported_samples import StatedUnits, in_imu_axes, samples_in_si, to_recording
 from srt.recording.importer_registry import AUTO, import_file
 from srt.recording.recording import Recording
+from srt.recording.samples import TIME
 from srt.recording.schema import FIXTURE_KEYS, IMU_KEYS, SITE_KEYS, in_file_unit
 
 if TYPE_CHECKING:
@@ -62,7 +64,8 @@ def read(
     source : path-like, Recording, mapping, DataFrame or tuple
         A folder with ``recording.toml``; a log in any format of ``srt convert --list``; arrays ``(time, gyro, accel)``,
         with None for time stamps that do not exist; or a mapping with ``gyro`` and ``accel`` (or ``gyro_x`` and so on),
-        ``time`` and ``temperature``. Arrays are in SI units unless a unit is stated.
+        ``time`` and ``temperature``. Arrays are in SI units unless a unit is stated. A DataFrame without a column of
+        time has the stamps in its index, if that consists of dates or durations, or is named "time".
     format : str
         Format of a log; "auto" recognises it.
     like : path-like or Recording, optional
@@ -97,6 +100,8 @@ def read(
             f"There is no keyword {unknown[0]!r}{did_you_mean(unknown[0], STATED_KEYS)}: "
             f"use one of {', '.join(STATED_KEYS)}."
         )
+    if like is not None:
+        require_type("like=", "a recording, or the path of one", like, Recording, str, os.PathLike)
     given = {key: value for key, value in stated.items() if value is not None}
     try:
         if isinstance(source, Recording):
@@ -266,6 +271,7 @@ def _sections_of(recording: Recording) -> dict[str, Any]:
 def _from_arrays(source: Any, given: Mapping[str, Any], like: str | os.PathLike[str] | Recording | None) -> Recording:
     """Recording of arrays."""
     table = _arrays(source)
+    table |= {name: real_array(name, table[name], dates=True) for name in CHANNELS if table.get(name) is not None}
     options = import_options(given)
     refused = sorted(options.given - {"kind", "time_unit", "sample_rate_hz", "map_gyro", "map_accel"} - {
         f"{sensor}_{what}" for sensor in TRIADS for what in ("unit", "lsb", "offset")})  # fmt: skip
@@ -277,7 +283,7 @@ def _from_arrays(source: Any, given: Mapping[str, Any], like: str | os.PathLike[
         options,
         gyro=_matrix("gyro", table["gyro"]),
         accel=_matrix("accel", table["accel"]),
-        time=None if table.get("time") is None else np.asarray(table["time"]),
+        time=None if table.get(TIME) is None else _stamps(table[TIME]),
         stated=replace(units, **counts),
         temperature=None if table.get("temperature") is None else np.asarray(table["temperature"]),
     )
@@ -300,13 +306,19 @@ def _arrays(source: Any) -> dict[str, Any]:
         )
     names = source.keys() if isinstance(source, Mapping) else source.columns
     table = {str(name): source[name] for name in names}
+    index: Any = getattr(source, "index", None)  # of pandas
+    if TIME not in table and hasattr(index, "dtype") and (index.dtype.kind in "mM" or index.name == TIME):
+        table[TIME] = index
     for sensor, channels in TRIADS.items():
         if sensor not in table and all(channel in table for channel in channels):
-            table[sensor] = np.column_stack([np.asarray(table.pop(channel)) for channel in channels])
+            table[sensor] = np.column_stack([real_array(channel, table.pop(channel)) for channel in channels])
     missing = [sensor for sensor in TRIADS if sensor not in table]
     unknown = sorted(set(table) - {*TRIADS, *CHANNELS})
     if missing or unknown:
-        wrong = f"there is no {missing[0]}" if missing else f"{unknown[0]!r} is no channel"
+        wrong = " and ".join(
+            ([f"there is no {' and no '.join(missing)}"] if missing else [])
+            + ([f"no channel is called {' or '.join(map(repr, unknown))}"] if unknown else [])
+        )
         raise InputError(
             f"The arrays are not complete: {wrong}; expected are gyro and accel (or gyro_x and so on), with time and "
             "temperature where they exist."
@@ -314,11 +326,14 @@ def _arrays(source: Any) -> dict[str, Any]:
     return table
 
 
+def _stamps(values: Any) -> np.ndarray[Any, Any]:
+    # Dates with a time zone, of pandas, would become an array of objects.
+    zoned = hasattr(getattr(values, "dtype", None), "tz")
+    return np.asarray(values, dtype="M8[ns]" if zoned else None)
+
+
 def _matrix(name: str, values: Any) -> np.ndarray[Any, Any]:
-    try:
-        return np.asarray(values, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise InputError(f"{name} is no array of numbers of shape (n, 3).") from None
+    return np.asarray(real_array(name, values), dtype=np.float64)
 
 
 def _recording(imported: ImportedSamples, about: RecordingMetadata, rest: Mapping[str, Any]) -> Recording:
@@ -338,7 +353,7 @@ def _triple(name: str, value: Any, sensor: str, parse: Any) -> Triple:
     if isinstance(value, str):
         found: Triple = parse(value, sensor)
         return found
-    numbers = np.asarray(value, dtype=np.float64).ravel()
+    numbers = np.asarray(real_array(name, value), dtype=np.float64).ravel()
     if numbers.size not in (1, 3) or not np.all(np.isfinite(numbers)):
         raise InputError(f"{name} is {value!r}, but one finite number, or three, is expected.")
     x, y, z = np.broadcast_to(numbers, 3).tolist()

@@ -9,22 +9,23 @@ float64.
 
 from __future__ import annotations
 
-import math
+from collections.abc import Iterable
 from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any, Final, Literal, TypeVar, get_args
 
 import numpy as np
 
-from srt.constants import DEG
+from srt.arguments import require_type
 from srt.exceptions import InputError
 from srt.model.table1 import AXES
 from srt.presentation import Presented
 from srt.recording.sample_checks import as_samples, require_finite, require_increasing
+from srt.recording.schema import FIXTURE_KEYS, IMU_KEYS, RECORDING_KEYS, SITE_KEYS, check_fields
 from srt.recording.sequence_label import SequenceLabel
 from srt.recording.timing import SampleTiming, sample_timing
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Hashable
+    from collections.abc import Callable, Hashable, Sequence
 
     from srt.recording.applied import AppliedCorrection
     from srt.recording.protocol import Protocol
@@ -50,7 +51,8 @@ _WOBBLE: Final = 0.01
 WINDOW_TOLERANCE: Final = 1e-6
 """Tolerance of window limits for the rounding of stamps, in intervals."""
 
-_MAY_BE_ZERO = frozenset({"gyro_quantization", "accel_quantization", "gyro_bias_instability", "accel_bias_instability"})
+_NUMBERS = frozenset({"sample_rate_hz", "clock_sigma_ppm"})
+"""Keys of [recording] whose fields are numbers."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +73,8 @@ class Site:
     Raises
     ------
     InputError
-        Gravity or latitude outside the range on the Earth's surface, a sigma that is not positive.
+        Gravity or latitude outside the range on the Earth's surface, a sigma outside the range of its key in
+        :mod:`srt.recording.schema`.
     """
 
     gravity_m_s2: float
@@ -86,12 +89,7 @@ class Site:
                 f"Gravity is {self.gravity_m_s2:g} m/s², but between {low} and {high} is expected "
                 "(the Earth's surface has 9.76 to 9.84): give it in m/s², positive."
             )
-        _require_positive("The gravity sigma", self.gravity_sigma_m_s2, "m/s²")
-        # The tolerance accepts ±90° after any conversion.
-        if self.latitude_rad is not None and not abs(self.latitude_rad) <= (90.0 + 1e-9) * DEG:
-            raise InputError(
-                f"The latitude is {self.latitude_rad / DEG:g}°, but -90° to 90° is expected: check it, and its unit."
-            )
+        check_fields("The site's", self, SITE_KEYS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,7 +111,7 @@ class Fixture:
     Raises
     ------
     InputError
-        A heading beyond ±360° or not finite, a sigma that is not positive, a negative wobble.
+        A heading or sigma outside the range of its key in :mod:`srt.recording.schema`.
     """
 
     heading_rad: float | None = 0.0
@@ -122,18 +120,7 @@ class Fixture:
     wobble_sigma_rad: float | None = None
 
     def __post_init__(self) -> None:
-        if self.heading_rad is not None and not abs(self.heading_rad) <= (360.0 + 1e-9) * DEG:
-            raise InputError(
-                f"The fixture's heading is {self.heading_rad / DEG:g}°, but -360° to 360° is expected: "
-                "check it, and its unit."
-            )
-        _require_positive("The fixture's alignment sigma", self.alignment_sigma_rad, "rad")
-        _require_positive("The fixture's rotation sigma", self.rotation_sigma_rad, "rad")
-        if self.wobble_sigma_rad is not None and not 0.0 <= self.wobble_sigma_rad < math.inf:
-            raise InputError(
-                f"The fixture's wobble is {self.wobble_sigma_rad:g} rad: give a number that is not negative, or leave "
-                "it out."
-            )
+        check_fields("The fixture's", self, FIXTURE_KEYS)
 
     @property
     def wobble(self) -> float:
@@ -163,7 +150,8 @@ class ImuNoise:
     Raises
     ------
     InputError
-        A value that is not positive; quantization and bias instability may be zero.
+        A value outside the range of its key in :mod:`srt.recording.schema`; quantization and bias instability may be
+        zero.
     """
 
     gyro_noise: float | None = None
@@ -176,10 +164,16 @@ class ImuNoise:
     accel_range: float | None = None
 
     def __post_init__(self) -> None:
-        for item in fields(self):
-            value = getattr(self, item.name)
-            if value is not None and not (value == 0.0 and item.name in _MAY_BE_ZERO):
-                _require_positive(f"The unit's {item.name}", value, "(SI)")
+        check_fields("The unit's", self, IMU_KEYS)
+
+
+_FIELDS: Final[dict[str, tuple[str, tuple[type, ...]]]] = {
+    "site": ("a Site", (Site,)),
+    "fixture": ("a Fixture or None", (Fixture, type(None))),
+    "noise": ("an ImuNoise", (ImuNoise,)),
+    "sequences": ("a tuple of SequenceLabel", (Iterable,)),
+}
+"""Content of fields of a recording, with their classes."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -241,11 +235,11 @@ class Recording(Presented):
     _memo: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
+        for name, (needed, kinds) in _FIELDS.items():
+            require_type(f"The field {name} of a recording", needed, getattr(self, name), *kinds)
         if self.kind not in get_args(Kind):
             raise InputError(f"The kind of a recording is {self.kind!r}, but 'rate' or 'increment' is expected.")
-        rate = self.sample_rate_hz
-        if rate is not None:
-            _require_positive("sample_rate_hz", rate, "Hz")
+        check_fields("The recording's", self, (key for key in RECORDING_KEYS if key.name in _NUMBERS))
         time = as_samples("time", self.time, 1)
         if time.size < 2:
             raise InputError(f"The recording holds {time.size} samples, but at least 2 are needed: check its file.")
@@ -263,12 +257,28 @@ class Recording(Presented):
         require_increasing(time)
         object.__setattr__(self, "sequences", tuple(self.sequences))
         for label in self.sequences:
-            self._check_label(label)
+            require_type("The field sequences of a recording", _FIELDS["sequences"][0], label, SequenceLabel)
+        self._check_overlap([self._checked_rotation(label) for label in self.sequences])
 
-    def _check_label(self, label: SequenceLabel) -> None:
+    def _check_overlap(self, rotations: Sequence[tuple[int, int]]) -> None:
+        """Refuse rotations that share samples: they would count as independent data."""
+        last, end = None, 0
+        for k in sorted(range(len(rotations)), key=rotations.__getitem__):
+            first, stop = rotations[k]
+            if last is not None and first < end:
+                raise InputError(
+                    f"{self.sequences[k].title} begins to rotate while {self.sequences[last].title} still does: the "
+                    "same samples must not be labelled twice; correct the windows' times, or remove one label."
+                )
+            if stop > end:
+                last, end = k, stop
+
+    def _checked_rotation(self, label: SequenceLabel) -> tuple[int, int]:
+        """First sample of the rotation of a label and of its end window; both windows must hold samples."""
         first, last, interval = float(self.time[0]), float(self.time[-1]), self.nominal_interval_s
         # One interval of tolerance on each side: some loggers stamp the start of a sample.
         low, high = first - 2.001 * interval, last + 1.001 * interval
+        windows = []
         for name in ("start_static_s", "end_static_s"):
             a, b = getattr(label, name)
             if a < low or b > high:
@@ -285,6 +295,8 @@ class Recording(Presented):
                     # An empty window that is longer than an interval lies in a jump of the time stamps.
                     fault="gap_in_sequence" if b - a > 2.0 * interval else None,
                 )
+            windows.append(window)
+        return windows[0].stop, windows[1].start
 
     def memo(self, key: Hashable, make: Callable[[], Derived]) -> Derived:
         """Derived value of this recording, computed once and shared by diagnosis and estimators.
@@ -351,11 +363,6 @@ class Recording(Presented):
     def with_sequences(self, sequences: tuple[SequenceLabel, ...]) -> Recording:
         """Recording of the same samples with other labels."""
         return replace(self, sequences=sequences)
-
-
-def _require_positive(what: str, value: float, unit: str) -> None:
-    if not (math.isfinite(value) and value > 0.0):
-        raise InputError(f"{what} is {value:g} {unit}, but a positive number is expected: correct it or leave it out.")
 
 
 def require_bounded(recording: Recording) -> None:

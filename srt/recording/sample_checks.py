@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from srt.arguments import real_array
 from srt.exceptions import InputError
 from srt.model.table1 import AXES
 
@@ -33,12 +34,9 @@ def as_samples(name: str, given: object, dimensions: int) -> Array:
     Raises
     ------
     InputError
-        If it has another shape or does not consist of numbers.
+        If it has another shape, masked values, or does not consist of real numbers.
     """
-    try:
-        values = np.asarray(given, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"{name} does not consist of numbers: {error}.") from None
+    values = np.asarray(real_array(name, given), dtype=np.float64)
     if values.ndim != dimensions or (dimensions == 2 and values.shape[1] != 3):
         expected = "(n, 3)" if dimensions == 2 else "(n,)"
         raise InputError(f"{name} has the shape {values.shape}, but {expected} is expected.")

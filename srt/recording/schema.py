@@ -1,7 +1,7 @@
 """Keys of ``recording.toml``: name, type, unit and range of each, and its attribute.
 
-Reader and writer both use these tables. A new key also needs its field in :mod:`srt.recording.recording`. Unknown keys
-are refused with the most similar known name.
+Reader, writer and the classes of :mod:`srt.recording.recording` use these tables. A new key also needs its field
+there. Unknown keys are refused with the most similar known name.
 """
 
 from __future__ import annotations
@@ -17,9 +17,22 @@ from srt.exceptions import InputError, clipped, did_you_mean
 from srt.model.table1 import SIGNED_AXES
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Iterable, Mapping
 
 INFINITY: Final = math.inf
+
+LARGEST_RATE_DEG_S: Final = 1e6
+"""Bound of rates, °/s: gyros of spinning projectiles read 1e5."""
+_LARGEST_ANGLE_DEG: Final = 3.6e5
+"""Bound of one rotation, degrees: a thousand revolutions."""
+LARGEST_SIGMA_MRAD: Final = 3200.0
+"""Bound of the sigma of an angle, mrad: half a revolution, beyond which nothing is said of the direction."""
+LARGEST_ELEMENT: Final = 1e6
+"""Bound of matrices and offsets of a logger, SI units: far beyond any sensor's scale factor or reading."""
+LARGEST_PPM: Final = 1e6
+"""Bound of a relative sigma, ppm: as large as the quantity."""
+LARGEST_TIME_S: Final = 1e5
+"""Bound of the duration of a test and of its parts, s: more than a day."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +71,7 @@ def number(
     *,
     factor: float = 1.0,
     low: float = -INFINITY,
-    high: float = INFINITY,
+    high: float,
     above: float = -INFINITY,
 ) -> Key:
     """Key of a finite number within [low, high] and greater than ``above``, in units of the file."""
@@ -69,11 +82,7 @@ def number(
         # The conversion also turns integers into floats.
         return float(value) * factor
 
-    limits = "a positive number" if above == 0.0 else "a number"
-    if low == 0.0 and high == INFINITY:
-        limits = "a number, not negative,"
-    elif low > -INFINITY:
-        limits += f" from {low:g} to {high:g}"
+    limits = f"a positive number of at most {high:g}" if above == 0.0 else f"a number from {low:g} to {high:g}"
     return Key(name, f"{limits} in {unit}", read, attribute, factor)
 
 
@@ -91,38 +100,41 @@ def text(name: str, attribute: str | None = None, choices: tuple[str, ...] = ())
     return Key(name, expected, read, attribute)
 
 
-def one_or_three(name: str, unit: str, *, zero: bool) -> Key:
-    """Key of a number, or a list of three for x, y, z; read as a tuple of three."""
+def one_or_three(name: str, unit: str, *, zero: bool, high: float) -> Key:
+    """Key of a number, or a list of three for x, y, z, of magnitudes up to ``high``; read as a tuple of three."""
 
     def read(value: Any) -> tuple[float, ...]:
         numbers = value if isinstance(value, list) else [value] * 3
-        if len(numbers) != 3 or not all(_is_number(v) and (zero or v != 0) for v in numbers):
+        if len(numbers) != 3 or not all(_is_number(v) and abs(v) <= high and (zero or v != 0) for v in numbers):
             raise ValueError
         return tuple(float(v) for v in numbers)
 
-    return Key(name, f"a number {'' if zero else 'other than 0 '}or a list of three, in {unit}", read)
+    limits = f"a number {'' if zero else 'other than 0 '}or a list of three"
+    return Key(name, f"{limits}, of magnitudes up to {high:g}, in {unit}", read)
 
 
 def whole(name: str, attribute: str) -> Key:
-    """Key of a whole number, not negative."""
+    """Key of a whole number from 0 that has 32 bits."""
 
     def read(value: Any) -> int:
-        if not isinstance(value, int) or isinstance(value, bool) or value < 0:
+        if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value < 1 << 32:
             raise ValueError
         return value
 
-    return Key(name, "a whole number, not negative,", read, attribute)
+    return Key(name, "a whole number, not negative, of 32 bits,", read, attribute)
 
 
 def numbers(name: str, unit: str, attribute: str, count: int) -> Key:
     """Key of a list of finite numbers, matrices by rows."""
 
     def read(value: Any) -> tuple[float, ...]:
-        if not isinstance(value, list) or len(value) != count or not all(map(_is_number, value)):
+        if not isinstance(value, list) or len(value) != count:
+            raise ValueError
+        if not all(_is_number(v) and abs(v) <= LARGEST_ELEMENT for v in value):
             raise ValueError
         return tuple(map(float, value))
 
-    return Key(name, f"a list of {count} numbers, {unit},", read, attribute)
+    return Key(name, f"a list of {count} numbers of magnitudes up to {LARGEST_ELEMENT:g}, {unit},", read, attribute)
 
 
 def _window(name: str) -> Key:
@@ -134,19 +146,23 @@ def _window(name: str) -> Key:
     return Key(name, "a window [from, to] in s", read, name)
 
 
-def _read_rate(value: Any) -> tuple[str, float]:
-    if not (isinstance(value, list) and len(value) == 2 and value[0] in ("x", "y", "z") and _is_number(value[1])):
+def _about_axis(value: Any, largest: float) -> tuple[str, float]:
+    """Axis, and angle or rate about it: rad and rad/s from degrees up to ``largest``."""
+    if not (isinstance(value, list) and len(value) == 2 and value[0] in ("x", "y", "z")):
+        raise ValueError
+    if not _is_number(value[1]) or abs(value[1]) > largest:
         raise ValueError
     return value[0], float(value[1]) * DEG
+
+
+def _read_rate(value: Any) -> tuple[str, float]:
+    return _about_axis(value, LARGEST_RATE_DEG_S)
 
 
 def _read_rotations(value: Any) -> tuple[tuple[str, float], ...]:
     if not isinstance(value, list):
         raise ValueError  # noqa: TRY004 - the caller turns every ValueError into one sentence
-    for item in value:
-        if not (isinstance(item, list) and len(item) == 2 and item[0] in ("x", "y", "z") and _is_number(item[1])):
-            raise ValueError
-    return tuple((axis, float(angle) * DEG) for axis, angle in value)
+    return tuple(_about_axis(item, _LARGEST_ANGLE_DEG) for item in value)
 
 
 GYRO_UNITS: Final = {
@@ -175,12 +191,12 @@ RECORDING_KEYS: Final = (
     text("gyro_unit", choices=_units(GYRO_UNITS)),
     text("accel_unit", choices=_units(ACCEL_UNITS)),
     text("time_unit", choices=tuple(TIME_UNITS)),
-    one_or_three("gyro_lsb", "rad/s (or rad) per count", zero=False),
-    one_or_three("gyro_offset_counts", "counts", zero=True),
-    one_or_three("accel_lsb", "m/s² (or m/s) per count", zero=False),
-    one_or_three("accel_offset_counts", "counts", zero=True),
-    number("sample_rate_hz", "Hz", "sample_rate_hz", above=0.0),
-    number("clock_sigma_ppm", "ppm", "clock_sigma", factor=1e-6, low=0.0),
+    one_or_three("gyro_lsb", "rad/s (or rad) per count", zero=False, high=1e3),
+    one_or_three("gyro_offset_counts", "counts", zero=True, high=2.0**63),
+    one_or_three("accel_lsb", "m/s² (or m/s) per count", zero=False, high=1e3),
+    one_or_three("accel_offset_counts", "counts", zero=True, high=2.0**63),
+    number("sample_rate_hz", "Hz", "sample_rate_hz", above=0.0, high=1e6),
+    number("clock_sigma_ppm", "ppm", "clock_sigma", factor=1e-6, low=0.0, high=LARGEST_PPM),
     text("serial", "serial"),
     text("date", "date"),
     text("protocol"),
@@ -191,27 +207,30 @@ SITE_KEYS: Final = (
     number("latitude_deg", "degrees", "latitude_rad", factor=DEG, low=-90.0, high=90.0),
     number("gravity_m_s2", "m/s²", "gravity_m_s2", low=9.5, high=10.1),
     number("height_m", "m", low=-1000.0, high=10000.0),
-    number("gravity_sigma_m_s2", "m/s²", "gravity_sigma_m_s2", above=0.0),
+    number("gravity_sigma_m_s2", "m/s²", "gravity_sigma_m_s2", above=0.0, high=1.0),
     number("latitude_sigma_deg", "degrees", "latitude_sigma_rad", factor=DEG, low=0.0, high=180.0),
 )
 
 FIXTURE_KEYS: Final = (
     number("heading_deg", "degrees", "heading_rad", factor=DEG, low=-360.0, high=360.0),
-    number("alignment_sigma_mrad", "mrad", "alignment_sigma_rad", factor=1e-3, above=0.0),
-    number("rotation_sigma_mrad", "mrad", "rotation_sigma_rad", factor=1e-3, above=0.0),
-    number("wobble_sigma_mrad", "mrad", "wobble_sigma_rad", factor=1e-3, low=0.0),
+    number("alignment_sigma_mrad", "mrad", "alignment_sigma_rad", factor=1e-3, above=0.0, high=LARGEST_SIGMA_MRAD),
+    number("rotation_sigma_mrad", "mrad", "rotation_sigma_rad", factor=1e-3, above=0.0, high=LARGEST_SIGMA_MRAD),
+    number("wobble_sigma_mrad", "mrad", "wobble_sigma_rad", factor=1e-3, low=0.0, high=LARGEST_SIGMA_MRAD),
 )
 
 IMU_KEYS: Final = (
-    number("gyro_noise_deg_per_sqrt_h", "°/√h", "gyro_noise", factor=DEG_PER_SQRT_H, above=0.0),
-    number("accel_noise_ug_per_sqrt_hz", "µg/√Hz", "accel_noise", factor=MICRO_G, above=0.0),
-    number("gyro_quantization_arcsec", "arc seconds", "gyro_quantization", factor=ARCSEC, low=0.0),
-    number("accel_quantization_m_s", "m/s", "accel_quantization", low=0.0),
-    number("gyro_bias_instability_deg_per_h", "°/h", "gyro_bias_instability", factor=DEG_PER_H, low=0.0),
-    number("accel_bias_instability_ug", "µg", "accel_bias_instability", factor=MICRO_G, low=0.0),
-    number("gyro_range_deg_s", "°/s", "gyro_range", factor=DEG, above=0.0),
-    number("accel_range_g", "g", "accel_range", factor=STANDARD_GRAVITY_M_S2, above=0.0),
+    number("gyro_noise_deg_per_sqrt_h", "°/√h", "gyro_noise", factor=DEG_PER_SQRT_H, above=0.0, high=1e5),
+    number("accel_noise_ug_per_sqrt_hz", "µg/√Hz", "accel_noise", factor=MICRO_G, above=0.0, high=1e8),
+    number("gyro_quantization_arcsec", "arc seconds", "gyro_quantization", factor=ARCSEC, low=0.0, high=1.296e6),
+    number("accel_quantization_m_s", "m/s", "accel_quantization", low=0.0, high=100.0),
+    number("gyro_bias_instability_deg_per_h", "°/h", "gyro_bias_instability", factor=DEG_PER_H, low=0.0, high=1e6),
+    number("accel_bias_instability_ug", "µg", "accel_bias_instability", factor=MICRO_G, low=0.0, high=1e7),
+    number("gyro_range_deg_s", "°/s", "gyro_range", factor=DEG, above=0.0, high=LARGEST_RATE_DEG_S),
+    number("accel_range_g", "g", "accel_range", factor=STANDARD_GRAVITY_M_S2, above=0.0, high=1e6),
 )
+"""Keys of [imu]. Each bound is a hundred times the worst of sensors or more: noise whose mean over a second is 29 rad/s
+or 100 g, a quantum of one revolution or of 10 s at 1 g, an instability of 280 °/s or 10 g, the range of gun-launched
+units (1e5 g)."""
 
 APPLIED_KEYS: Final = (
     text("system", "system"),
@@ -236,7 +255,7 @@ SEQUENCE_KEYS: Final = (
     text("along_outer", "along_outer", SIGNED_AXES),
     Key("rotations", 'a list like [["y", 180.0], ["z", 90.0]] in degrees', _read_rotations, "rotations", DEG),
     Key("rate_deg_s", 'an axis and a rate like ["z", -100.0] in deg/s', _read_rate, "rate", DEG),
-    number("rate_sigma_ppm", "ppm", "rate_sigma", factor=1e-6, above=0.0),
+    number("rate_sigma_ppm", "ppm", "rate_sigma", factor=1e-6, above=0.0, high=LARGEST_PPM),
     _window("steady_s"),
 )
 
@@ -296,6 +315,37 @@ def read_section(file: str, section: str, values: object, keys: tuple[Key, ...])
                 f"{file}: {section}.{name} is {_shown(value)}, but {known[name].expected} is expected."
             ) from None
     return result
+
+
+def check_fields(what: str, source: object, keys: Iterable[Key]) -> None:
+    """Check the numbers of a dataclass against the ranges of their keys.
+
+    Parameters
+    ----------
+    what : str
+        Owner of the fields, as the start of a sentence: "The unit's".
+    source : object
+        Site, Fixture, ImuNoise or Recording; fields that are None are not checked.
+    keys : iterable of Key
+
+    Raises
+    ------
+    InputError
+        A field that is no number, or out of range.
+    """
+    for key in keys:
+        value = None if key.attribute is None else getattr(source, key.attribute)
+        if value is None:
+            continue
+        try:
+            # 12 digits: 90° is in the range after any conversion.
+            key.read(float(f"{value / key.factor:.12g}"))
+        except (TypeError, ValueError, OverflowError):
+            shown = f"{value:g}" if isinstance(value, int | float) else repr(value)
+            raise InputError(
+                f"{what} {key.attribute} is {shown} in SI units, but for {key.name} {key.expected} is expected: "
+                "correct it or leave it out."
+            ) from None
 
 
 def fields_of(section: Mapping[str, Any], keys: tuple[Key, ...]) -> dict[str, Any]:

@@ -10,11 +10,12 @@ import re
 from contextlib import suppress
 from itertools import chain, count
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from srt.arguments import require_path, require_type
 from srt.exceptions import InputError, did_you_mean
 from srt.recording.atomic_file import atomic_write_text, remove_leftovers, unwritable
 from srt.recording.folder import TOML_NAME, read_document
+from srt.recording.recording import Recording
 from srt.recording.samples import SAMPLES_FORMATS, Samples, write_samples
 from srt.recording.schema import (
     FIXTURE_KEYS,
@@ -25,9 +26,6 @@ from srt.recording.schema import (
     toml_value,
 )
 from srt.recording.sequence_tables import protocol_lines, sequence_lines
-
-if TYPE_CHECKING:
-    from srt.recording.recording import Recording
 
 
 def write_recording(
@@ -57,6 +55,9 @@ def write_recording(
     MissingExtraError
         If the format needs a package that is not installed.
     """
+    require_type("write_recording", "a recording (srt.read)", recording, Recording)
+    require_path("write_recording", directory)
+    require_type("samples_format=", "a text", samples_format, str)
     if samples_format not in SAMPLES_FORMATS:
         raise InputError(
             f"There is no samples format {samples_format!r}{did_you_mean(samples_format, SAMPLES_FORMATS)}: "

@@ -8,10 +8,12 @@ samples can avoid it: at rest, average the readings first and correct the mean.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final, Literal, Protocol
+from numbers import Integral
+from typing import TYPE_CHECKING, Final, Literal, Protocol, runtime_checkable
 
 import numpy as np
 
+from srt.arguments import require_type
 from srt.exceptions import InputError
 from srt.model.measurement_model import force_error_jacobian, rate_error_jacobian
 from srt.model.prior import CalibratedErrors
@@ -49,6 +51,7 @@ _ORTHOGONAL_WITHIN: Final = 1e-6
 """Largest element of U Uᵀ − I of a rotation matrix that was read from a file."""
 
 
+@runtime_checkable
 class ErrorsInFrames(CalibratedErrors, Protocol):
     """Sensor errors in MARS with the rotation from the table frame; :class:`srt.Calibration` is one."""
 
@@ -106,6 +109,8 @@ class Applier:
     def __init__(
         self, calibration: ErrorsInFrames, *, frame: Literal["mars", "table"] = "mars", block: int = BLOCK
     ) -> None:
+        require_type("An Applier", "a calibration", calibration, ErrorsInFrames)
+        require_type("block=", "a whole number", block, Integral)
         if frame == "table" and calibration.U is None:
             raise InputError("This calibration was made without a fixture and knows no table frame; use frame='mars'.")
         if frame not in ("mars", "table"):

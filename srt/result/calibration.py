@@ -332,12 +332,26 @@ def _from_dict(document: dict[str, Any]) -> Calibration:
         site=document["site"],
         noise=noise,
         alignment=document["alignment"],
-        temperature=document["temperature"],
+        temperature=_temperature(document["temperature"]),
         provenance=document["provenance"],
         diagnostics=document.get("diagnostics", {}),
         verdict={k: v for k, v in document.get("verdict", {}).items() if k not in ("word", "reason")},
         warnings=tuple(document.get("warnings", ())),
     )
+
+
+def _temperature(stated: Any) -> dict[str, Any] | None:
+    """Check the temperature of the test. Raises InputError without mean and range."""
+    if stated is None:
+        return None
+    figures = [stated.get(key) if isinstance(stated, dict) else None for key in ("mean_c", "range_c")]
+    mean, extent = (math.nan if isinstance(f, bool) or not isinstance(f, int | float) else f for f in figures)
+    if not (math.isfinite(mean) and math.isfinite(extent) and extent >= 0.0):
+        raise InputError(
+            "its temperature has not both mean_c and range_c (numbers in °C, the range not negative): state both, or "
+            "write null where the temperature of the test is not known."
+        )
+    return dict(stated)
 
 
 @cache

@@ -12,6 +12,7 @@ import json
 import math
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
+from srt.arguments import require_path
 from srt.exceptions import InputError
 from srt.recording.atomic_file import atomic_write_text
 from srt.recording.bounded_file import read_bounded
@@ -34,6 +35,7 @@ def save_json_file(path: str | PathLike[str], document: Mapping[str, Any]) -> No
     InputError
         If the path cannot be written.
     """
+    require_path("Saving", path)
     atomic_write_text(path, json_text(document))
 
 
@@ -107,6 +109,7 @@ def load_json_file(
     InputError
         If the file cannot be read, is no JSON, is not complete, is not accepted, or differs from its digest.
     """
+    require_path(f"Reading a {noun}", path)
     try:
         document = parse_json(read_bounded(path).decode("utf-8"))
     except OSError as error:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from srt.arguments import real_array, require_type
 from srt.exceptions import InputError
 
 if TYPE_CHECKING:
@@ -16,6 +17,8 @@ if TYPE_CHECKING:
 
 def reading_shape(name: str, values: ArrayLike) -> tuple[int, ...]:
     """Shape of the readings; raises InputError if they form no array."""
+    if values is None:
+        raise InputError(f"The {name} readings are None, but an array of shape (n, 3) or (3,) is expected.")
     try:
         return np.shape(values)
     except ValueError:
@@ -24,13 +27,7 @@ def reading_shape(name: str, values: ArrayLike) -> tuple[int, ...]:
 
 def checked_readings(name: str, values: ArrayLike) -> Array:
     """Readings as an array of finite real numbers, shape (n, 3) or (3,), copied only if necessary."""
-    try:
-        # Other real numbers become floats block by block.
-        y = values if isinstance(values, np.ndarray) and values.dtype.kind in "fiu" else np.asarray(values)
-        if y.dtype.kind not in "fiu":
-            y = y.astype(np.float64, casting="unsafe" if y.dtype.kind in "bOUS" else "same_kind")
-    except (TypeError, ValueError):
-        raise InputError(f"The {name} readings are not numbers in an array of shape (n, 3) or (3,).") from None
+    y = real_array(name, values)  # other real numbers become floats block by block
     if y.shape[-1:] != (3,) or y.ndim > 2:
         raise InputError(f"The {name} readings have the shape {y.shape}; (n, 3) or (3,) is expected.")
     # A sum is finite only if every term is, and makes no array. If it overflows, look closer.
@@ -44,10 +41,7 @@ def durations(dt: float | ArrayLike | None, shape: tuple[int, ...]) -> float | A
     """Durations of increments for readings of that shape: one number, or one per sample; None for rates."""
     if dt is None:
         return None
-    try:
-        step = np.asarray(dt, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise InputError("dt must be positive seconds.") from None
+    step = np.asarray(real_array("dt", dt), dtype=np.float64)
     # Comparisons with NaN are false; extremes make no array.
     if step.size and not (step.min() > 0.0 and step.max() < np.inf):
         raise InputError("dt must be positive seconds.")
@@ -60,6 +54,7 @@ def durations(dt: float | ArrayLike | None, shape: tuple[int, ...]) -> float | A
 
 def check_output(out: tuple[Array, Array], readings: tuple[Array, Array]) -> None:
     """Refuse output arrays of a wrong shape or type, or that overlap the readings."""
+    require_type("out=", "a pair of arrays", out, tuple, list)
     if len(out) != 2:
         raise InputError(f"out holds {len(out)} arrays, but one for the gyro and one for the accel are needed.")
     for name, target, y in zip(("gyro", "accel"), out, readings, strict=True):

@@ -63,7 +63,6 @@ def _prepare_checked(
         else:
             whole.append(label)
     data = prepare(recording, whole, average, voided=voided, poses=poses, moves=moves)
-    _check_overlap(data)
     # Units are checked before clipping: degrees read as radians exceed any range.
     dt = recording.nominal_interval_s
     check_rest(data.windows.accel_mean, data.gravity, _window_titles(data), interval_s=dt)
@@ -87,17 +86,6 @@ def _part(recording: Recording, label: SequenceLabel) -> slice:
     return slice(
         recording.window_indices(*label.start_static_s).start, recording.window_indices(*label.end_static_s).stop
     )
-
-
-def _check_overlap(data: PreparedRecording) -> None:
-    """Refuse rotations that share samples: they would count as independent data."""
-    order = np.argsort(data.rotation[:, 0])
-    ends = np.maximum.accumulate(data.rotation[order, 1])
-    for k in np.flatnonzero(data.rotation[order[1:], 0] < ends[:-1]).tolist():
-        raise DataError(
-            f"{data.labels[order[k + 1]].title} begins to rotate while {data.labels[order[k]].title} still does: the "
-            "same samples must not be labelled twice; correct the windows' times."
-        )
 
 
 def _window_titles(data: PreparedRecording) -> list[str]:

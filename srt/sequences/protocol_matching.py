@@ -101,7 +101,7 @@ def with_protocol(recording: Recording) -> Recording:
 def protocol_labels(recording: Recording, protocol: Protocol) -> tuple[SequenceLabel, ...]:
     """Labels of the steps of a protocol, see :func:`with_protocol`."""
     expected = _expected_rests(protocol)
-    executed = protocol.on_fixture() if recording.fixture is not None else None
+    executed = protocol.on_fixture() if recording.fixture is not None and protocol.states_attitudes else None
     found = _Found(recording, *rests_between_turns(recording))
     matched = _match(protocol, expected, found)
     labels = []

@@ -15,9 +15,10 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from srt.arguments import require_type
 from srt.exceptions import DataError
 from srt.model.table1 import AXES, SEQUENCES
-from srt.recording.recording import SequenceLabel
+from srt.recording.recording import Recording, SequenceLabel
 from srt.sequences.manoeuvres import (
     QUARTER,
     Manoeuvre,
@@ -33,7 +34,6 @@ from srt.sequences.stationary_windows import best_join, find_windows, trimmed, w
 if TYPE_CHECKING:
     from collections.abc import Sequence as SequenceOf
 
-    from srt.recording.recording import Recording
     from srt.result.calibration import Calibration
     from srt.types import Array, Indices
 
@@ -217,6 +217,7 @@ def recognise(recording: Recording, *, renaming: bool = True) -> Recognition:
     DataError
         If fewer than two stationary windows are found.
     """
+    require_type("recognise", "a recording (srt.read makes one of arrays)", recording, Recording)
     return recording.memo(("recognition", renaming), lambda: _recognise(recording, renaming=renaming))
 
 

@@ -19,6 +19,7 @@ from scipy.special import chdtri
 
 from srt.constants import EARTH_RATE_RAD_S
 from srt.exceptions import DataError
+from srt.noise.allan import undisturbed
 from srt.noise.quantization import reading_steps
 from srt.sequences.plausibility import check_interval
 
@@ -294,3 +295,27 @@ def longest_rest(recording: Recording) -> tuple[int, int] | None:
         return None
     first, last = max(runs, key=lambda run: run[1] - run[0])
     return int(blocks.first[first]), int(blocks.first[last])
+
+
+def undisturbed_rest(recording: Recording) -> tuple[int, int]:
+    """Longest part without knocks of the longest stationary window.
+
+    Parameters
+    ----------
+    recording : Recording
+
+    Returns
+    -------
+    (int, int)
+        First sample and one past the last.
+
+    Raises
+    ------
+    DataError
+        A recording without a stationary window.
+    """
+    rest = longest_rest(recording)
+    pieces = [] if rest is None else undisturbed(recording, *rest)
+    if not pieces:
+        raise DataError(f"{recording.source or 'The recording'} has no stationary window: log the unit at rest.")
+    return max(pieces, key=lambda piece: piece[1] - piece[0])

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from srt.arguments import require_type
 from srt.exceptions import DataError
-from srt.recording.recording import SequenceLabel
+from srt.recording.recording import Recording, SequenceLabel
 from srt.sequences.rest_detection import BLOCK_S, blocks_of, find_rest, still_runs
 
 if TYPE_CHECKING:
     from collections.abc import Sequence as SequenceOf
 
-    from srt.recording.recording import Recording
     from srt.sequences.rest_detection import Blocks, Rest
     from srt.types import Array, Indices
 
@@ -377,6 +377,7 @@ def find_turns(recording: Recording) -> tuple[SequenceLabel, ...]:
     DataError
         If the recording holds no turn between two windows.
     """
+    require_type("find_turns", "a recording (srt.read makes one of arrays)", recording, Recording)
     kept, breaks = rests_between_turns(recording)
     labels = tuple(
         SequenceLabel(window_times(recording, first), window_times(recording, second))

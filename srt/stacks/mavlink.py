@@ -1,7 +1,8 @@
 """Samples as MAVLink messages: HIGHRES_IMU, SCALED_IMU and RAW_IMU in, HIGHRES_IMU out, others as they came.
 
 RAW_IMU and SCALED_IMU hold integers of 16 bits, of mrad/s and mg in SCALED_IMU and of the sensor's own unit in RAW_IMU,
-which cannot hold a correction; what is sent on is a HIGHRES_IMU of the same sender and time.
+which cannot hold a correction; what is sent on is a HIGHRES_IMU of the same sender, time, IMU and version of MAVLink.
+A signature covers the readings and needs the key of the link: corrected messages are not signed.
 """
 
 from __future__ import annotations
@@ -10,13 +11,17 @@ from typing import TYPE_CHECKING, Any, Final
 
 from srt.constants import STANDARD_GRAVITY_M_S2
 from srt.exceptions import InputError, MissingExtraError
-from srt.stacks.stream_correction import LOST, MALFORMED, PASSED_ON, Counts
+from srt.stacks.stream_correction import LOST, MALFORMED, PASSED_ON, UNSIGNED, Counts
 
 if TYPE_CHECKING:
     from srt.stacks.stream_correction import StreamCorrector
 
 MARKS: Final = (0xFD, 0xFE)
 """First bytes of packets of MAVLink 2 and 1."""
+_SENDER: Final = {0xFD: 4, 0xFE: 2}
+"""Byte of the sequence number by first byte; the numbers of system and component follow."""
+_SIGNED: Final = 0x01
+"""Bit of the third byte of a packet of MAVLink 2."""
 
 _GYRO: Final = ("xgyro", "ygyro", "zgyro")
 _ACCEL: Final = ("xacc", "yacc", "zacc")
@@ -30,7 +35,8 @@ _SAMPLES: Final = {
     "SCALED_IMU3": _SCALED,
 }
 """SI units per unit of the messages."""
-_INSTANCE: Final = {"SCALED_IMU2": 1, "SCALED_IMU3": 2}
+_INSTANCE: Final = {"SCALED_IMU": 0, "SCALED_IMU2": 1, "SCALED_IMU3": 2}
+"""Number of the IMU, from 0, by messages without a field for it."""
 _UPDATED: Final = 0b111111
 """Bits of fields_updated for the six readings."""
 _TEMPERATURE_UPDATED: Final = 1 << 12
@@ -95,7 +101,8 @@ class MavlinkCorrector:
         if name == "BAD_DATA":
             self._corrector.event(MALFORMED, "a packet is no MAVLink message, or its checksum is wrong")
             return b""
-        self._count_lost(message)
+        packet = bytes(message.get_msgbuf())
+        self._count_lost(*_sender(packet))
         if name == "RAW_IMU" and name not in self._counts:
             self._corrector.event(
                 MALFORMED, "RAW_IMU states no unit: give --gyro-lsb and --accel-lsb, or send HIGHRES_IMU or SCALED_IMU"
@@ -103,10 +110,19 @@ class MavlinkCorrector:
             return b""
         if name not in self._counts:
             self._corrector.event(PASSED_ON, f"the message {name} holds no IMU")
-            return bytes(message.get_msgbuf())
-        return self._sample(message, name)
+            return packet
+        return self._sample(message, name, packet)
 
-    def _sample(self, message: Any, name: str) -> bytes:
+    def _sample(self, message: Any, name: str, packet: bytes) -> bytes:
+        # Where a message has no field "id", pymavlink's attribute of this name is the number of the message.
+        instance = _INSTANCE.get(name, message.id)
+        version_1 = packet[0] == MARKS[1]
+        if version_1 and instance:
+            self._corrector.event(
+                MALFORMED,
+                f"{name} is not of the first IMU, which HIGHRES_IMU of MAVLink 1 cannot state: send MAVLink 2",
+            )
+            return b""
         values = self._counts[name].readings(getattr(message, field) for field in (*_GYRO, *_ACCEL))
         highres = name == "HIGHRES_IMU"
         temperature = self._temperature(message, highres=highres)
@@ -115,16 +131,18 @@ class MavlinkCorrector:
         except InputError as error:
             self._corrector.event(MALFORMED, f"{name}: {str(error).rstrip('.')}")
             return b""
-        out = message if highres else self._empty(message, name, temperature)
-        for field, value in zip((*_GYRO, *_ACCEL), corrected, strict=False):
-            setattr(out, field, value)
+        if not version_1 and packet[2] & _SIGNED:
+            self._corrector.event(
+                UNSIGNED,
+                "a signed message was corrected and is sent without a signature, as the key of the link is not known "
+                "here: let the receiver accept unsigned HIGHRES_IMU, or sign after the correction",
+            )
+        kind = self._highres_imu(version_1=version_1)
+        known = message.to_dict() if highres else _stamp(message, temperature)
+        known |= dict(zip((*_GYRO, *_ACCEL), corrected, strict=False)) | {"id": instance}
+        out = kind(*(known.get(field, 0.0) for field in kind.fieldnames))
         # The sender stays that of the message.
-        header = message.get_header()
-        self._link.srcSystem, self._link.srcComponent, self._link.seq = (
-            header.srcSystem,
-            header.srcComponent,
-            header.seq,
-        )
+        self._link.seq, self._link.srcSystem, self._link.srcComponent = _sender(packet)
         return bytes(out.pack(self._link))
 
     def _temperature(self, message: Any, *, highres: bool) -> float | None:
@@ -134,21 +152,32 @@ class MavlinkCorrector:
         hundredths = getattr(message, "temperature", 0)
         return 0.01 * hundredths if hundredths else None
 
-    def _empty(self, message: Any, name: str, temperature: float | None) -> Any:
-        """HIGHRES_IMU without magnetometer and pressure."""
-        stamp = message.time_usec if hasattr(message, "time_usec") else 1000 * message.time_boot_ms
-        updated = _UPDATED | (0 if temperature is None else _TEMPERATURE_UPDATED)
-        instance = getattr(message, "id", _INSTANCE.get(name, 0))
-        readings = [0.0] * 12
-        return self._dialect.MAVLink_highres_imu_message(stamp, *readings, temperature or 0.0, updated, instance)
+    def _highres_imu(self, *, version_1: bool) -> Any:
+        """Class of the message; that of MAVLink 1 has no number of the IMU, and is loaded with the first packet."""
+        if not version_1:
+            return self._dialect.MAVLink_highres_imu_message
+        from pymavlink.dialects.v10 import common
 
-    def _count_lost(self, message: Any) -> None:
+        return common.MAVLink_highres_imu_message
+
+    def _count_lost(self, number: int, system: int, component: int) -> None:
         """Count the messages of a sender that its sequence numbers leave out."""
-        header = message.get_header()
-        sender = header.srcSystem, header.srcComponent
-        before = self._sequence.get(sender)
-        self._sequence[sender] = header.seq
-        missing = 0 if before is None else (header.seq - before - 1) % 256
+        before = self._sequence.get((system, component))
+        self._sequence[system, component] = number
+        missing = 0 if before is None else (number - before - 1) % 256
         # One number back is a repeated or late packet, not 255 lost ones.
         if 0 < missing < 128:
-            self._corrector.event(LOST, f"{missing} messages of system {sender[0]} are missing", missing)
+            self._corrector.event(LOST, f"{missing} messages of system {system} are missing", missing)
+
+
+def _stamp(message: Any, temperature: float | None) -> dict[str, Any]:
+    """Fields of HIGHRES_IMU, beside the readings, that SCALED_IMU and RAW_IMU state."""
+    microseconds = message.time_usec if hasattr(message, "time_usec") else 1000 * message.time_boot_ms
+    updated = _UPDATED | (0 if temperature is None else _TEMPERATURE_UPDATED)
+    return {"time_usec": microseconds, "temperature": temperature or 0.0, "fields_updated": updated}
+
+
+def _sender(packet: bytes) -> tuple[int, int, int]:
+    """Sequence number, system and component of a packet; pymavlink leaves them out where it does not know a message."""
+    at = _SENDER[packet[0]]
+    return packet[at], packet[at + 1], packet[at + 2]

@@ -22,6 +22,7 @@ from srt.exceptions import InputError
 from srt.model import rotations
 from srt.model.measurement_model import force_error_jacobian, rate_error_jacobian
 from srt.model.sensor_model import accel_triad, gyro_triad
+from srt.noise.stated_figures import white_density
 from srt.result.applier import Applier
 
 if TYPE_CHECKING:
@@ -124,7 +125,9 @@ def preintegrate(
         slopes = triads[0].matrix + np.sign(rate)[:, :, None] * np.diag(triads[0].asymmetry)
         followed = np.broadcast_to(calibration.g_sensitivity, slopes.shape)
         by_errors[:, :3] -= np.linalg.solve(slopes, followed) @ by_errors[:, 3:]
-    noise = _noise(calibration, triads[0].matrix, triads[1].matrix) / dt
+    noise = np.zeros((6, 6))
+    for sensor, part, triad in zip(("gyro", "accel"), (slice(0, 3), slice(3, 6)), triads, strict=True):
+        noise[part, part] = white_density(calibration.noise, sensor, np.asarray(np.linalg.inv(triad.matrix))) / dt
     return PreintegratedReadings(
         rotation=after[-1],
         velocity=V[-1],
@@ -139,18 +142,3 @@ def preintegrate(
 def _matrices(q: Quaternions) -> Array:
     """Matrices of quaternions, shape (n, 3, 3)."""
     return np.ascontiguousarray(np.moveaxis(rotations.to_matrix(q), 2, 0))
-
-
-def _noise(calibration: Calibration, Mg: Array, Ma: Array) -> Array:
-    """Spectral density of corrected rate and force, shape (6, 6), squares of rad/s/√Hz and m/s²/√Hz."""
-    out = np.zeros((6, 6))
-    for part, key, M in (
-        (slice(0, 3), "gyro_noise_rad_per_sqrt_s", Mg),
-        (slice(3, 6), "accel_noise_m_s2_sqrt_s", Ma),
-    ):
-        white = calibration.noise.get(key)
-        if white is None:
-            raise InputError(f"This calibration does not state {key}: take one that is not merged.")
-        D = np.linalg.inv(M)
-        out[part, part] = D @ np.diag(np.square(np.asarray(white, dtype=np.float64))) @ D.T
-    return out

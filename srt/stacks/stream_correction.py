@@ -28,6 +28,7 @@ OTHER_TEMPERATURE: Final = "outside the temperature of the test"
 IMPLAUSIBLE: Final = "of implausible size"
 NOT_ADVANCING: Final = "with a time that does not advance"
 NOT_SENT: Final = "not sent"
+UNSIGNED: Final = "signed, sent without a signature"
 PASSED_ON: Final = "without an IMU, passed on"
 
 _CLIPPED_FROM: Final = 0.999

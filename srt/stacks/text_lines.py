@@ -3,6 +3,9 @@
 A CSV stream may begin with names of columns (:mod:`srt.recording.importers.channels`); without names the columns are
 time, gyro x, y, z, accelerometer x, y, z and temperature, or the six readings alone. A line of JSON is an object with
 "gyro" and "accel" as lists of three, or with "gyro_x" to "accel_z"; "time" in s and "temperature" in °C are optional.
+
+Each line has exactly one answer, so that a program that waits for it keeps step: a line without a sample has an empty
+one.
 """
 
 from __future__ import annotations
@@ -54,8 +57,8 @@ class LineCorrector:
         self._line = 0
         self._width = 0
 
-    def correct(self, line: str) -> str | None:
-        """Correct one line.
+    def correct(self, line: str) -> str:
+        """Answer one line.
 
         Parameters
         ----------
@@ -63,20 +66,21 @@ class LineCorrector:
 
         Returns
         -------
-        str or None
-            The line with corrected values, without its end; None for a line without a sample, which is counted.
+        str
+            The line with corrected values, without its end; column names and comments as they are; empty for an empty
+            line and for a malformed one, which is counted.
         """
         self._line += 1
         text = line.strip()
         if not text or text.startswith("#"):
-            return text or None
+            return text
         try:
             if len(text) > _LONGEST:
                 raise ValueError("it is too long")  # noqa: TRY301
             return self._json(text) if text[0] == "{" else self._csv(text)
         except (ValueError, LookupError, TypeError, ArithmeticError, RecursionError, InputError) as error:
             self._corrector.event(MALFORMED, f"line {self._line} is no sample ({str(error)[:120].rstrip('.')})")
-            return None
+            return ""
 
     def _csv(self, text: str) -> str:
         cells = text.split(",")

@@ -17,6 +17,7 @@ from srt.cli import main
 from srt.cli.app import COMMANDS
 from srt.cli.calibrate import CHOICES
 from srt.cli.output_paths import SAMPLES_FORMATS as FORMATS
+from srt.cli.path_type import NamedPath
 from srt.recording.samples import SAMPLES_FORMATS
 
 HEAVY = ("numpy", "scipy", "matplotlib", "rich", "pydantic", "pandas", "gtsam", "filterpy", "h5py", "pyarrow", "numba")
@@ -81,6 +82,15 @@ def test_version(capfd):
     [
         (["calibrat"], ["no command 'calibrat'", "did you mean calibrate?"]),
         (["xyz"], ["no command 'xyz'", "srt --help"]),
+        (["calibrate", ""], ["RECORDING", "the path is empty", "srt calibrate --help"]),
+        (["simulate", "demo", "-o", ""], ["--output", "the path is empty"]),
+        (["export", "x.json", "--to", "kalibr", "-o", ""], ["--output", "the path is empty"]),
+        (["export", "x.json", "--to", "kalibr", "-o", "."], [". is a folder", ".yaml"]),
+        (["plan", "navigation-equal", "--total-time", "1e300"], ["--total-time is 1e+300", "at most 100000"]),
+        (["watch", "x", "--every", "1e300"], ["--every", "0.1<=x<=3600"]),
+        (["align-mount", "x", "--calibration", "c.json", "--level-sigma-mrad", "1e300"], ["at most 3200"]),
+        (["merge", "a", "b"], ["no command 'merge'", "did you mean calibrate --merge?"]),
+        (["calibrate", "x", "-o", "unit-7"], ["The result cannot be written as unit-7", "as unit-7.json."]),
         (["--verbose"], ["--verbose"]),
         (["calibrate"], ["RECORDING", "srt calibrate --help"]),
         (["calibrate", "x", "--step", "big"], ["--step", "'jacobian', 'coefficients'"]),
@@ -106,6 +116,29 @@ def test_wrong_usage_is_one_sentence_and_2(arguments, fragments, tmp_path, monke
     for fragment in fragments:
         assert fragment in err
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("command", ["convert", "calibrate", "apply", "export"])
+def test_the_help_has_the_usual_options_and_another_all(command, capfd):
+    found = application.app.get_command(click.Context(application.app), command)
+    options = {p.name: max(p.opts, key=len) for p in found.params if isinstance(p, click.Option)}
+    assert set(found.usual) <= set(options)
+    assert main([command, "--help"]) == 0
+    short = capfd.readouterr().out.partition("Options:")[2]
+    assert main([command, "--help-all"]) == 0
+    whole = capfd.readouterr().out
+    assert all(f"{name} " in whole for name in options.values())
+    shown = [name for name in options.values() if f"  {name} " in short or f", {name} " in short]
+    assert {options[name] for name in found.usual} == set(shown)
+    assert len(shown) <= 12
+    assert "--help " in short
+
+
+def test_every_path_of_every_command_is_of_the_type_that_refuses_an_empty_one():
+    for name in COMMANDS:
+        command = application.app.get_command(None, name)
+        paths = [each for each in command.params if isinstance(each.type, click.Path)]
+        assert all(isinstance(each.type, NamedPath) for each in paths), name
 
 
 def test_no_command_shows_the_help_and_is_wrong_usage(capfd):
@@ -244,7 +277,7 @@ def test_earlier_names_of_options_are_accepted_and_not_shown(command, present, e
     found = application.app.get_command(click.Context(application.app), command)
     (option,) = [p for p in found.params if present in p.opts]
     assert earlier in option.opts
-    assert main([command, "--help"]) == 0
+    assert main([command, "--help-all" if command == "convert" else "--help"]) == 0
     lines = capfd.readouterr().out.splitlines()
     assert any(f"{present} " in line for line in lines)
     assert not any(earlier in line.replace(",", " ").split()[:2] for line in lines)

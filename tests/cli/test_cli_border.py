@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import srt
 from srt.cli import main
 from srt.cli.messages import figure_title, printable
 from srt.recording.atomic_file import atomic_path, remove_leftovers
@@ -92,12 +93,23 @@ def test_a_full_output_is_one_sentence():
 
 
 @POSIX
-def test_a_closed_output_is_no_traceback():
-    done = subprocess.run(
-        ["/bin/sh", "-c", f"{sys.executable} -m srt.cli list formats >&-"], capture_output=True, text=True, check=False
-    )
-    assert "Traceback" not in done.stderr
-    assert done.returncode == 0
+@pytest.mark.parametrize("arguments", ["list formats", "--version", "calibrate {unit} -o {result}"])
+def test_what_a_closed_output_loses_is_one_sentence(recording, tmp_path, arguments):
+    """The result that a file holds is whole: no other output goes to the number of the closed stream."""
+    result = tmp_path / "unit.json"
+    command = f"{sys.executable} -m srt.cli {arguments.format(unit=recording, result=result)} >&-"
+    done = subprocess.run(["/bin/sh", "-c", command], capture_output=True, text=True, check=False)
+    lines = [line for line in done.stderr.splitlines() if "iteration" not in line]
+    assert (done.returncode, len(lines)) == (2, 1)
+    assert lines[0].startswith("srt: Standard output cannot be written")
+    assert "{result}" not in arguments or srt.load_calibration(result).status == "converged"
+
+
+@POSIX
+def test_a_closed_output_does_not_stop_what_prints_nothing(recording):
+    command = f"{sys.executable} -m srt.cli calibrate {recording} -q >&-"
+    done = subprocess.run(["/bin/sh", "-c", command], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
 
 
 @POSIX

@@ -63,6 +63,30 @@ def rows_of(out):
     return {cells[1]: cells for cells in map(str.split, out.splitlines()) if len(cells) > 1 and cells[1] in NAMES}
 
 
+@pytest.mark.parametrize("estimator", ["closed-form", "least-squares", "ekf"])
+def test_progress_counts_the_iterations_of_the_result(recording, tmp_path, capfd, estimator):
+    """Too small a stated noise makes the iteration resume with the noise that the residuals show."""
+    shutil.copytree(recording, tmp_path / "unit-7")
+    toml = tmp_path / "unit-7" / "recording.toml"
+    toml.write_text(re.sub(r"(accel_noise_ug_per_sqrt_hz) = .*", r"\1 = 0.5", toml.read_text()))
+    assert main(["calibrate", str(tmp_path / "unit-7"), "--estimator", estimator]) in (0, 1)
+    out, err = capfd.readouterr()
+    shown = [int(number) for number in re.findall(r"iteration (\d+), largest", err)]
+    assert shown == list(range(1, len(shown) + 1))
+    assert f"Converged after {len(shown)} iterations." in out
+
+
+def test_progress_says_where_an_iteration_starts_again(recording, tmp_path, capfd):
+    """Without some sequences, what they alone determine is fixed, and the rest is estimated anew."""
+    loaded = srt.read(recording)
+    srt.write_recording(loaded.with_sequences(loaded.sequences[:9]), tmp_path / "part")
+    assert main(["calibrate", str(tmp_path / "part"), "--estimator", "least-squares", "--ignore-moves"]) == 0
+    out, err = capfd.readouterr()
+    assert re.findall(r"iteration 1( .*)?,", err) == ["", " (starts again with another model)"]
+    last = re.findall(r"iteration (\d+)", err)[-1]
+    assert f"Converged after {last} iterations" in out
+
+
 def test_table_holds_every_parameter_as_the_library_finds_it(recording, calibration, capfd):
     assert main(["calibrate", str(recording), "--details"]) == 0
     out, err = capfd.readouterr()
@@ -115,7 +139,9 @@ def test_summary_says_what_to_do(calibration):
     assert max(map(len, lines)) <= 80
     moved = replace(calibration, diagnostics={**calibration.diagnostics, "unused_moves": 16})
     head = " ".join(calibration_summary(moved, title="x").split("\n\n")[0].split())
-    assert "To do: 16 recorded moves are not used by the closed form: '--estimator graph' uses them." in head
+    assert "To do: 16 recorded moves are not used by the closed form: '--estimator least-squares' uses them." in head
+    head = " ".join(calibration_summary(moved, title="x", with_moves=(0.36, 0.604)).split("\n\n")[0].split())
+    assert "closed form: '--estimator least-squares' gives 0.36-0.60 of these sigmas." in head
     failed = replace(calibration, status="not_converged", message="It is not done.")
     head = calibration_summary(failed, title="x", source="unit-7").split("\n\n")[0]
     assert "Status not converged: It is not done." in head

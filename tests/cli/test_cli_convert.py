@@ -58,6 +58,9 @@ def test_the_recording_holds_what_the_log_held(log, tmp_path, kind, capsys):
     np.testing.assert_array_equal(loaded.accel, ACCEL)
     assert loaded.fixture is None
     out, err = capsys.readouterr()
+    assert "No fixture is stated, so that attitudes and heading are unknown (a free recording)." in " ".join(
+        out.split()
+    )
     assert err == ""
     for fragment in ("table as text (csv)", "200 (rate)", "64 Hz (stamps), 0 gaps", "3.1 s", "rad/s (as given)"):
         assert fragment in out
@@ -99,6 +102,7 @@ def test_like_another_recording(log, tmp_path, capsys):
     assert convert(log, "-o", tmp_path / "a", "--like", tmp_path / "model", *SI) == 0
     assert convert(log, "-o", tmp_path / "b", "--like", tmp_path / "model" / "recording.toml", *SI, *SITE) == 0
     first, second = (srt.load_recording(tmp_path / name) for name in "ab")
+    assert "No fixture" not in capsys.readouterr().out
     for loaded in (first, second):
         assert loaded.fixture == model.fixture
         assert loaded.noise == model.noise
@@ -108,6 +112,14 @@ def test_like_another_recording(log, tmp_path, capsys):
     assert (first.site.gravity_m_s2, first.site.gravity_sigma_m_s2) == (9.8, 1e-4)
     # Gravity that is said has its own default of uncertainty.
     assert (second.site.gravity_m_s2, second.site.gravity_sigma_m_s2) == (9.81, 5e-6)
+
+
+def test_units_in_the_spellings_of_files(log, tmp_path, capsys):
+    units = ["--gyro-unit", "rad s^-1", "--accel-unit", "m/s²", "--time-unit", "sec"]
+    assert convert(log, "-o", tmp_path / "rec", "-q", *units, *SITE) == 0
+    np.testing.assert_array_equal(srt.load_recording(tmp_path / "rec").accel, ACCEL)
+    message = refused(capsys, tmp_path / "bad", log, *SITE, "--accel-unit", "ft/s^2")
+    assert "'ft/s^2' is not one of 'm/s^2', 'g', 'mg', 'm/s', 'g*s', 'counts'" in message
 
 
 @pytest.mark.parametrize(

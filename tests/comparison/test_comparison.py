@@ -19,6 +19,7 @@ import srt
 import srt.comparison.estimator_comparison
 from srt.comparison.estimate_difference import EXPECTED_SIGMA_FLOOR, FALSE_ALARM
 from srt.comparison.estimator_comparison import compare, default_estimators, run_estimators
+from srt.estimation.fixed_parameters import POSE_FRAME
 from srt.reports.figures.comparison import comparison_figure
 from srt.sensor_errors import DISPLAY_FACTORS, GROUP_SLICES, INDEX, N_PARAMETERS, NAMES
 
@@ -302,7 +303,7 @@ def registry(monkeypatch, pair):
 def test_estimators_run_in_order_and_one_that_fails_stops_none(registry, pair):
     said = []
     calibrations, seconds, failures = run_estimators(
-        None, ["graph", "ekf", "least-squares"], progress=lambda *step: said.append(step)
+        SimpleNamespace(sequences=()), ["graph", "ekf", "least-squares"], progress=lambda *step: said.append(step)
     )
     assert list(calibrations) == ["graph", "least-squares"]
     assert failures == {"ekf": "It cannot be."}
@@ -310,6 +311,19 @@ def test_estimators_run_in_order_and_one_that_fails_stops_none(registry, pair):
     assert all(0.0 <= s < 1.0 for s in seconds.values())
     assert said == [("graph", 1, 1e-3), ("least-squares", 1, 1e-3)]
     assert compare(calibrations, failures=failures).failures == failures
+
+
+def test_poses_alone_are_compared_in_the_axes_of_single_results(registry, pair, monkeypatch):
+    held = []
+
+    def estimator(recording, options, progress):
+        held.append(options.hold)
+        return pair["least-squares"]
+
+    monkeypatch.setattr(srt.comparison.estimator_comparison, "find_estimator", lambda name: estimator)
+    poses = SimpleNamespace(sequences=(SimpleNamespace(pose=True),), fixture=None)
+    run_estimators(poses, ["graph", "least-squares"])
+    assert held == [POSE_FRAME, POSE_FRAME]
 
 
 def test_an_estimator_that_is_not_installed_is_refused_first(registry):

@@ -10,7 +10,9 @@ import pytest
 
 import srt
 from srt.cli.calibrate import CHOICES
+from srt.estimation.options import Options
 from srt.model.prior import Prior
+from srt.procedure import sigmas_with_moves
 from srt.recording.recording import SequenceLabel
 from srt.sensor_errors import GROUP_SLICES
 from srt.sequences.moves import recorded_moves
@@ -178,6 +180,16 @@ def test_every_result_can_be_written_as_strict_json(estimator, tmp_path):
         assert srt.load_calibration(tmp_path / "unit.json").to_dict() == json.loads(json.dumps(result.to_dict()))
         written += 1
     assert written >= 8
+
+
+def test_the_gain_of_unused_moves_is_that_of_the_sigmas():
+    recording, options = moved()[0], Options()
+    closed = found("closed-form")
+    ratio = found("least-squares").sigma / closed.sigma
+    low, high = sigmas_with_moves(recording, closed, options)
+    assert (low, high) == (pytest.approx(ratio.min()), pytest.approx(ratio.max()))
+    assert 0.0 < low < high < 1.0
+    assert sigmas_with_moves(recording, found("least-squares"), options) is None
 
 
 def test_a_result_that_json_cannot_hold_is_not_made():

@@ -13,6 +13,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from foreign_fixture import TABLE_1
 from foreign_motion import GRADES, drawn_errors, hand_turns, readings
 from scipy.spatial.transform import Rotation
 
@@ -28,25 +29,6 @@ pytestmark = pytest.mark.filterwarnings("ignore:Gimbal lock detected:UserWarning
 LATITUDE_DEG = 34.0
 HZ = 100.0
 EYE = np.eye(3)
-TABLE_1 = """
-1  z/y +360y
-2  z/x +360x
-3  x/y +360z
-1a z/y -360y
-2a z/x -360x
-3a x/y -360z
-4  z/y +180y +180z +180y +180z
-5  z/x +180x +180z +180x +180z
-6  x/y +180y +90z +180x +90z +180y +90z +180x +90z
-7  y/x +180x
-8  z/x +180x
-9  x/y +180z
-10 y/x +180z
-11 z/y +180y
-12 x/y +180y
-13 z/y +180z +180y
-14 z/x +180z +180x
-"""
 WINDOW_S, CLEAR_S = 5.0, 0.3
 """Rests of Table 1, and what is left out next to a turn in the labels, s."""
 

@@ -216,3 +216,10 @@ def test_filters_of_one_pass_refuse_stated_rates():
     alone = recording.with_sequences((run,))
     with pytest.raises(srt.exceptions.InputError, match="no stated rates"):
         srt.calibrate(alone, "ekf", checks=False, filter="one-pass")
+
+
+def test_a_fixture_whose_attitudes_are_not_used_changes_no_sigma_of_the_graph(white):
+    """The angles of such a fixture have priors only, and are no part of the graph of the sensor errors."""
+    simulation, found = white
+    fixed = srt.calibrate(replace(simulation.recording, fixture=srt.Fixture()), "graph", **EXACT)
+    assert fixed.sigma[SHOWN] == pytest.approx(found["graph"].sigma[SHOWN], rel=1e-6)

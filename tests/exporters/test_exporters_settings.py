@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from exporter_formulas import NOISE, ardupilot, calibrated, motion, px4, yaml
+from exporter_formulas import NOISE, TARGETS, ardupilot, calibrated, motion, px4, yaml
 
 import srt
 from srt import exporters
@@ -151,6 +151,16 @@ def test_texts_of_a_file_cannot_break_out_of_its_comments():
     made = export(calibrated(np.random.default_rng(23), provenance={"serial": "a\nimu1: [}\u2028"}), "kalibr")
     assert list(yaml.safe_load(made.texts[""])) == ["imu0"]
     made.texts[""].encode("ascii")
+
+
+@pytest.mark.parametrize("target", sorted(set(TARGETS) - {"vectornav", "imu_tk"}))
+def test_files_state_the_temperature_of_the_test(target):
+    """All but the files that hold commands or numbers alone."""
+    changes = {"temperature": {"mean_c": 25.04, "range_c": 1.5, "sequences": []}}
+    rng = np.random.default_rng(29)
+    for temperature, fragment in ((changes, "mean 25.0 degC, range 1.5 degC"), ({}, "not stated")):
+        text = export(calibrated(rng, **temperature), target).texts[""]
+        assert f"temperature: {fragment}" in " ".join(text.split())
 
 
 def test_gtsam_gets_noise_bias_and_gravity():

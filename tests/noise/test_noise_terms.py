@@ -176,12 +176,12 @@ def test_exports_have_no_empty_noise_field(shelf, capfd):
     assert "multiplied by 1 (--inflate)" in (shelf / "o.yaml").read_text()
 
 
-def test_gtsam_gets_the_walks_and_the_inflation(shelf):
-    """The calibration of this unit has no white noise of its own: preintegration needs one."""
+def test_gtsam_gets_the_noise_the_walks_and_the_inflation(shelf):
+    """The log of the unit comes before the white noise of its test, as in the file of Kalibr."""
     from dataclasses import replace
 
     calibration = srt.load_calibration(shelf / "unit.json")
-    noise = {**calibration.noise, "gyro_noise_rad_per_sqrt_s": [1e-4] * 3, "accel_noise_m_s2_sqrt_s": [1e-3] * 3}
+    noise = {**calibration.noise, "gyro_noise_rad_per_sqrt_s": [1e-2] * 3, "accel_noise_m_s2_sqrt_s": [1e-1] * 3}
     calibration = replace(calibration, noise=noise, site={"gravity_m_s2": 9.8})
     plain, inflated = (
         json.loads(export(calibration, "gtsam", settings=ExportSettings(inflate=factor)).texts[""])
@@ -190,6 +190,46 @@ def test_gtsam_gets_the_walks_and_the_inflation(shelf):
     for name in ("gyroscope_covariance", "accelerometer_covariance", "bias_acc_covariance", "bias_omega_covariance"):
         np.testing.assert_allclose(np.array(inflated[name]), 9.0 * np.array(plain[name]), rtol=1e-12)
     assert "multiplied by 3 (--inflate)" in " ".join(inflated["comment"])
+    channels = calibration.noise["terms"]["channels"]
+    # °/√h and µg/√Hz in SI
+    for name, sensor, key, unit in (
+        ("gyroscope_covariance", "gyro", "gyro_noise_deg_per_sqrt_h", np.radians(1.0) / 60.0),
+        ("accelerometer_covariance", "accel", "accel_noise_ug_per_sqrt_hz", 9.80665e-6),
+    ):
+        white = [channels[f"{sensor}_{axis}"][key]["value"] * unit for axis in "xyz"]
+        np.testing.assert_allclose(plain[name], np.diag(np.square(white)), rtol=1e-12)
+    yaml = pytest.importorskip("yaml")
+    flat = yaml.safe_load(export(calibration, "kalibr").texts["-imu"])
+    assert flat["gyroscope_noise_density"] ** 2 == pytest.approx(np.max(plain["gyroscope_covariance"]))
+    assert flat["accelerometer_noise_density"] ** 2 == pytest.approx(np.max(plain["accelerometer_covariance"]))
+
+
+def test_preintegration_takes_the_noise_of_the_log(shelf):
+    """One reading: the covariance of its rotation is the white noise of the corrected rate, over one sample."""
+    from srt.stacks.preintegration import ROTATION, preintegrate
+
+    calibration = srt.load_calibration(shelf / "unit.json")
+    channels = calibration.noise["terms"]["channels"]
+    white = [np.radians(channels[f"gyro_{axis}"]["gyro_noise_deg_per_sqrt_h"]["value"]) / 60.0 for axis in "xyz"]
+    summed = preintegrate(calibration, calibration.errors.group("gyro_bias")[None], np.zeros((1, 3)), 0.01)
+    # The scale factors and angles are 1e-3; three of them act on each axis, twice.
+    found = summed.covariance[ROTATION, ROTATION]
+    np.testing.assert_allclose(np.diag(found), 0.01 * np.square(white), rtol=0.01)
+
+
+def test_an_axis_without_the_term_takes_the_white_noise_of_the_test():
+    from srt.noise.stated_figures import white_density, white_noise
+
+    noise = {
+        "accel_noise_m_s2_sqrt_s": [1e-3, 2e-3, 3e-3],
+        "terms": {
+            "channels": {"accel_y": {"accel_noise_ug_per_sqrt_hz": {"value": 100.0, "low": 90.0, "high": 110.0}}}
+        },
+    }
+    np.testing.assert_allclose(white_noise(noise, "accel"), [1e-3, 9.80665e-4, 3e-3], rtol=1e-15)
+    assert np.isnan(white_noise(noise, "gyro")).all()
+    with pytest.raises(srt.InputError, match=r"white noise of the gyro channels: .*srt noise LOG --into"):
+        white_density(noise, "gyro", np.eye(3))
 
 
 def test_another_unit_and_a_moving_log_are_refused(shelf, tmp_path, capfd):

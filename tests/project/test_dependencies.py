@@ -18,6 +18,7 @@ DISTRIBUTIONS = {
     "cv2": "opencv-python-headless",
     "fpdf": "fpdf2",
     "pyins": "python-ins",
+    "markdown_it": "markdown-it-py",
     "tomli_w": "tomli-w",
     "yaml": "pyyaml",
 }

@@ -1,19 +1,9 @@
-"""The documentation: examples run and print the output shown, and every name in it exists.
-
-A comment before a block says what it is: ``<!-- example -->`` runs it, in the order of the page and in one folder,
-``<!-- output -->`` is the output of the Python block before it, ``<!-- file: NAME -->`` and ``<!-- append: NAME -->``
-write a file, ``<!-- example: FILE -->`` shows a part of a script that tests/project/test_examples.py runs.
-"""
+"""The documentation: every link, name, key and equation in it exists."""
 
 from __future__ import annotations
 
-import contextlib
-import doctest
 import importlib
-import io
 import re
-import shlex
-from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
@@ -27,9 +17,7 @@ import sims
 import srt
 from sims.scenarios import plan_file, scenario
 from sims.scenarios.toml_table import LibraryTable
-from srt.cli import main
 from srt.cli.app import app
-from srt.mount.alignment import mount_from_calibration
 from srt.recording import schema
 from srt.result.calibration import STATUSES
 
@@ -37,134 +25,12 @@ ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 PAGES = sorted(DOCS.rglob("*.md"))
 TEXTS = {p.relative_to(ROOT).as_posix(): p.read_text(encoding="utf-8") for p in [*PAGES, *ROOT.glob("*.md")]}
-FENCE = re.compile(
-    r"(?:^<!-- (?P<kind>[a-z]+)(?:: (?P<name>\S+))? -->\n)?^```(?P<language>\w*)\n(?P<text>.*?)^```$", re.M | re.S
-)
 COMMAND = re.compile(r"(?:`|^    |^\$ )srt ([a-z][a-z-]*)((?:\\\n|[^`\n])*)", re.M)
 LINK = re.compile(r"\[[^]\n]*\]\(([^)\s]+)\)")
 DOTTED = re.compile(r"\b(?:srt|sims|estimators)(?:\.(?!(?:md|html|toml|json|py)\b)[A-Za-z_]\w*)+")
 """Dotted names of modules, classes and functions."""
 PATH = re.compile(r"(?<![\w/])(?:srt|sims|estimators|benchmarks|tests|examples|configs)/[\w./-]*\w")
 """Paths of files and folders of the repository."""
-
-READER_INPUT = {"docs/exports.md", "docs/mount-alignment.md"}
-"""Pages whose Python uses files and arrays of the reader: run with those of a simulated unit."""
-SLOW = {"docs/robustness.md"}
-"""Pages whose Python takes a minute."""
-SLOW_EXAMPLES = {"docs/planning.md"}
-"""Pages whose examples take 15 s; tests/cli/test_cli_plan.py runs the same commands on smaller plans."""
-
-
-@dataclass(frozen=True)
-class Block:
-    kind: str | None
-    name: str | None
-    language: str
-    text: str
-
-
-def blocks(page):
-    return [Block(**found.groupdict()) for found in FENCE.finditer(TEXTS[page])]
-
-
-EXAMPLES = [page for page in TEXTS if page.startswith("docs/") and any(b.kind == "example" for b in blocks(page))]
-
-
-def assert_prints(expected, printed):
-    same = doctest.OutputChecker().check_output(expected, printed, doctest.ELLIPSIS)
-    assert same, f"expected\n{expected}\nprinted\n{printed}"
-
-
-def run_console(block):
-    """Run the commands of a block, and compare the standard output of each with the lines after it."""
-    for entry in re.split(r"^\$ ", block.text, flags=re.M)[1:]:
-        command, expected = re.fullmatch(r"((?:[^\n]*\\\n)*[^\n]*\n)(.*)", entry, re.S).groups()
-        program, *arguments = shlex.split(command.replace("\\\n", " "))
-        assert program == "srt"
-        with contextlib.redirect_stdout(io.StringIO()) as printed:
-            code = main(arguments)
-        assert code == 0, f"{command} ended with {code}"
-        if expected:
-            assert_prints(expected, printed.getvalue())
-
-
-@pytest.mark.parametrize(
-    "page", [pytest.param(page, marks=pytest.mark.slow) if page in SLOW_EXAMPLES else page for page in EXAMPLES]
-)
-def test_examples_run_and_print_what_the_page_shows(page, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("COLUMNS", "80")
-    names, printed = {}, ""
-    for block in blocks(page):
-        if block.kind == "file":
-            Path(block.name).write_text(block.text, encoding="utf-8")
-        elif block.kind == "append":
-            with Path(block.name).open("a", encoding="utf-8") as file:
-                file.write(block.text)
-        elif block.kind == "output":
-            assert_prints(block.text, printed)
-        elif block.kind == "example" and block.name:
-            assert block.text in (ROOT / block.name).read_text(encoding="utf-8")
-        elif block.kind == "example" and block.language == "python":
-            with contextlib.redirect_stdout(io.StringIO()) as stream:
-                exec(compile(block.text, page, "exec"), names)  # noqa: S102 - our own page
-            printed = stream.getvalue()
-        elif block.kind == "example":
-            run_console(block)
-
-
-def python_of(page):
-    return [b.text for b in blocks(page) if b.language == "python" and b.kind is None]
-
-
-def test_every_python_block_is_run():
-    assert {page for page in TEXTS if python_of(page)} == READER_INPUT | SLOW
-
-
-@pytest.fixture(scope="session")
-def calibrated_unit():
-    """Give a recording of a simulated unit, and its calibration."""
-    scenario = {
-        "seed": 8,
-        "imu": {"from": "tactical-fog"},
-        "fixture": {"from": "lab-1mrad"},
-        "site": {"from": "latitude-45"},
-        "schedule": {"dwell_s": 3.0, "rate_rad_s": 3.0, "acceleration_rad_s2": 30.0},
-        "recording": {"sample_rate_hz": 50.0},
-    }
-    recording = sims.simulate(sims.scenario_from_dict(scenario)).recording
-    return recording, srt.calibrate(recording)
-
-
-@pytest.mark.parametrize("page", sorted(READER_INPUT))
-def test_python_runs_with_a_simulated_unit(page, calibrated_unit, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    recording, calibration = calibrated_unit
-    calibration.save("unit.json")
-    mount_from_calibration(calibration).save("mount.json")
-    dt = recording.nominal_interval_s
-    names = {"recording": recording, "gyro": recording.gyro, "accel": recording.accel, "dt": dt, "C_nb": np.eye(3)}
-    for text in python_of(page):
-        exec(compile(text, page, "exec"), names)  # noqa: S102 - our own page
-    assert (
-        names.keys()
-        >= {"docs/exports.md": {"exported", "preintegrated", "start", "known"}, "docs/mount-alignment.md": {"C_nm"}}[
-            page
-        ]
-    )
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("page", sorted(SLOW))
-def test_slow_python_runs(page, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    names = {}
-    for text in python_of(page):
-        exec(compile(text, page, "exec"), names)  # noqa: S102 - our own page
-    assert names["table"].num_rows > 0
-
-
-# --- names ---------------------------------------------------------------------------------------------------------
 
 
 def anchors(text):

@@ -222,7 +222,7 @@ def test_figures_are_made_and_written(recording, unit, tmp_path):
         (lambda log: srt.read(42), "int is no recording: give the path"),
         (lambda log: srt.read({"gyro": np.ones((9, 3))}), "there is no accel"),
         (lambda log: srt.read((None, ONES[:, :2], ONES), gravity_m_s2=9.8), r"expected"),
-        (lambda log: srt.read((None, "text", "text"), gravity_m_s2=9.8), "no array of numbers"),
+        (lambda log: srt.read((None, "text", "text"), gravity_m_s2=9.8), "gyro does not consist of numbers"),
         (lambda log: srt.read((None, ONES, ONES), gravity_m_s2=9.8, topic="/imu"), "arrays have none"),
         (lambda log: srt.read(log.parent / "absent"), "There is no recording"),
         (lambda log: srt.calibrate(log, estimater="ekf"), "Unknown option 'estimater'"),

@@ -32,6 +32,9 @@ PACKAGES = {"srt": "srt", "estimators": "estimators", "sims": "sims", "configs":
     "configs/protocol": "srt/protocols"
 }
 """Folders of the tree, and where the wheel has them."""
+FILES = ("strapdown_srt.py", "pyproject.toml", "README.md", "LICENSE")
+"""Files beside these folders of which a distribution is built; the first is in the wheel."""
+COMMANDS = ("srt", "strapdown-srt")
 CALIBRATION = ROOT / "tests" / "data" / "calibration-v1.json"
 ALONE = ("numpy", "scipy")
 OLDEST_SETUPTOOLS = 77
@@ -72,7 +75,7 @@ def source(tmp_path_factory):
     source = tmp_path_factory.mktemp("source")
     for name in PACKAGES:
         shutil.copytree(ROOT / name, source / name, ignore=shutil.ignore_patterns("__pycache__"), dirs_exist_ok=True)
-    for name in ("pyproject.toml", "README.md", "LICENSE"):
+    for name in FILES:
         shutil.copy(ROOT / name, source)
     return source
 
@@ -138,7 +141,7 @@ def test_the_wheel_holds_all_modules_and_data_of_the_tree(wheel):
         for path in (ROOT / folder).rglob("*")
         if path.is_file() and "__pycache__" not in path.parts
     }
-    assert held == wanted
+    assert held == {*wanted, FILES[0]}
 
 
 def test_the_source_distribution_builds_the_same_wheel(sdist, wheel, tmp_path):
@@ -251,12 +254,42 @@ def test_it_calibrates_beside_numpy_and_scipy_alone(alone, tmp_path):
     np.testing.assert_allclose(there.errors.vector, here.errors.vector, rtol=0, atol=1e-8)
 
 
-def test_its_command_line_says_what_to_install(alone):
-    script = alone.with_name("srt.exe" if os.name == "nt" else "srt")
-    done = subprocess.run([script, "--help"], capture_output=True, encoding="utf-8", check=False)
+def refused(command: list[object], **variables: str) -> str:
+    """Run a command that is to end with exit code 2 and one sentence, and give the sentence."""
+    environment = {**os.environ, **variables}
+    done = subprocess.run(list(map(str, command)), env=environment, capture_output=True, encoding="utf-8", check=False)
     assert done.returncode == 2
+    assert done.stdout == ""
     assert done.stderr.count("\n") == 1
-    assert "pip install 'strapdown-rotation-test[cli]'" in done.stderr
+    return done.stderr
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_its_command_line_says_what_to_install(alone, name):
+    script = alone.with_name(f"{name}.exe" if os.name == "nt" else name)
+    assert "pip install 'strapdown-rotation-test[cli]'" in refused([script, "--help"])
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_its_command_line_says_which_other_module_is_named_srt(alone, name, tmp_path):
+    """A module before site-packages on the path hides the package, as the subtitle library of a user does."""
+    (tmp_path / "srt.py").write_text("raise SystemExit('This is not to be run.')\n")
+    script = alone.with_name(f"{name}.exe" if os.name == "nt" else name)
+    said = refused([script, "--help"], PYTHONPATH=str(tmp_path))
+    assert str(tmp_path / "srt.py") in said
+    assert str(site_packages(alone) / "srt") in said
+    assert "pip uninstall srt" in said
+
+
+def test_a_module_beside_the_package_hides_nothing(alone):
+    """The subtitle library in the same site-packages: a package comes before a module."""
+    other = site_packages(alone) / "srt.py"
+    other.write_text("raise SystemExit('This is not to be run.')\n")
+    try:
+        for command in ([alone.with_name("strapdown-srt")], [alone, "-m", "strapdown_srt"]):
+            assert "pip install 'strapdown-rotation-test[cli]'" in refused([*command, "--help"])
+    finally:
+        other.unlink()
 
 
 @pytest.mark.slow

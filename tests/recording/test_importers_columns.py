@@ -11,7 +11,14 @@ from table_files import ACCEL, COLUMNS, EUROC, GYRO, RNG, SI_TIME, TIME, N, writ
 from srt.constants import DEG, STANDARD_GRAVITY_M_S2
 from srt.exceptions import InputError
 from srt.recording import importer_registry
-from srt.recording.import_options import ImportOptions, parse_axis_map, parse_columns, parse_lsb, parse_offset
+from srt.recording.import_options import (
+    SENSOR_UNITS,
+    ImportOptions,
+    parse_axis_map,
+    parse_columns,
+    parse_lsb,
+    parse_offset,
+)
 from srt.recording.importer_registry import IMPORTERS, find_importer, import_file
 from srt.recording.importers import channels
 from srt.recording.importers.channels import meaning_of
@@ -114,6 +121,7 @@ def test_counts(tmp_path):
         (parse_lsb, "1/0"),
         (parse_lsb, "1,2"),
         (parse_lsb, "1 furlong"),
+        (parse_lsb, "1 mg"),
         (parse_lsb, "inf"),
         (parse_offset, "one"),
         (parse_offset, "1,2,3,4"),
@@ -122,6 +130,33 @@ def test_counts(tmp_path):
 def test_bad_counts(parse, text):
     with pytest.raises(InputError, match="--gyro-"):
         parse(text, "gyro")
+
+
+@pytest.mark.parametrize(
+    ("text", "sensor", "value"),
+    [
+        ("0.061 mg", "accel", 0.061e-3 * STANDARD_GRAVITY_M_S2),
+        ("0.061mg/LSB", "accel", 0.061e-3 * STANDARD_GRAVITY_M_S2),
+        ("2 m s-2 per digit", "accel", 2.0),
+        ("2 g*s", "accel", 2.0 * STANDARD_GRAVITY_M_S2),
+        ("1e-3 m·s⁻²", "accel", 1e-3),
+        ("1/8, 1/8, 1/8 °/s/LSB", "gyro", DEG / 8),
+        ("0.125 degrees per second", "gyro", DEG / 8),
+        ("0.125dps", "gyro", DEG / 8),
+        ("0.125", "gyro", 0.125),
+    ],
+)
+def test_a_value_of_a_count_as_data_sheets_write_it(text, sensor, value):
+    # Factors and their products round once each.
+    np.testing.assert_allclose(parse_lsb(text, sensor), [value] * 3, rtol=4 * np.finfo(float).eps)
+
+
+def test_every_unit_of_a_reading_is_one_of_a_count():
+    for sensor, units in SENSOR_UNITS.items():
+        for unit in [*units["rate"], *units["increment"]]:
+            factor = {**units["rate"], **units["increment"]}[unit]
+            assert parse_lsb(f"1 {unit}", sensor) == (factor,) * 3
+            assert ImportOptions(**{f"{sensor}_unit": unit})
 
 
 def test_increments_are_first_class(tmp_path):
@@ -228,7 +263,12 @@ def test_columns_given_by_name_number_and_stem(tmp_path):
     for said, fragment in (
         ("gyro=rat", r"no column rat_x \(did you mean rot_x\?\)"),
         ("time=9", "has 7 columns, but column 9"),
-        ("gyro=rot", "no column was recognised as accel_x .*--columns accel_x=NAME"),
+        ("gyro=rat,accel_y=s", r"no column rat_x \(did you mean rot_x\?\), rat_y .*, s \(found: t0, .*\): name one"),
+        (
+            "gyro=rot,accel_y=q",
+            r"recognised as time, accel_x, accel_z \(found: t0, rot_x, rot_y, rot_z, p, q, r\): give --columns "
+            "'time=NAME,accel_x=NAME,accel_z=NAME' with a name found, or its number from 1, for each NAME",
+        ),
     ):
         with pytest.raises(InputError, match=fragment):
             import_file(tmp_path / "a.csv", ImportOptions(columns=parse_columns(said), **SI_TIME))

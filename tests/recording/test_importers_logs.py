@@ -69,6 +69,33 @@ def test_velocity_increments_over_another_time_are_scaled_with_a_note(tmp_path):
     assert note(imported, "in 1 of 24 samples")
 
 
+@pytest.mark.parametrize("every", [2, 100])
+def test_increments_of_a_log_with_a_part_of_the_messages_are_read_as_rates(tmp_path, every):
+    """5 ms of 10 ms, or of the 500 ms of PX4's default: as increments they would be too small by that ratio."""
+    spans = {"delta_angle_dt": np.full(N, 5000), "delta_velocity_dt": np.full(N, 4000)}
+    columns = increments(timestamp_sample=US[0] + every * (US - US[0]), **spans)
+    ff.write_ulog(tmp_path / "a.ulg", [("vehicle_imu", 0, ff.VEHICLE_IMU, columns)])
+    imported = read(tmp_path / "a.ulg", topic="vehicle_imu")
+    assert imported.kind == "rate"
+    assert imported.units["gyro"].startswith("rad/s")
+    np.testing.assert_allclose(imported.gyro, VALUES[:, :3] / 0.005, rtol=4 * np.finfo(float).eps)
+    np.testing.assert_allclose(imported.accel, VALUES[:, 3:] / 0.004, rtol=4 * np.finfo(float).eps)
+    assert note(imported, "read as mean rates over their own intervals. A calibration needs a log of every message")
+
+
+def test_increments_with_lost_messages_and_jitter_stay_increments(tmp_path):
+    """A lost message is a gap; the increments between the others still add up to the angle."""
+    stamps = US.astype(np.int64) + np.where(np.arange(N) < 9, 0, 50_000) + 400 * (-1) ** np.arange(N)
+    spans = np.diff(stamps, prepend=stamps[0] - 5000)
+    spans[9] = 5000
+    columns = increments(timestamp_sample=stamps, delta_angle_dt=spans, delta_velocity_dt=spans)
+    ff.write_ulog(tmp_path / "a.ulg", [("vehicle_imu", 0, ff.VEHICLE_IMU, columns)])
+    imported = read(tmp_path / "a.ulg")
+    assert imported.kind == "increment"
+    np.testing.assert_array_equal(imported.gyro, VALUES[:, :3])
+    np.testing.assert_array_equal(imported.accel, VALUES[:, 3:])
+
+
 def drivers():
     return [
         ("sensor_gyro", 0, ff.SENSOR, driver(VALUES[:, :3], 31.5)),

@@ -96,6 +96,47 @@ def test_psins_floats_of_32_bits(tmp_path, rows):
         import_file(tmp_path / "a.bin", name="psins")
 
 
+def _increments(rows, rate_hz=128.0):
+    """Increments of a unit that is turned, after an hour of recording."""
+    step = 1.0 / rate_hz
+    gyro, accel = (np.resize(values, (rows, 3)) for values in (GYRO, ACCEL))
+    force = 9.8 * accel / np.linalg.norm(accel, axis=1)[:, None]
+    return np.column_stack([gyro * step, force * step, 3600.0 + step * np.arange(rows)])
+
+
+@pytest.mark.parametrize("kind", ["<f8", "<f4"])
+@pytest.mark.parametrize("name", ["a.bin", "a.imu"])
+def test_psins_in_binary_is_recognised(tmp_path, kind, name):
+    table = _increments(100).astype(kind)
+    table.tofile(tmp_path / name)
+    importer, imported = import_file(tmp_path / name)
+    assert (importer.name, imported.kind) == ("psins", "increment")
+    np.testing.assert_array_equal(imported.time, table[:, 6].astype(float))
+    np.testing.assert_array_equal(imported.accel, table[:, 3:6].astype(float))
+
+
+def _other_binaries():
+    table = _increments(100)
+    return {
+        "rates": table * np.repeat([128.0, 1.0], [6, 1]),
+        "accelerometers first": table[:, [3, 4, 5, 0, 1, 2, 6]],
+        "time first": table[:, [6, 0, 1, 2, 3, 4, 5]],
+        "noise": np.random.default_rng(3).normal(size=(100, 7)),
+        "bytes": np.frombuffer(np.random.default_rng(4).bytes(5600), "<f8"),
+        "zeros": np.zeros((100, 7)),
+        "few rows": table[:5],
+        "cut off": table.ravel()[:-1],
+        "time stands still": np.column_stack([table[:, :6], np.repeat(table[::2, 6], 2)]),
+    }
+
+
+@pytest.mark.parametrize("case", _other_binaries())
+def test_other_binary_files_are_not_taken_for_psins(tmp_path, case):
+    _other_binaries()[case].astype("<f8").tofile(tmp_path / "a.bin")
+    with pytest.raises(InputError, match=r"was not recognised: name it with --format, as one of .*psins"):
+        import_file(tmp_path / "a.bin")
+
+
 @pytest.mark.parametrize("kind", ["text", "matlab"])
 def test_psins_without_time_asks_for_the_rate(tmp_path, kind):
     path = tmp_path / {"text": "a.imu", "matlab": "a.mat"}[kind]

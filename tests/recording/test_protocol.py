@@ -32,10 +32,28 @@ def test_nineteen_positions_are_those_of_the_literature():
     assert protocol.total_s == 60.0 + 18 * 9.0 + 60.0 + 17 * 20.0
 
 
-@pytest.mark.parametrize("name", ["table-1", "six-face-tumble", "ferraris", "two-axis-table"])
-def test_protocols_of_the_fixture_run_on_it(name):
+@pytest.mark.parametrize(
+    ("name", "stated"),
+    [
+        *((name, True) for name in ("table-1", "six-face-tumble", "ferraris", "two-axis-table")),
+        *((name, False) for name in ("7-positions", "11-positions", "19-positions")),
+    ],
+)
+def test_protocols_of_the_fixture_run_on_it(name, stated):
+    """Without a stated axis along the outer axis, one is found with which the fixture can run all steps."""
     protocol = load_protocol(name)
+    assert protocol.states_attitudes is stated
     assert len(protocol.on_fixture()) == len(protocol.steps)
+
+
+def test_the_axis_along_the_outer_axis_is_found_for_each_placing():
+    steps = {"down": "z"}, {"rotations": [["x", 90.0]]}, {"down": "x"}, {"rotations": [["y", 90.0], ["z", -90.0]]}
+    assert [(down, outer) for down, outer, _ in protocol(*steps).on_fixture()] == [
+        ("z", "x"),
+        ("z", "x"),
+        ("x", "y"),
+        ("x", "y"),
+    ]
 
 
 def protocol(*steps, **main):
@@ -48,7 +66,7 @@ LEVEL = {"down": "z", "along_outer": "y"}
 @pytest.mark.parametrize(
     ("steps", "said"),
     [
-        ([{"down": "z"}], "step 1 .*does not say which IMU axis is along the outer axis"),
+        ([{"down": "z"}, {"rotations": [["x", 90.0], ["y", 90.0]]}], r"step 2 .*leave \[fixture\] out"),
         ([{"down": [1.0, 1.0, 0.0], "along_outer": "y"}], "step 1 .*down is not an IMU axis"),
         ([{"down": "x", "along_outer": "z"}], "step 1 .*z is the inner axis"),
         ([{"down": "y", "along_outer": "y"}], "step 1 .*y is vertical"),

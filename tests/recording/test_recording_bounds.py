@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 import zipfile
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from srt.recording.import_options import ImportOptions
 from srt.recording.imported_samples import to_recording
 from srt.recording.importer_registry import import_file
 from srt.recording.samples import ACCEL_COLUMNS, GYRO_COLUMNS, read_samples
+from srt.recording.schema import FIXTURE_KEYS, IMU_KEYS, SECTIONS, SITE_KEYS, read_section
 from srt.reports.certificate import load_acceptance_limits
 from srt.reports.certificate.calibration_file import calibration_file
 
@@ -88,8 +90,8 @@ NESTED = "serial = " + "[" * 200_000 + "]" * 200_000
     ("line", "reason"),
     [
         (f"sample_rate_hz = {DIGITS}", "a number in it has more than 4300 digits"),
-        (f"sample_rate_hz = {DIGITS[:4300]}", "9999..., but a positive number in Hz"),
-        ("sample_rate_hz = 0x" + "f" * 9000, "an integer of more than 4300 digits, but a positive number in Hz"),
+        (f"sample_rate_hz = {DIGITS[:4300]}", "9999..., but a positive number of at most 1e+06 in Hz"),
+        ("sample_rate_hz = 0x" + "f" * 9000, "an integer of more than 4300 digits, but a positive number of at most"),
         (NESTED, "its values are nested too deep"),
         (".".join("a" * 100_000) + " = 1", "a key in line 5 has more than 32 parts"),
         ("[" + ". ".join(["a-b"] * 50_000) + "]", "a key in line 5 has more than 32 parts"),
@@ -104,6 +106,40 @@ NESTED = "serial = " + "[" * 200_000 + "]" * 200_000
 )  # fmt: skip
 def test_toml(tmp_path, line, reason):
     assert reason in refusal(load_recording, folder(tmp_path, toml=TOML.replace("[site]", f"{line}\n[site]")))
+
+
+@pytest.mark.parametrize("section", ["recording", "site", "fixture", "imu", "imu.applied"])
+def test_every_number_has_an_upper_bound(section):
+    """A value of 1e300 overflows in the covariance of the windows."""
+    for key in SECTIONS[section]:
+        for value in (1e300, [1e300] * 3, [1e300] * 9, 10**300):
+            with pytest.raises(InputError, match=rf"{section}\.{key.name} is "):
+                read_section("x.toml", section, {key.name: value}, SECTIONS[section])
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [("rotations", [["x", 1e300]]), ("rate_deg_s", ["x", 1e300]), ("rate_sigma_ppm", 1e300)],
+)
+def test_every_number_of_a_sequence_has_an_upper_bound(key, value):
+    with pytest.raises(InputError, match=rf"sequence\[1\].{key} is "):
+        read_section("x.toml", "sequence[1]", {key: value}, SECTIONS["sequence"])
+
+
+def test_the_classes_have_the_bounds_of_the_file():
+    for keys, make in ((IMU_KEYS, srt.ImuNoise), (FIXTURE_KEYS, srt.Fixture), (SITE_KEYS, partial(srt.Site, 9.8))):
+        for name in (key.attribute for key in keys if key.attribute not in (None, "gravity_m_s2")):
+            for value in (1e300, "1", [1.0]):
+                with pytest.raises(InputError, match=name):
+                    make(**{name: value})
+
+
+def test_copies_of_a_label_are_refused_at_once(tmp_path):
+    """The diagnosis of 20,000 copies takes a minute and 2 GB."""
+    label = "[[sequence]]\nstart_static_s = [0.0, 0.1]\nend_static_s = [0.15, 0.25]\n"
+    assert load_recording(folder(tmp_path, toml=TOML + label)).sequences
+    twice = folder(tmp_path, toml=TOML + 2 * label)
+    assert "rotate while The free turn at 0 s still does" in refusal(load_recording, twice)
 
 
 def test_a_long_text_with_dots_is_no_key(tmp_path):

@@ -92,7 +92,7 @@ def test_the_good_folder_is_good(folder):
         ("sqrt_h = 0.002", "sqrt_h = 1" + "0" * 400, ["gyro_noise_deg_per_sqrt_h is 1000", "..."]),
         ('kind = "rate"', 'kind = "rates"', ['recording.kind is the text "rates"', '"increment"']),
         ('time_unit = "s"', 'time_unit = "min"', ['"min"', '"ms"']),
-        ('time_unit = "s"', "sample_rate_hz = 0", ["sample_rate_hz is 0", "positive number in Hz"]),
+        ('time_unit = "s"', "sample_rate_hz = 0", ["sample_rate_hz is 0", "positive number of at most 1e+06 in Hz"]),
         ('time_unit = "s"', "sample_rate_hz = 200", ["sample_rate_hz is 200", "0.01 s per sample"]),
         ('time_unit = "s"', "serial = 5", ["recording.serial is 5", "a text in quotes"]),
         ('id = "2"', "id = 2", ["sequence[2].id is 2", "a text in quotes"]),

@@ -58,7 +58,7 @@ def test_numbers_on_the_page_are_those_of_the_file(saved, plain_page, tmp_path, 
             assert SYMBOLS[INDEX[stated["name"]]] in read.text.split("Fixed, not measured")[1]
     for word in ("SN-1", "2026-05-04", "45°", "23.2 °C", "range 1.5 °C", f"{1:064x}", "test 0.1.0", source.sha256):
         assert word in read.text
-    assert f"{27 - len(held)} of 27 parameters were measured" in read.text
+    assert f"{27 - len(held)} of 27 parameters were estimated" in read.text
 
 
 def test_matrices_to_apply_are_those_of_the_reading_model(saved, plain_page):

@@ -26,12 +26,13 @@ def written(folder, text, name="lab.toml"):
     return folder / name
 
 
-def test_missing_statements_are_marked(saved):
+def test_missing_statements_are_one_sentence(saved):
     made = make_certificate(saved(calibration()))
-    assert len(made.parties) == sum(map(len, SECTIONS.values()))
-    assert {text for _, text in made.parties} == {NOT_STATED}
-    assert {cell.text for row in made.equipment.rows for cell in row} == {NOT_STATED}
-    assert {row[3].text for row in made.references.rows} == {NOT_STATED}
+    assert made.parties == ()
+    assert made.equipment is None
+    whole = ("certificate number and date of issue", *list(SECTIONS)[1:], "equipment", "origin of the references")
+    assert made.missing == f"Not stated: {', '.join(whole)}."
+    assert len(made.references.head) == 3
     assert made.references.rows[3][2].text == NOT_STATED  # no time base was stated
 
 
@@ -57,7 +58,11 @@ def test_statements_and_coverage_are_those_of_the_file(saved, tmp_path):
     made = make_certificate(saved(calibration()), laboratory=lab)
     stated = dict(made.parties)
     assert (stated["Certificate number"], stated["Date of issue"], stated["Laboratory"]) == ("42", "2026-11-22", "Lab")
-    assert stated["Customer"] == NOT_STATED
+    assert "Customer" not in stated
+    missing = made.missing.removeprefix("Not stated: ").removesuffix(".").split(", ")
+    assert missing[:4] == ["address of the laboratory", "accreditation", "customer", "operator"]
+    assert missing[-3:] == ["origin of latitude", "origin of heading of the fixture", "origin of time base"]
+    assert not {"certificate number", "laboratory", "equipment", "origin of gravity"} & set(missing)
     assert [cell.text for cell in made.equipment.rows[0]] == ["fixture", "F-3", NOT_STATED, NOT_STATED]
     assert made.references.rows[0][3].text == "report G-17"
     assert made.parameters.head[4] == "U (k = 3)"

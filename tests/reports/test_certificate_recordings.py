@@ -142,6 +142,21 @@ def test_a_free_recording(saved, plain_page):
     assert "no serial" in read.text
 
 
+def test_tables_of_many_columns_fit_the_page(saved, monkeypatch):
+    """Sources beyond those of a plain test; a column as narrow as nothing took forever to set."""
+    monkeypatch.setattr(pdf, "certificate_figures", lambda certificate: ())
+    result = calibration()
+    sources = {f"accelerometer drift {'form ' * k}{k}": result.sigma / 5.0 for k in range(25)}
+    made = make_certificate(saved(replace(result, contributions=sources)))
+    document = pdf._Document("x")
+    _, widths = document._fitted(made.budget)
+    assert len(widths) == 29
+    assert sum(widths) == pytest.approx(document.epw)
+    assert min(widths) > 3.0  # two digits of the smallest letters
+    pdf._write(made, document)
+    assert document.output()
+
+
 def test_the_pdf_holds_any_text_and_the_same_certificate_makes_the_same_file(saved, tmp_path, monkeypatch):
     monkeypatch.setattr(pdf, "certificate_figures", lambda certificate: ())
     hostile = "<b>" + "long" * 60 + " 測試 $x$ **bold** {nb} \\ )"

@@ -56,6 +56,9 @@ def edited(calibration, **changes):
         ({"status": "fine"}, "status"),
         ({"covariance": [[0.0]]}, "covariance"),
         ({"parameters": []}, "27 sensor errors"),
+        ({"temperature": {"mean_c": 25.0}}, "mean_c and range_c .* write null"),
+        ({"temperature": {"mean_c": 25.0, "range_c": -1.0}}, "range not negative"),
+        ({"temperature": 25.0}, "mean_c and range_c"),
     ],
 )
 def test_inconsistent_files_are_refused(calibration, tmp_path, change, fragment):
@@ -160,8 +163,8 @@ def test_repeated_sequences_are_all_used(unit):
     result = srt.calibrate(read_out(motion, truth))
     assert [r.occurrence for r in result.residuals if r.sequence == "1"] == [1] * 4 + [2] * 4
     assert np.abs(accuracy_trials.error_in_quoted_units(result, truth))[:24].max() < 1e-8
-    with pytest.raises(srt.DataError, match="labelled twice"):
-        srt.calibrate(recording.with_sequences(recording.sequences + recording.sequences[:1]))
+    with pytest.raises(srt.InputError, match="labelled twice"):
+        recording.with_sequences(recording.sequences + recording.sequences[:1])
 
 
 def test_fixed_values_widen_the_parameters_that_depend_on_them():

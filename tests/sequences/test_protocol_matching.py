@@ -56,6 +56,15 @@ def test_labels_are_those_of_the_simulator(name, fixture, grade):
             assert expected.steady_s[0] <= label.steady_s[0] < label.steady_s[1] <= expected.steady_s[1]
 
 
+@pytest.mark.parametrize("name", ["rate-table", "7-positions"])
+def test_a_protocol_without_attitudes_labels_a_recording_that_states_a_fixture(name):
+    """The attitudes on the fixture are not known then, and are not used."""
+    recording = replace(unlabelled(name, grade="consumer-mems"), fixture=srt.Fixture(0.0))
+    assert recording.protocol is not None
+    found, true = protocol_labels(recording, recording.protocol), simulated(name, "consumer-mems").recording
+    assert [content(label) for label in found] == [content(label) for label in true.sequences]
+
+
 @pytest.mark.parametrize(
     ("name", "of", "said"),
     [
@@ -81,9 +90,6 @@ def test_a_recording_that_ends_early_names_the_step_that_is_missing():
 
 
 def test_a_protocol_that_the_fixture_cannot_run_is_refused():
-    recording = unlabelled("ferraris", "rate-table", fixture=True)
-    with pytest.raises(InputError, match=r"Step 1 .*cannot run on a two-axis fixture"):
-        srt.calibrate(recording)
     with pytest.raises(InputError, match=r"Step 1 .*cannot run on a two-axis fixture"):
         simulated("rate-table", fixture=True)
 

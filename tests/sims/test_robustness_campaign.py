@@ -2,10 +2,12 @@
 
 import os
 import signal
+import socket
 import subprocess
 import sys
 import threading
 import time
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -384,6 +386,25 @@ def test_missing_scheduler_is_reported(small, tmp_path, monkeypatch):
     monkeypatch.setattr("srt.comparison.parallel._CONNECT_S", 0.5)
     with pytest.raises(InputError, match="No Dask scheduler answers at"):
         run_campaign(small(), tmp_path / "a", engine=Engine(scheduler="tcp://127.0.0.1:9"))
+
+
+def test_another_service_at_the_address_of_a_scheduler_is_reported(small, tmp_path, monkeypatch):
+    """Dask takes its first bytes as the length of a message, and asks for so much memory."""
+    pytest.importorskip("distributed")
+    monkeypatch.setattr("srt.comparison.parallel._CONNECT_S", 0.5)
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def answer():
+            with suppress(OSError):
+                while True:
+                    connection = server.accept()[0]
+                    connection.sendall(b"HTTP/1.1 400 Bad Request\r\nContent-Length: 0\r\n\r\n")
+                    connection.close()
+
+        threading.Thread(target=answer, daemon=True).start()
+        address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
+        with pytest.raises(InputError, match="No Dask scheduler answers at"):
+            run_campaign(small(), tmp_path / "a", engine=Engine(scheduler=address))
 
 
 def test_workers_cannot_be_negative():

@@ -59,6 +59,10 @@ def test_shipped_scenarios_run(name):
     json.dumps(simulation.truth_dict(), allow_nan=False)
 
 
+def test_the_seed_is_1_if_absent():
+    assert build(seed=None) == build(seed=1)
+
+
 @pytest.mark.parametrize("folder", ["imu", "fixture", "site"])
 def test_shipped_parts_load(folder):
     assert library.names(folder)
@@ -96,7 +100,6 @@ def test_grades_convert_to_si():
         ({"recording": {"rate_hz": 1.0}}, "unknown key 'rate_hz'"),
         ({"free": {"turn": 1}}, "unknown key 'turn' in .free."),
         ({"errors": {"values": {"gyro_scal_x": 1.0}}}, "write 'gyro_scale_x'"),
-        ({"seed": None}, "'seed' is missing from the top level"),
         ({"site": None}, "'site' is missing"),
         ({"schedule": None}, r"one of a \[schedule\]"),
         ({"fixture": None}, r"needs a \[fixture\]"),

@@ -193,7 +193,7 @@ def test_refusals():
     unit = calibrated()
     with pytest.raises(srt.InputError, match="0 samples"):
         preintegrate(unit, np.zeros((0, 3)), np.zeros((0, 3)), DT)
-    with pytest.raises(srt.InputError, match="does not state gyro_noise"):
+    with pytest.raises(srt.InputError, match="does not state the white noise of the gyro"):
         preintegrate(replace(unit, noise={}), *samples(), DT)
 
 

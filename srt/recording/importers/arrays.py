@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -16,7 +16,6 @@ from srt.recording.importer_registry import Importer, head
 from srt.recording.importers.channels import assign, listed, with_temperature
 from srt.recording.importers.parser_errors import clear_errors
 from srt.recording.samples import TEMPERATURE, TIME
-from srt.recording.schema import TIME_UNITS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -39,6 +38,9 @@ _SENSOR_COLUMNS = 6
 _MOST_ARRAYS = 10_000
 """Datasets of an HDF5 file that are listed; those of a log number some hundreds."""
 
+_PANDAS_INDEX = "__index_level_0__"
+"""Column in which pandas writes an index without a name."""
+
 _NUMBERS = "fiu"
 """Kinds of NumPy's types that hold readings."""
 
@@ -54,14 +56,24 @@ class ArrayFile:
         Shapes of all arrays of numbers; nested names are separated by "/". A single array without a name has "".
     read : callable
         Returns an array by its name.
+    units : mapping of str to str
+        Units that the file states for its arrays, as it spells them.
     """
 
     path: Path
     shapes: Mapping[str, tuple[int, ...]]
     read: Callable[[str], NDArray[Any]]
+    units: Mapping[str, str] = field(default_factory=dict)
 
 
-def samples_from_arrays(file: ArrayFile, options: ImportOptions, stated: StatedUnits | None = None) -> ImportedSamples:
+def samples_from_arrays(
+    file: ArrayFile,
+    options: ImportOptions,
+    stated: StatedUnits | None = None,
+    *,
+    sample_rate_hz: float | None = None,
+    notes: tuple[str, ...] = (),
+) -> ImportedSamples:
     """Make samples of named arrays: one for each channel, one for each sensor, or one for all.
 
     Parameters
@@ -70,7 +82,11 @@ def samples_from_arrays(file: ArrayFile, options: ImportOptions, stated: StatedU
     options : ImportOptions
         ``variable`` names a group, or the one array that holds all columns.
     stated : StatedUnits, optional
-        Units that the format defines.
+        Units that the format defines; None: those that the file states for its arrays or in their names.
+    sample_rate_hz : float, optional
+        Rate by the file.
+    notes : tuple of str
+        Notes of the reader.
 
     Returns
     -------
@@ -97,24 +113,31 @@ def samples_from_arrays(file: ArrayFile, options: ImportOptions, stated: StatedU
             f"{file.path} holds no array of samples{f' in {options.variable}' if prefix else ''} "
             f"(found: {_listed(file)}): name one with {option('variable')}."
         )
-    found = assign(file.path, [each.removeprefix(prefix) for each in names], len(names), options.columns, arrays=True)
-    notes = list(found.notes)
-    table = {channel: _oriented(file, names[i], channel, notes) for channel, i in found.columns.items()}
+    found = assign(
+        file.path,
+        [each.removeprefix(prefix) for each in names],
+        len(names),
+        options.columns,
+        arrays=True,
+        units=[file.units.get(each) for each in names],
+    )
+    units = {channel: file.units.get(names[i]) for channel, i in found.columns.items()}
+    remarks = [*notes, *found.notes]
+    table = {channel: _oriented(file, names[i], channel, remarks) for channel, i in found.columns.items()}
     rows = {channel: len(values) for channel, values in table.items()}
     if len(set(rows.values())) > 1:
         shown = ", ".join(f"{channel} {count}" for channel, count in rows.items())
         raise InputError(f"{file.path}: the arrays are of different lengths ({shown}), but they must agree.")
-    time, time_unit = _as_stamps(table.get(TIME))
-    header = stated or found.stated
     return samples_in_si(
         options,
         gyro=_sensor(table, "gyro"),
         accel=_sensor(table, "accel"),
-        time=time,
-        stated=StatedUnits(header.gyro, header.accel, time_unit or header.time),
+        time=table.get(TIME),
+        stated=stated or found.stated,
         kind=None if options.kind is not None else found.kind,
+        sample_rate_hz=None if TIME in table else sample_rate_hz,
         temperature=table.get(TEMPERATURE),
-        notes=with_temperature(tuple(notes), table),
+        notes=with_temperature(tuple(remarks), table, units.get(TEMPERATURE)),
     )
 
 
@@ -200,7 +223,7 @@ def _is_columns(shape: tuple[int, ...]) -> bool:
 def _oriented(file: ArrayFile, name: str, channel: str, notes: list[str]) -> NDArray[Any]:
     """An array as (n,), or as (n, 3) for a sensor."""
     values = file.read(name)
-    if values.dtype.kind not in _NUMBERS + "M":
+    if values.dtype.kind not in _NUMBERS + "mM":
         raise InputError(f"{file.path}: {name} is of type {values.dtype}, but numbers are expected.")
     if channel not in TRIADS:
         if values.size != max(values.shape, default=0):
@@ -218,16 +241,6 @@ def _sensor(table: Mapping[str, NDArray[Any]], sensor: str) -> Array:
     if sensor in table:
         return np.asarray(table[sensor], dtype=np.float64)
     return np.column_stack([table[name] for name in TRIADS[sensor]]).astype(np.float64, copy=False)
-
-
-def _as_stamps(time: NDArray[Any] | None) -> tuple[NDArray[Any] | None, str | None]:
-    """NumPy's dates as integers, with their unit."""
-    if time is None or time.dtype.kind != "M":
-        return time, None
-    unit, count = np.datetime_data(time.dtype)
-    if unit not in TIME_UNITS or count != 1:
-        time, unit = time.astype("datetime64[ns]"), "ns"
-    return time.astype(np.int64), unit
 
 
 def _listed(file: ArrayFile) -> str:
@@ -270,7 +283,7 @@ def _npz_shape(archive: Any, name: str) -> tuple[tuple[int, ...], bool]:
         version = np.lib.format.read_magic(stream)
         read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
         shape, _, dtype = read(stream)
-    return tuple(int(n) for n in shape), dtype.kind in _NUMBERS + "M"
+    return tuple(int(n) for n in shape), dtype.kind in _NUMBERS + "mM"
 
 
 def _read_hdf5(path: Path, options: ImportOptions) -> ImportedSamples:
@@ -308,6 +321,7 @@ def open_hdf5(path: Path, title: str, *, matlab: bool = False) -> Iterator[Array
         file = h5py.File(path, "r")
     try:
         shapes: dict[str, tuple[int, ...]] = {}
+        units: dict[str, str] = {}
 
         def note(name: str, node: Any) -> bool | None:
             text = matlab and node.attrs.get("MATLAB_class") in (b"char", b"cell", b"logical")
@@ -320,6 +334,9 @@ def open_hdf5(path: Path, title: str, *, matlab: bool = False) -> Iterator[Array
                 and not text
             ):
                 shapes[name] = node.shape[::-1] if matlab else node.shape
+                unit = _unit_attribute(h5py, node.attrs)
+                if unit:
+                    units[name] = unit
             # A value other than None ends the visit.
             return True if len(shapes) >= _MOST_ARRAYS else None
 
@@ -332,9 +349,22 @@ def open_hdf5(path: Path, title: str, *, matlab: bool = False) -> Iterator[Array
 
         with clear_errors(path, title):
             file.visititems(note)
-        yield ArrayFile(path, shapes, read)
+        yield ArrayFile(path, shapes, read, units)
     finally:
         file.close()
+
+
+def _unit_attribute(h5py: Any, attributes: Any) -> str | None:
+    """Text of the attribute "units" of a dataset; None if there is none, or something else than one text."""
+    for name in ("units", "unit"):
+        if name not in attributes:
+            continue
+        attribute = attributes.get_id(name)
+        if h5py.check_string_dtype(attribute.dtype) is None or attribute.shape not in ((), (1,)):
+            continue
+        value = np.asarray(attributes[name]).item()
+        return (value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)).strip()
+    return None
 
 
 def _read_parquet(path: Path, options: ImportOptions) -> ImportedSamples:
@@ -346,22 +376,24 @@ def _read_parquet(path: Path, options: ImportOptions) -> ImportedSamples:
             guard_parquet(path, file.metadata, path.stat().st_size)
             types = {field.name: field.type for field in file.schema_arrow}
             rows = int(file.metadata.num_rows)
-        numbers = {
-            name: (rows,)
-            for name, kind in types.items()
-            if pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_timestamp(kind)
-        }
+        stamps = {name: "M8" for name, kind in types.items() if pa.types.is_timestamp(kind)}
+        stamps |= {name: "m8" for name, kind in types.items() if pa.types.is_duration(kind)}
+        kept = [name for name, kind in types.items() if pa.types.is_floating(kind) or pa.types.is_integer(kind)]
+        columns = {name: name for name in (*kept, *stamps)}
+        if _PANDAS_INDEX in stamps and TIME not in columns:
+            columns[TIME] = columns.pop(_PANDAS_INDEX)
 
-        def read(name: str) -> NDArray[Any]:
+        def read(shown: str) -> NDArray[Any]:
+            name = columns[shown]
             with clear_errors(path, "Parquet file"):
                 column = file.read(columns=[name]).column(0)
-                if pa.types.is_timestamp(types[name]):
-                    stamps: NDArray[Any] = column.cast(pa.int64()).to_numpy().astype(f"M8[{types[name].unit}]")
-                    return stamps
+                if name in stamps:
+                    ticks: NDArray[Any] = column.cast(pa.int64()).to_numpy()
+                    return ticks.astype(f"{stamps[name]}[{types[name].unit}]")
                 values: NDArray[Any] = column.to_numpy()
             return values
 
-        return samples_from_arrays(ArrayFile(path, numbers, read), options)
+        return samples_from_arrays(ArrayFile(path, dict.fromkeys(columns, (rows,)), read), options)
 
 
 def _starts_with(*magics: bytes) -> Callable[[Path], bool]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import TYPE_CHECKING, Final
 
@@ -54,6 +54,9 @@ _SUFFIX_UNITS: Final = {
 }  # fmt: skip
 _PREFIXES: Final = ("field", "imu")
 """First words of names that carry no meaning: "field.angular_velocity.x" of rostopic."""
+
+_LONGEST_LIST = 800
+"""Characters of the list of all columns, where some have to be chosen: names of some forty."""
 
 _BRACKETS = re.compile(r"[\[(]([^\])]*)[\])]")
 
@@ -109,6 +112,11 @@ def _words(text: str) -> list[str]:
 def listed(names: Sequence[str], none: str = "none") -> str:
     """The first twelve names of a file, for a message."""
     return ", ".join(map(clipped, names[:12])) + (" ..." if len(names) > 12 else "") if names else none
+
+
+def _all_listed(names: Sequence[str]) -> str:
+    """All names of a file, as far as a message may hold them."""
+    return clipped(", ".join(map(clipped, names)), _LONGEST_LIST) if names else "none has a name"
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,6 +197,7 @@ def assign(
     *,
     arrays: bool = False,
     kind: Kind | None = None,
+    units: Sequence[str | None] = (),
 ) -> ColumnAssignment:
     """Find the columns of all channels.
 
@@ -206,6 +215,8 @@ def assign(
         True: a column may be an array of three columns, "gyro" or "accel".
     kind : "rate" or "increment", optional
         Columns that are read where a table has both; rates if left out.
+    units : sequence of str or None, optional
+        Unit that the file states for each column beside its name; an unknown one is kept, for an error or a note.
 
     Returns
     -------
@@ -214,11 +225,9 @@ def assign(
     Raises
     ------
     InputError
-        Columns that are absent, not recognised, or ambiguous.
+        Columns that are absent, not recognised, or ambiguous, or whose units contradict each other.
     """
-    columns: dict[str, int] = {}
-    for channel, column in wanted.items():
-        columns.update(_given(path, names, width, channel, column, arrays=arrays))
+    columns = _all_given(path, names, width, wanted, arrays=arrays)
     notes: list[str] = []
     both = False
     meanings = [meaning_of(name) for name in names]
@@ -255,6 +264,8 @@ def assign(
     if renamed:
         notes.append(f"Columns: {', '.join(renamed)}.")
     used = {channel: meanings[i] for channel, i in columns.items() if names}
+    for channel, i in columns.items() if units else ():
+        used[channel] = _with_unit(path, channel, names[i], used[channel], units[i])
     stated = StatedUnits(*(_common_unit(path, sensor, used) for sensor in ("gyro", "accel", TIME)))
     of_sensors = {meaning.kind for channel, meaning in used.items() if meaning and channel not in NO_SENSOR}
     return ColumnAssignment(columns, stated, "increment" if of_sensors == {"increment"} else None, tuple(notes))
@@ -264,60 +275,88 @@ NO_SENSOR: Final = (TIME, TEMPERATURE)
 """Channels that belong to no sensor."""
 
 
-def with_temperature(notes: tuple[str, ...], columns: Mapping[str, object]) -> tuple[str, ...]:
-    """Add a note on the unit of the temperature, if a column has the temperature."""
-    return (*notes, "Temperature is assumed to be in °C.") if TEMPERATURE in columns else notes
+def with_temperature(
+    notes: tuple[str, ...], columns: Mapping[str, object], stated: str | None = None
+) -> tuple[str, ...]:
+    """Add a note on the unit of the temperature, if a column has the temperature; the file may state a unit."""
+    if TEMPERATURE not in columns:
+        return notes
+    return (
+        *notes,
+        f"Temperature is read in °C; the file states {clipped(stated)}."
+        if stated
+        else "Temperature is assumed to be in °C.",
+    )
 
 
-def _given(
-    path: Path, names: Sequence[str], width: int, channel: str, column: str | int, *, arrays: bool
+def _all_given(
+    path: Path, names: Sequence[str], width: int, wanted: Mapping[str, str | int], *, arrays: bool
 ) -> dict[str, int]:
-    """Positions of a channel given by the user; for a sensor, three adjacent or named alike but for the axis."""
+    """Positions of the channels given by the user. Raises InputError that names all columns that are absent."""
+    given: dict[str, str | int] = {}
+    for channel, column in wanted.items():
+        given.update(_given(names, channel, column, arrays=arrays))
+    columns = {channel: _position(names, column) for channel, column in given.items()}
+    absent = []
+    for channel, column in given.items():
+        place = columns[channel]
+        if place is None:
+            absent.append(f"{column}{did_you_mean(str(column), [clipped(name) for name in names])}")
+        elif not 0 <= place < width:
+            raise InputError(f"{path} has {width} columns, but column {column} was asked for: columns count from 1.")
+    if absent:
+        raise InputError(f"{path} has no column {', '.join(absent)} (found: {_all_listed(names)}): name one of those.")
+    return {channel: place for channel, place in columns.items() if place is not None}
+
+
+def _given(names: Sequence[str], channel: str, column: str | int, *, arrays: bool) -> dict[str, str | int]:
+    """Columns of a channel given by the user; for a sensor, three adjacent or named alike but for the axis."""
     triad = TRIADS.get(channel)
     if triad is None or (arrays and (isinstance(column, int) or column in names)):
-        return {channel: _position(path, names, width, column)}
+        return {channel: column}
     if isinstance(column, int):
-        return {each: _position(path, names, width, column + i) for i, each in enumerate(triad)}
-    result = {}
+        return {each: column + i for i, each in enumerate(triad)}
+    result: dict[str, str | int] = {}
     for each, axis in zip(triad, AXES, strict=True):
         spelled = [f"{column}{mark}{axis}" for mark in ("_", "", ".", " ", "-")]
-        result[each] = _position(path, names, width, next((s for s in spelled if s in names), spelled[0]))
+        result[each] = next((s for s in spelled if s in names), spelled[0])
     return result
 
 
-def _position(path: Path, names: Sequence[str], width: int, column: str | int) -> int:
+def _position(names: Sequence[str], column: str | int) -> int | None:
+    """Position of a column, from 0; None if no column has this name."""
     if isinstance(column, int):
-        if not 1 <= column <= width:
-            raise InputError(f"{path} has {width} columns, but column {column} was asked for: columns count from 1.")
         return column - 1
     for spelling in (str, lambda name: _BRACKETS.sub("", name).strip().lower()):
         hits = [i for i, name in enumerate(names) if spelling(name) == spelling(column)]
         if hits:
             return hits[0]
-    hint = did_you_mean(column, [clipped(name) for name in names])
-    raise InputError(
-        f"{path} has no column {column}{hint} (found: {listed(names, 'none has a name')}): name one of those."
-    )
+    return None
 
 
 def _require_all(path: Path, names: Sequence[str], width: int, columns: Mapping[str, int], *, arrays: bool) -> None:
+    missing: list[str] = []
     for sensor, triad in TRIADS.items():
         if arrays and sensor in columns:
             continue
-        missing = [channel for channel in triad if channel not in columns]
-        if not missing:
-            continue
-        if not names:
-            raise InputError(
-                f"{path} has no column names: list its {width} columns in their order, such as "
-                f"{option('columns')} time,gyro,accel (- for a column that is not read); or give {option('format')} "
-                "psins or kf-gins for a file of those."
-            )
-        example = f"{missing[0]}=NAME" if len(missing) < 3 or not arrays else f"{sensor}=NAME"
+        absent = [channel for channel in triad if channel not in columns]
+        # An array of three columns is one name.
+        missing += [sensor] if arrays and len(absent) == len(triad) else absent
+    if not missing:
+        return
+    if not names:
         raise InputError(
-            f"{path}: no column was recognised as {missing[0]} (found: {listed(names)}): "
-            f"name it with {option('columns')} {example}."
+            f"{path} has no column names: list its {width} columns in their order, such as "
+            f"{option('columns')} time,gyro,accel (- for a column that is not read); or give {option('format')} "
+            "psins or kf-gins for a file of those."
         )
+    channels = [*([] if TIME in columns else [TIME]), *missing]
+    line = ",".join(f"{channel}=NAME" for channel in channels)
+    raise InputError(
+        f"{path}: no column was recognised as {', '.join(channels)} (found: {_all_listed(names)}): give "
+        f"{option('columns')} '{line}' with a name found, or its number from 1, for each NAME"
+        f"{f' (leave {TIME} out if there are no stamps)' if TIME in channels else ''}."
+    )
 
 
 def _fits(channel: str, unit: str | None) -> bool:
@@ -326,6 +365,24 @@ def _fits(channel: str, unit: str | None) -> bool:
     if sensor in SENSOR_UNITS:
         return unit == COUNTS or any(unit in units for units in SENSOR_UNITS[sensor].values())
     return channel == TIME and unit in TIME_UNITS
+
+
+def _with_unit(
+    path: Path, channel: str, name: str, meaning: ColumnMeaning | None, text: str | None
+) -> ColumnMeaning | None:
+    """Meaning of a column with the unit that the file states beside its name."""
+    if not text:
+        return meaning
+    # "seconds since 1970-01-01", by the CF conventions
+    unit = normal_unit(text.partition(" since ")[0] if channel == TIME else text)
+    if meaning is None:
+        return ColumnMeaning(channel, unit)
+    if meaning.unit not in (None, unit):
+        raise InputError(
+            f"{path}: the name of {clipped(name)} states {meaning.unit}, but its attribute states {clipped(unit)}: "
+            "correct one of them."
+        )
+    return replace(meaning, unit=unit)
 
 
 def _common_unit(path: Path, sensor: str, used: Mapping[str, ColumnMeaning | None]) -> str | None:

@@ -14,7 +14,7 @@ from srt.recording.import_options import ImportOptions, option
 from srt.recording.imported_samples import ImportedSamples, StatedUnits, join_streams, samples_in_si, seconds_of
 from srt.recording.importer_registry import Importer, head
 from srt.recording.importers.channels import ColumnAssignment, assign, listed, meaning_of, with_temperature
-from srt.recording.importers.text_tables import TableLayout, find_layout, read_table
+from srt.recording.importers.text_tables import TableLayout, find_layout, is_date, read_table
 from srt.recording.samples import ACCEL_COLUMNS, GYRO_COLUMNS, TEMPERATURE, TIME
 
 if TYPE_CHECKING:
@@ -71,11 +71,12 @@ def read_csv_table(
     if published is not None:
         kind = found.kind or "rate"
         stated = published.get(kind)
-    if options.sample_rate_hz is not None and TIME in found.columns and TIME not in options.columns:
+    dates = TIME if TIME in found.columns and is_date(layout.cells[found.columns[TIME]]) else None
+    if options.sample_rate_hz is not None and TIME in found.columns and TIME not in options.columns and not dates:
         found = _without_doubtful_time(found, options, stated)
     if TIME in found.columns:
         found = _without_unusable_time(path, layout, found, options.sample_rate_hz or sample_rate_hz)
-    table = read_table(path, layout, found.columns, integers=TIME)
+    table = read_table(path, layout, found.columns, integers=TIME, dates=dates)
     commas = ("Decimal commas were found, and read as points.",) if layout.decimal_comma > options.decimal_comma else ()
     return samples_in_si(
         options,

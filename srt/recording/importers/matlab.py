@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from srt.exceptions import InputError
+from srt.recording.import_options import option
+from srt.recording.imported_samples import StatedUnits
 from srt.recording.importer_registry import Importer, head
 from srt.recording.importers.arrays import ARRAY_OPTIONS, HDF5_MAGIC, ArrayFile, open_hdf5, samples_from_arrays
+from srt.recording.importers.channels import listed
 from srt.recording.importers.child_process import in_child
 from srt.recording.importers.parser_errors import clear_errors
+from srt.recording.samples import TIME
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -66,7 +72,18 @@ def open_matlab(path: Path) -> Iterator[ArrayFile]:
 def read_matlab(path: Path, options: ImportOptions) -> ImportedSamples:
     """Read a MATLAB file in this process. Raises InputError."""
     with open_matlab(path) as file:
-        return samples_from_arrays(file, options)
+        struct = None if options.columns else _navego_struct(file, options.variable)
+        if struct is None:
+            return samples_from_arrays(file, options)
+        timed = f"{struct}/t" in file.shapes
+        rate = file.read(f"{struct}/freq").ravel()[:1].tolist() if f"{struct}/freq" in file.shapes else []
+        return samples_from_arrays(
+            file,
+            replace(options, variable=struct, columns={"gyro": "wb", "accel": "fb"} | ({TIME: "t"} if timed else {})),
+            StatedUnits("rad/s", "m/s^2", "s" if timed else None),
+            sample_rate_hz=next((value for value in rate if 0.0 < value < np.inf), None),
+            notes=(f"{struct} is a struct of NaveGo: wb are rates in rad/s, fb specific forces in m/s².",),
+        )
 
 
 def is_matlab(path: Path) -> bool:
@@ -78,6 +95,23 @@ def is_level_73(path: Path) -> bool:
     """True for an HDF5 file, with MATLAB's header before it or without."""
     start = head(path, _HDF5_OFFSET + len(HDF5_MAGIC))
     return start.startswith(HDF5_MAGIC) or start[_HDF5_OFFSET:] == HDF5_MAGIC
+
+
+def _navego_struct(file: ArrayFile, wanted: str | None) -> str | None:
+    """Struct with rates ``wb`` and specific forces ``fb``, as NaveGo has it; None: there is none, or another is wanted.
+
+    Raises
+    ------
+    InputError
+        Several such structs.
+    """
+    structs = [name.removesuffix("/wb") for name in file.shapes if name.endswith("/wb")]
+    structs = [name for name in structs if f"{name}/fb" in file.shapes]
+    if wanted is not None:
+        structs = [name for name in structs if name == wanted.replace(".", "/").strip("/")]
+    if len(structs) > 1:
+        raise InputError(f"{file.path} holds several IMUs ({listed(structs)}): name one with {option('variable')}.")
+    return next(iter(structs), None)
 
 
 def _fields(name: str, value: Any, levels: int) -> dict[str, NDArray[Any]]:

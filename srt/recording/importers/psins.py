@@ -1,7 +1,8 @@
 """PSINS' table of increments: angle x, y, z (rad), velocity x, y, z (m/s) and time (s).
 
 It is a MATLAB variable, text (``.imu``), or a binary file of doubles or of 32-bit floats (``binfile32``). Text may lack
-the time; the rate of the samples is then an option.
+the time; the rate of the samples is then an option. A binary file has no magic number, but is recognised by even stamps
+in its last column and increments that hold gravity.
 """
 
 from __future__ import annotations
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from srt.types import Array
+
 COLUMNS: Final = 7
 
 UNTIMED_COLUMNS: Final = 6
@@ -40,6 +43,16 @@ _ROWS_COMPARED = 64
 _FEWEST_ROWS = 4
 """Rows at the start of a binary file that tell floats from doubles: in doubles, 4 would increase by accident once in
 4! = 24 files, 64 never."""
+
+_UNEVEN = 0.5
+"""Largest relative deviation of a step of time from the median: rounding to 32 bits after an hour is 2 % of 10 ms."""
+
+_PLAUSIBLE_RATE_RAD_S = 100.0
+"""Rate beyond that of any gyro sold (4000 °/s), rad/s."""
+
+_PLAUSIBLE_FORCE_M_S2 = (5.0, 20.0)
+"""Median specific force of an IMU that is turned or carried, half to twice gravity; rates in m/s² instead of increments
+are larger by the sample rate."""
 
 
 def read_increments(path: Path, options: ImportOptions) -> ImportedSamples:
@@ -96,6 +109,30 @@ def _table(path: Path, options: ImportOptions) -> tuple[NDArray[Any], tuple[str,
     return np.column_stack(list(table.values())), ()
 
 
+def _is_binary_table(path: Path) -> bool:
+    """True for a file of whole rows with even stamps and plausible increments."""
+    for kind, width in (("<f4", 4), ("<f8", 8)):
+        start = head(path, width * COLUMNS * _ROWS_COMPARED)
+        if len(start) < width * COLUMNS * _ROWS_COMPARED or path.stat().st_size % (width * COLUMNS):
+            continue
+        with np.errstate(all="ignore"):
+            if _is_plausible(np.frombuffer(start, kind).reshape(-1, COLUMNS).astype(np.float64)):
+                return True
+    return False
+
+
+def _is_plausible(rows: Array) -> bool:
+    if not np.isfinite(rows).all():
+        return False
+    steps = np.diff(rows[:, 6])
+    step = float(np.median(steps))
+    if not (step > 0.0 and (np.abs(steps - step) < _UNEVEN * step).all()):
+        return False
+    rate, force = (float(np.median(np.linalg.norm(part, axis=1))) / step for part in (rows[:, :3], rows[:, 3:6]))
+    low, high = _PLAUSIBLE_FORCE_M_S2
+    return rate < _PLAUSIBLE_RATE_RAD_S and low < force < high
+
+
 def _binary_table(path: Path) -> tuple[NDArray[Any], tuple[str, ...]]:
     """Rows of doubles, or of 32-bit floats if time increases in these."""
     size = path.stat().st_size
@@ -148,7 +185,7 @@ PSINS: Final = Importer(
     "PSINS increments, N x 7 or N x 6",
     (),
     None,
-    lambda _: False,  # it has no mark: numbers, or a variable like any other
+    _is_binary_table,  # text and variables have no mark: they are numbers like any other
     _read,
     frozenset({"variable", "delimiter"}),
 )

@@ -7,9 +7,11 @@ fails, the file is read again, line by line, to find the fault and its place.
 from __future__ import annotations
 
 import csv
+import datetime
 import re
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import islice
 from typing import TYPE_CHECKING, Any, Final
 
@@ -36,6 +38,14 @@ _TAIL_BYTES = 1 << 16
 _COMMENT_MARKS = ("#", "%", "//")
 
 _INTEGER = re.compile(r"[+-]?\d{1,19}")
+
+_DATE = re.compile(
+    r"(\d{4}-?\d\d-?\d\d[T ]\d\d:?\d\d:?\d\d)(?:[.,](\d{1,9})\d*)? ?(Z|[+-]\d\d(?::?\d\d)?)?", re.IGNORECASE
+)
+"""Date and time of ISO 8601: seconds, their fraction, and the time zone."""
+
+_EPOCH = datetime.datetime(1970, 1, 1, tzinfo=datetime.UTC)
+
 _FEWEST_NUMBERS = 3
 """Numbers in the first row; fewer may stand in a line of notes."""
 
@@ -118,9 +128,14 @@ def find_layout(path: Path, options: ImportOptions) -> TableLayout:
 
 
 def read_table(
-    path: Path, layout: TableLayout, columns: Mapping[str, int], *, integers: str | None = None
+    path: Path,
+    layout: TableLayout,
+    columns: Mapping[str, int],
+    *,
+    integers: str | None = None,
+    dates: str | None = None,
 ) -> dict[str, NDArray[Any]]:
-    """Read the chosen columns.
+    """Read the chosen columns, without rows of empty cells at the end, as spreadsheets write them.
 
     Parameters
     ----------
@@ -130,35 +145,42 @@ def read_table(
         Name to position, from 0.
     integers : str, optional
         The name of a column whose whole numbers stay integers: nanoseconds since 1970 are no doubles.
+    dates : str, optional
+        The name of a column of dates by ISO 8601.
 
     Returns
     -------
     dict of str to ndarray, shape (n,)
+        Dates are in UTC, of type ``datetime64[ns]``; without a time zone they are taken as UTC.
 
     Raises
     ------
     InputError
         Cells that are no numbers, rows of unequal length, a file that is cut off; the line is named.
     """
-    _check_last_line(path, layout)
+    empty = _empty_rows(path, layout)
+    if not empty:
+        _check_last_line(path, layout)
     names = list(columns)
     exact = integers in columns and _INTEGER.fullmatch(layout.cells[columns[str(integers)]].strip()) is not None
-    attempts = [np.int64, np.float64] if exact else [np.float64]
+    attempts = [np.int64, np.float64] if exact else [np.int64] if dates is not None else [np.float64]
     reason = ""
     for kind in attempts:
-        dtype = [(f"c{i}", kind if name == integers else np.float64) for i, name in enumerate(names)]
+        dtype = [(f"c{i}", kind if name in (integers, dates) else np.float64) for i, name in enumerate(names)]
+        source = _rows(path, layout) if layout.decimal_comma or empty else path
         try:
-            table = _load(path, layout, dtype, [columns[name] for name in names])
+            table = _load(source, layout, dtype, [columns[name] for name in names], columns.get(str(dates)))
         except (ValueError, OverflowError) as error:
             reason = str(error)
             continue
         except OSError as error:
             raise InputError(f"Cannot read {path} ({error.strerror}): check its permissions.") from None
-        if not _rows_add_up(path, layout, table.size):
+        if not _rows_add_up(path, layout, table.size, empty):
             reason = "the rows are not equally long"
             break
-        return {name: table[f"c{i}"] for i, name in enumerate(names)}
-    raise _explanation(path, layout, columns, reason)
+        found = {name: table[f"c{i}"] for i, name in enumerate(names)}
+        return {name: values.astype("M8[ns]") if name == dates else values for name, values in found.items()}
+    raise _explanation(path, layout, columns, reason, dates)
 
 
 def is_number(cell: str) -> bool:
@@ -168,6 +190,30 @@ def is_number(cell: str) -> bool:
     except ValueError:
         return False
     return "_" not in cell
+
+
+def is_date(cell: str) -> bool:
+    """True for a cell that holds a date and time by ISO 8601."""
+    try:
+        _nanoseconds(cell)
+    except ValueError:
+        return False
+    return True
+
+
+def _nanoseconds(cell: str) -> int:
+    """Nanoseconds since 1970 of a date. Raises ValueError."""
+    match = _DATE.fullmatch(cell.strip().strip('"'))
+    if match is None:
+        raise ValueError(f"{cell} is no date")
+    second, fraction, zone = match.groups()
+    return _seconds(f"{second}{zone or 'Z'}".upper()) * 10**9 + int((fraction or "0").ljust(9, "0"))
+
+
+@lru_cache(maxsize=1)
+def _seconds(date: str) -> int:
+    """Seconds since 1970 of a date; the samples within one second share it. Raises ValueError."""
+    return (datetime.datetime.fromisoformat(date) - _EPOCH) // datetime.timedelta(seconds=1)
 
 
 def _first_lines(path: Path) -> list[str]:
@@ -227,10 +273,11 @@ def _header(above: list[str], delimiter: str | None, width: int) -> tuple[str, .
     return ()
 
 
-def _load(path: Path, layout: TableLayout, dtype: Any, usecols: list[int]) -> NDArray[Any]:
+def _load(
+    source: Path | Iterator[str], layout: TableLayout, dtype: Any, usecols: list[int], dates: int | None
+) -> NDArray[Any]:
     # Naming no columns makes numpy check that all rows are equally long.
     everything = usecols == list(range(len(layout.cells)))
-    source: Any = _with_points(path) if layout.decimal_comma else path
     return np.loadtxt(
         source,
         dtype=np.dtype(dtype),
@@ -239,16 +286,45 @@ def _load(path: Path, layout: TableLayout, dtype: Any, usecols: list[int]) -> ND
         quotechar='"',
         skiprows=layout.first_row,
         usecols=None if everything else usecols,
+        converters=None if dates is None else {dates: _nanoseconds},
         ndmin=1,
         # Digits are the same in all encodings that have them as single bytes, and this one refuses no byte.
         encoding="latin-1",
     )
 
 
-def _with_points(path: Path) -> Iterator[str]:
+def _rows(path: Path, layout: TableLayout) -> Iterator[str]:
+    """Lines with decimal points, without rows of empty cells at the end."""
+    blanks = _blanks(layout)
+    held: list[str] = []
     with path.open(encoding="latin-1") as file:
         for line in file:
-            yield line.replace(",", ".")
+            held.append(line.replace(",", ".") if layout.decimal_comma else line)
+            if line.strip(blanks):
+                yield from held
+                held.clear()
+
+
+def _blanks(layout: TableLayout) -> str:
+    """Characters of a row of empty cells."""
+    return ' \t\r\n"' + (layout.delimiter or "")
+
+
+def _empty_rows(path: Path, layout: TableLayout) -> bytes:
+    """Rows of empty cells at the end of a file; blank lines alone are none, as they are never read."""
+    blanks, mark, length = _blanks(layout).encode(), (layout.delimiter or "").encode(), _TAIL_BYTES
+    with path.open("rb") as file:
+        size = file.seek(0, 2)
+        while True:
+            file.seek(max(0, size - length))
+            tail = file.read()
+            kept = tail.rstrip(blanks)
+            if kept or length >= size:
+                break
+            length *= 4
+    # The first line break ends the last row of numbers, which may itself end with empty cells.
+    rows = tail[len(kept) :].partition(b"\n")[2]
+    return rows if mark and mark in rows else b""
 
 
 def _check_last_line(path: Path, layout: TableLayout) -> None:
@@ -271,13 +347,14 @@ def _check_last_line(path: Path, layout: TableLayout) -> None:
         )
 
 
-def _rows_add_up(path: Path, layout: TableLayout, rows: int) -> bool:
+def _rows_add_up(path: Path, layout: TableLayout, rows: int, empty: bytes) -> bool:
     """True if the number of separators fits that of rows and columns; blanks cannot be counted."""
     if rows == 0:
         return False
     if layout.delimiter is None:
         return True
-    mark, found, others = layout.delimiter.encode(), 0, 0
+    mark, others = layout.delimiter.encode(), 0
+    found = -empty.count(mark)
     with path.open(encoding="latin-1") as text:
         # Titles and notes at the top may hold any number of them.
         for line in islice(text, layout.first_row):
@@ -291,32 +368,34 @@ def _rows_add_up(path: Path, layout: TableLayout, rows: int) -> bool:
     return others > 0 or found == rows * (len(layout.cells) - 1)
 
 
-def _explanation(path: Path, layout: TableLayout, columns: Mapping[str, int], reason: str) -> InputError:
+def _explanation(
+    path: Path, layout: TableLayout, columns: Mapping[str, int], reason: str, dates: str | None
+) -> InputError:
     """Find the first faulty line, and describe its fault."""
     width = len(layout.cells)
-    with path.open(encoding="latin-1") as file:
-        numbered = islice(enumerate(file, start=1), layout.first_row, None)
-        for number, line in numbered:
-            text = line.partition(layout.comment)[0].strip("\r\n")
-            if not text.strip():
-                continue
-            cells = _cells(text, layout.delimiter, decimal_comma=layout.decimal_comma)
-            if len(cells) != width:
-                cut = not any(rest.strip() for _, rest in numbered) and len(cells) < width
-                advice = (
-                    "the file seems cut off: copy it again, or remove that line"
-                    if cut
-                    else "write every row alike, or name the separator with " + option("delimiter")
-                )
+    numbered = islice(enumerate(_rows(path, layout), start=1), layout.first_row, None)
+    for number, line in numbered:
+        text = line.partition(layout.comment)[0].strip("\r\n")
+        if not text.strip():
+            continue
+        cells = _cells(text, layout.delimiter)
+        if len(cells) != width:
+            cut = not any(rest.strip() for _, rest in numbered) and len(cells) < width
+            advice = (
+                "the file seems cut off: copy it again, or remove that line"
+                if cut
+                else "write every row alike, or name the separator with " + option("delimiter")
+            )
+            return InputError(
+                f"{path}, line {number}: {len(cells)} cells were found, but the first row of numbers (line "
+                f"{layout.first_row + 1}) has {width}: {advice}."
+            )
+        for name, i in columns.items():
+            right, expected = (is_date, "a date by ISO 8601") if name == dates else (is_number, "a number")
+            if not right(cells[i]):
+                found = repr(cells[i][:40]) if cells[i] else "an empty cell"
                 return InputError(
-                    f"{path}, line {number}: {len(cells)} cells were found, but the first row of numbers (line "
-                    f"{layout.first_row + 1}) has {width}: {advice}."
+                    f"{path}, line {number}, column {i + 1} ({name}): {found} was found, but {expected} is "
+                    "expected: correct it, or remove the line."
                 )
-            for name, i in columns.items():
-                if not is_number(cells[i]):
-                    found = repr(cells[i][:40]) if cells[i] else "an empty cell"
-                    return InputError(
-                        f"{path}, line {number}, column {i + 1} ({name}): {found} was found, but a number is "
-                        "expected: correct it, or remove the line."
-                    )
     return InputError(f"{path} is not a table of numbers ({reason.splitlines()[0][:120] if reason else 'no rows'}).")

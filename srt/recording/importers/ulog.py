@@ -4,6 +4,7 @@ Topics in the order in which they are tried:
 
 - ``sensor_combined``: means over ``gyro_integral_dt``, in rad/s and m/s², after PX4's own calibration;
 - ``vehicle_imu``: increments over ``delta_angle_dt`` and ``delta_velocity_dt``, in rad and m/s, also calibrated by PX4;
+  mean rates where the log has a part of them only;
 - ``sensor_gyro`` with ``sensor_accel``: readings of the driver, in rad/s and m/s², not calibrated.
 
 The parameters of the log give the calibration and orientation that PX4 applied; it finds them by the device ids.
@@ -24,6 +25,7 @@ from srt.recording.importer_registry import Importer, head
 from srt.recording.importers.child_process import in_child
 from srt.recording.importers.log_streams import Stream, choose_instance, join, require_topic, to_imported
 from srt.recording.importers.parser_errors import clear_errors
+from srt.recording.timing import GAP_STEPS
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -55,6 +57,10 @@ _LATEST_STAMP_US = 2**62
 
 _NOT_KNOWN_US = 0x7FFFFFFF
 """PX4's value of accelerometer_timestamp_relative for "no reading yet", µs."""
+
+_UNCOVERED = 0.01
+"""Share of the time that increments leave out from which they are no increments between stamps: durations in whole µs
+leave out 0.1 % at most at 1 kHz, a log of every second message leaves out half."""
 
 _DURATION_MISMATCH = 1e-3
 """Relative difference of gyro and accelerometer intervals beyond which a note reports it: a sample at 1 kHz."""
@@ -218,6 +224,17 @@ def _increments(log: _LogTopics, instance: int, notes: list[str]) -> tuple[Strea
     notes.append(f"PX4 has calibrated {INCREMENTS}: the errors found here are the residuals of that calibration.")
     values = [log.column(INCREMENTS, instance, *_triad(name)) for name in ("delta_angle", "delta_velocity")]
     spans = [log.column(INCREMENTS, instance, name) for name in ("delta_angle_dt", "delta_velocity_dt")]
+    stamps = log.stamps(INCREMENTS, instance)
+    steps = np.diff(stamps)
+    covered = _covered(steps, spans[0][1:])
+    if abs(covered - 1.0) > _UNCOVERED:
+        notes.append(
+            f"{INCREMENTS}: the increments cover {covered:.2g} of the time between their stamps (medians: "
+            f"{np.median(spans[0]):g} of {np.median(steps):g} us), so that they were read as mean rates over their own "
+            "intervals. A calibration needs a log of every message."
+        )
+        rates = np.hstack([value / (span / _US)[:, None] for value, span in zip(values, spans, strict=True)])
+        return Stream(INCREMENTS, stamps, _US, rates), {}
     apart = np.abs(spans[0] - spans[1]) > _DURATION_MISMATCH * spans[0]
     if apart.any():
         notes.append(
@@ -226,8 +243,14 @@ def _increments(log: _LogTopics, instance: int, notes: list[str]) -> tuple[Strea
         )
         # The mean specific force is the same over either interval to the accuracy at which they differ.
         values[1] = np.where(apart[:, None], values[1] * (spans[0] / spans[1])[:, None], values[1])
-    stream = Stream(INCREMENTS, log.stamps(INCREMENTS, instance), _US, np.hstack(values))
-    return stream, {"kind": "increment", "units": ("rad", "m/s")}
+    return Stream(INCREMENTS, stamps, _US, np.hstack(values)), {"kind": "increment", "units": ("rad", "m/s")}
+
+
+def _covered(steps: Counts, spans: Array) -> float:
+    """Share of the time between stamps that increments cover, without the gaps of the log; jitter of stamps cancels."""
+    whole = steps <= GAP_STEPS * np.median(steps) if steps.size else np.zeros(0, dtype=bool)
+    total = float(steps[whole].sum())
+    return float(spans[whole].sum()) / total if total > 0.0 else 1.0
 
 
 def _apart(log: _LogTopics, instance: int, notes: list[str]) -> tuple[Stream, dict[str, Any]]:

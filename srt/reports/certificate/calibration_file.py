@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass
+from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from srt.arguments import require_type
 from srt.recording.bounded_file import read_bounded
 from srt.result.calibration import Calibration, load_calibration
 from srt.result.json_file import json_text
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-    from os import PathLike
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,6 +61,7 @@ def calibration_file(source: Calibration | str | PathLike[str]) -> CalibrationFi
     InputError
         As :func:`srt.load_calibration` raises it, and for a file without a digest: nothing tells that it is as written.
     """
+    require_type("A certificate", "a calibration, or the path of one", source, Calibration, str, PathLike)
     if isinstance(source, Calibration):
         return CalibrationFile(source, "not saved", hashlib.sha256(json_text(source.to_dict()).encode()).hexdigest())
     calibration = load_calibration(source, signed=True)

@@ -59,8 +59,11 @@ class Certificate(Presented):
     summary : tuple of str
         Main results, in sentences.
     parties : tuple of (str, str)
-        Laboratory, customer, operator and conditions, as labels and texts.
-    equipment, references : CertificateTable
+        Laboratory, customer, operator and conditions, as labels and texts, of those that are stated.
+    missing : str
+        Sentence on what the laboratory does not state; empty if it states all.
+    equipment : CertificateTable or None
+    references : CertificateTable
     description : tuple of (str, str)
         Unit, date, site, data and software, as labels and texts.
     parameters : CertificateTable
@@ -97,7 +100,8 @@ class Certificate(Presented):
     outcome: str
     summary: tuple[str, ...]
     parties: tuple[tuple[str, str], ...]
-    equipment: CertificateTable
+    missing: str
+    equipment: CertificateTable | None
     references: CertificateTable
     description: tuple[tuple[str, str], ...]
     parameters: CertificateTable
@@ -143,7 +147,7 @@ def make_certificate(
     change : ParameterChanges, optional
         Since an earlier calibration of the unit.
     laboratory : Laboratory, optional
-        Statements of the laboratory; without it, they are marked as not stated.
+        Statements of the laboratory; a sentence lists those that are missing.
 
     Returns
     -------
@@ -171,9 +175,8 @@ def make_certificate(
         unit=plain(source.serial, SERIAL_LENGTH) or "no serial",
         outcome=outcome,
         summary=tuple(_summary(calibration, limits, failed, change)),
-        parties=tuple(
-            stated.rows("certificate", "laboratory", "customer", "operator", "approval", "unit", "conditions")
-        ),
+        parties=tuple(stated.rows()),
+        missing=stated.missing,
         equipment=equipment_table(stated),
         references=references_table(calibration, stated),
         description=tuple(unit_description(source, course, limits)),
@@ -326,7 +329,7 @@ def residual_table(calibration: Calibration) -> CertificateTable | None:
     for residual in calibration.residuals:
         by_turn.setdefault((residual.sequence, residual.occurrence), []).append(residual)
     against = ("chi-square / dof", "p") if judged else ()
-    head = ("sequence", "residuals", "left over", "rms / sigma", "largest / sigma", "in", *against)
+    head = ("sequence", "residuals", "redundant", "rms / sigma", "largest / sigma", "in", *against)
     rows = []
     for turn, residuals in by_turn.items():
         left = _left(residuals)
@@ -357,9 +360,12 @@ def residual_table(calibration: Calibration) -> CertificateTable | None:
                 CertificateCell(probability_text(row["probability"]) or "-") if row else CertificateCell("-"),
             ]
         rows.append(tuple(cells))
-    note = "left over: components that are not solved exactly; a residual of about 1 sigma is expected for each." + (
-        " chi-square: against the prediction from all other sequences; p: probability of a larger one by noise."
-        * bool(judged)
+    note = (
+        "Redundant components are those that the parameters do not solve exactly; a residual of about 1 sigma is "
+        "expected for each."
+    ) + (
+        " Chi-square tests the sequence against its prediction from all others; p is the probability that noise alone "
+        "gives a larger value." * bool(judged)
     )
     return CertificateTable("Residuals by sequence", head, tuple(rows), "lrrrrl" + ("rr" if judged else ""), note)
 
@@ -380,7 +386,7 @@ def _summary(
         yield "No acceptance limits were given."
     measured = int(calibration.observed.sum())
     status = calibration.status.replace("_", " ")
-    yield f"{measured} of {len(NAMES)} parameters were measured (estimator {plain(calibration.estimator)}, {status})."
+    yield f"{measured} of {len(NAMES)} parameters were estimated (estimator {plain(calibration.estimator)}, {status})."
     yield f"Verdict: {plain(str(calibration.judgement), _VERDICT_LENGTH)}"
     if change is not None:
         names = change.names

@@ -1,6 +1,6 @@
 """Statements of the laboratory on a certificate (ISO/IEC 17025, 7.8): parties, equipment, references, conditions.
 
-The file of the laboratory is TOML. What it does not state is "not stated" on the certificate; nothing is assumed.
+The file of the laboratory is TOML. One line of the certificate lists what it does not state; nothing is assumed.
 """
 
 from __future__ import annotations
@@ -26,19 +26,26 @@ COVERAGE_FACTOR: Final = 2.0
 """Coverage factor of expanded uncertainties, unless the laboratory states another: 95 % of a normal distribution."""
 SECTIONS: Final[dict[str, tuple[tuple[str, str], ...]]] = {
     "certificate": (("number", "Certificate number"), ("date_of_issue", "Date of issue")),
-    "laboratory": (("name", "Laboratory"), ("address", "Its address"), ("accreditation", "Accreditation")),
-    "customer": (("name", "Customer"), ("address", "Customer's address"), ("order", "Order")),
-    "unit": (("manufacturer", "Manufacturer"), ("model", "Model"), ("received", "Received")),
+    "laboratory": (
+        ("name", "Laboratory"), ("address", "Address of the laboratory"), ("accreditation", "Accreditation"),
+    ),
+    "customer": (("name", "Customer"), ("address", "Address of the customer"), ("order", "Order")),
     "operator": (("name", "Operator"),),
     "approval": (("name", "Approved by"), ("function", "Function")),
+    "unit": (("manufacturer", "Manufacturer"), ("model", "Model"), ("received", "Received")),
     "conditions": (
         ("temperature", "Ambient temperature"), ("humidity", "Humidity"), ("pressure", "Air pressure"),
         ("vibration", "Vibration"), ("supply", "Supply of the unit"),
     ),
 }  # fmt: skip
-"""Sections of the file with their keys and labels."""
+"""Sections of the file with their keys and labels, in the order of the certificate."""
+_WHOLE: Final = {section: section for section in SECTIONS} | {"certificate": "certificate number and date of issue"}
+"""Names of sections of which nothing is stated."""
 _EQUIPMENT: Final = ("name", "serial", "calibrated", "traceability")
-_REFERENCES: Final = ("gravity", "latitude", "heading", "time_base")
+_REFERENCES: Final = {
+    "gravity": "Gravity", "latitude": "Latitude", "heading": "Heading of the fixture", "time_base": "Time base",
+}  # fmt: skip
+"""References of the test with their labels."""
 _LENGTH: Final = 200
 """Largest number of characters of a text."""
 
@@ -62,11 +69,23 @@ class Laboratory:
     references: Mapping[str, str] = field(default_factory=dict)
     coverage_factor: float = COVERAGE_FACTOR
 
-    def rows(self, *sections: str) -> Iterator[tuple[str, str]]:
-        """Labels and texts of some sections."""
-        for section in sections:
-            for key, label in SECTIONS[section]:
-                yield label, self.texts.get(section, {}).get(key, NOT_STATED)
+    def rows(self) -> Iterator[tuple[str, str]]:
+        """Labels and texts of what is stated, in the order of the certificate."""
+        for section, keys in SECTIONS.items():
+            stated = self.texts.get(section, {})
+            yield from ((label, stated[key]) for key, label in keys if key in stated)
+
+    @property
+    def missing(self) -> str:
+        """Sentence on what is not stated, by section where a whole one is not; empty if all is stated."""
+        out = []
+        for section, keys in SECTIONS.items():
+            stated = self.texts.get(section, {})
+            out += [label.lower() for key, label in keys if key not in stated] if stated else [_WHOLE[section]]
+        out += [] if self.equipment else ["equipment"]
+        unknown = [label.lower() for key, label in _REFERENCES.items() if key not in self.references]
+        out += [f"origin of {label}" for label in unknown] if self.references else ["origin of the references"]
+        return f"Not stated: {', '.join(out)}." if out else ""
 
 
 def load_laboratory(path: Path) -> Laboratory:
@@ -108,7 +127,7 @@ def load_laboratory(path: Path) -> Laboratory:
     if not isinstance(rows, list):
         raise InputError(f"The laboratory {path}: equipment is no list; write each item as [[equipment]].")
     equipment = tuple(_texts(path, f"equipment[{k}]", row, _EQUIPMENT) for k, row in enumerate(rows, start=1))
-    references = _texts(path, "references", document.get("references", {}), _REFERENCES)
+    references = _texts(path, "references", document.get("references", {}), tuple(_REFERENCES))
     return Laboratory(texts, equipment, references, float(factor))
 
 
@@ -137,7 +156,7 @@ def _texts(path: Path, section: str, values: object, keys: tuple[str, ...]) -> d
 
 
 def references_table(calibration: Calibration, laboratory: Laboratory) -> CertificateTable:
-    """Table of the reference values of the test, with their standard uncertainties and origin.
+    """Table of the reference values of the test with their standard uncertainties, and their origin if any is stated.
 
     Parameters
     ----------
@@ -149,32 +168,34 @@ def references_table(calibration: Calibration, laboratory: Laboratory) -> Certif
     effect = calibration.contributions.get("clock")
     clock = None if effect is None else 1e6 * float(effect[GROUP_SLICES["gyro_scale"]].max())
     tilt = alignment.get("alignment_sigma_mrad")
+    known = {
+        "gravity": (_number(site.get("gravity_m_s2"), "m/s²", 9), _number(site.get("gravity_sigma_m_s2"), "m/s²", 2)),
+        "latitude": (_number(site.get("latitude_deg"), "°", 7), NOT_STATED),
+        "heading": (_number(alignment.get("heading_deg"), "°", 6), _number(tilt, "mrad", 3)),
+        "time_base": ("clock of the recording", _number(clock, "ppm", 2)),
+    }
+    columns = 4 if laboratory.references else 3
     rows = (
-        ("gravity", "Gravity", _number(site.get("gravity_m_s2"), "m/s²", 9),
-         _number(site.get("gravity_sigma_m_s2"), "m/s²", 2)),
-        ("latitude", "Latitude", _number(site.get("latitude_deg"), "°", 7), NOT_STATED),
-        ("heading", "Heading of the fixture", _number(alignment.get("heading_deg"), "°", 6), _number(tilt, "mrad", 3)),
-        ("time_base", "Time base", "clock of the recording", _number(clock, "ppm", 2)),
-    )  # fmt: skip
+        (label, *known[key], laboratory.references.get(key, NOT_STATED))[:columns] for key, label in _REFERENCES.items()
+    )
     return CertificateTable(
         "References",
-        ("quantity", "value", "standard uncertainty", "origin"),
-        tuple(
-            tuple(CertificateCell(text) for text in (label, value, sigma, laboratory.references.get(key, NOT_STATED)))
-            for key, label, value, sigma in rows
-        ),
-        "llll",
-        "Gravity and time base scale the accelerometers and the gyros; latitude and heading give the Earth rate.",
+        ("quantity", "value", "standard uncertainty", "origin")[:columns],
+        tuple(tuple(map(CertificateCell, row)) for row in rows),
+        "llll"[:columns],
+        "Accelerometer scale factors refer to gravity, gyro scale factors to the time base. Latitude and heading give "
+        "the Earth rate.",
     )
 
 
-def equipment_table(laboratory: Laboratory) -> CertificateTable:
-    """Table of the equipment."""
-    rows = laboratory.equipment or ({},)
+def equipment_table(laboratory: Laboratory) -> CertificateTable | None:
+    """Table of the equipment; None without any."""
+    if not laboratory.equipment:
+        return None
     return CertificateTable(
         "Equipment",
         ("equipment", "serial", "calibrated", "traceability"),
-        tuple(tuple(CertificateCell(row.get(key, NOT_STATED)) for key in _EQUIPMENT) for row in rows),
+        tuple(tuple(CertificateCell(row.get(key, NOT_STATED)) for key in _EQUIPMENT) for row in laboratory.equipment),
         "llll",
     )
 

@@ -10,13 +10,12 @@ from typing import TYPE_CHECKING, Any, Final
 
 from srt.exceptions import MissingExtraError
 from srt.reports.certificate.figures import certificate_figures, figure_svg
-from srt.reports.certificate.laboratory import NOT_STATED
 from srt.reports.certificate.unit_description import FORMULAS
 from srt.reports.figures.style import FAINT, GREY, INK
 
 try:
     from fpdf import FPDF, FontFace
-    from fpdf.enums import CellBordersLayout, WrapMode, XPos, YPos
+    from fpdf.enums import CellBordersLayout, XPos, YPos
 except ModuleNotFoundError as error:
     if (error.name or "").partition(".")[0] != "fpdf":
         raise
@@ -76,23 +75,22 @@ def _write(certificate: Certificate, document: _Document) -> None:
     if certificate.outcome:
         document.paragraph(certificate.outcome.capitalize(), size=12.0, style="B", colour=_COLOURS[certificate.outcome])
     document.paragraphs(certificate.summary)
-    document.heading("Laboratory, customer and conditions")
-    document.pairs(certificate.parties)
-    document.titled_table(certificate.equipment)
-    document.titled_table(certificate.references)
+    if certificate.parties or certificate.equipment:
+        document.heading("Laboratory, customer and conditions")
+        document.pairs(certificate.parties)
+        document.titled_table(certificate.equipment)
     document.heading("The unit and its test")
     document.definitions(certificate.description)
-    if certificate.recordings is not None:
-        document.titled_table(certificate.recordings)
+    document.titled_table(certificate.references)
+    document.paragraph(certificate.missing, size=_SMALL_PT, colour=_QUIET)
+    document.titled_table(certificate.recordings)
     document.heading(certificate.parameters.title, needs=50.0)
     document.certificate_table(certificate.parameters)
-    if certificate.g_sensitivity is not None:
-        document.titled_table(certificate.g_sensitivity)
+    document.titled_table(certificate.g_sensitivity)
     if certificate.held:
         document.paragraph("Fixed, not measured:")
         document.bullets(certificate.held)
-    if certificate.budget is not None:
-        document.titled_table(certificate.budget)
+    document.titled_table(certificate.budget)
     if certificate.changes is not None:
         document.heading(certificate.changes.title, needs=50.0)
         document.certificate_table(certificate.changes)
@@ -124,6 +122,11 @@ def _write(certificate: Certificate, document: _Document) -> None:
         size=_SMALL_PT,
         colour=_QUIET,
     )
+
+
+def _unbroken(head: str) -> str:
+    """Text of a head that is not broken within an equation, as "U (k = 2)"."""
+    return head.replace(" = ", "\u00a0=\u00a0")
 
 
 class _Document(FPDF):
@@ -174,7 +177,9 @@ class _Document(FPDF):
     def paragraph(
         self, text: str, *, size: float = _BODY_PT, style: str = "", colour: str = INK, indent: float = 0.0
     ) -> None:
-        """Set a text in lines."""
+        """Set a text in lines; nothing for an empty one."""
+        if not text:
+            return
         self._letters(size, style, colour)
         self._text(text, indent)
         self.ln(0.9)
@@ -207,6 +212,8 @@ class _Document(FPDF):
     def pairs(self, pairs: Iterable[tuple[str, str]]) -> None:
         """Set labels and their texts in two pairs of columns, read down the first pair and then the second."""
         rows = [*pairs]
+        if not rows:
+            return
         half = -(-len(rows) // 2)
         rows += [("", "")] * (2 * half - len(rows))
         self._letters(_SMALL_PT)
@@ -220,11 +227,13 @@ class _Document(FPDF):
                 line = out.row()
                 for name, value in (left, right):
                     line.cell(name, style=FontFace(color=_QUIET))
-                    line.cell(value, style=FontFace(color=_QUIET if value == NOT_STATED else INK))
+                    line.cell(value, style=FontFace(color=INK))
         self.ln(1.0)
 
-    def titled_table(self, table: CertificateTable) -> None:
-        """Set a table below its title."""
+    def titled_table(self, table: CertificateTable | None) -> None:
+        """Set a table below its title; nothing for None."""
+        if table is None:
+            return
         self.ln(2.0)
         self._keep(25.0)
         self.paragraph(table.title, style="B")
@@ -244,9 +253,8 @@ class _Document(FPDF):
             padding=(0.25, _PADDING),
             borders_layout="NONE",
             headings_style=FontFace(emphasis="BOLD", color=INK),
-            wrapmode=WrapMode.CHAR,
         ) as out:
-            out.row(table.head)
+            out.row([*map(_unbroken, table.head)])
             for number, row in enumerate(table.rows):
                 line = out.row()
                 rule = CellBordersLayout.TOP if number == 0 or number in table.breaks else CellBordersLayout.NONE
@@ -268,19 +276,21 @@ class _Document(FPDF):
         self.paragraph(caption, size=_SMALL_PT, colour=_QUIET)
 
     def _fitted(self, table: CertificateTable) -> tuple[float, list[float]]:
-        """Size of letters at which a table fits the page, and the widths of its columns."""
+        """Size of letters at which a table fits the page, and the widths of its columns; heads break at blanks."""
         longest = []
         for k, head in enumerate(table.head):
             self._letters(_SMALL_PT, "B")
-            width = self.get_string_width(head)
+            width = max(self.get_string_width(word) for word in _unbroken(head).split(" "))
             self._letters(_SMALL_PT)
             longest.append(max(width, *(self.get_string_width(row[k].text) for row in table.rows)) + 0.2)
         padding = 2.0 * _PADDING * len(longest)
         size = max(min(1.0, (self.epw - padding) / sum(longest)) * _SMALL_PT, _LEAST_PT)
         widths = [width * size / _SMALL_PT + 2.0 * _PADDING for width in longest]
-        widest = widths.index(max(widths))
-        widths[widest] -= max(sum(widths) - self.epw, 0.0)
-        return size, widths
+        # A table that is still too wide: the widest columns are narrowed to one width, and break their cells.
+        narrow: list[float] = []
+        for columns, width in zip(range(len(widths), 0, -1), sorted(widths), strict=True):
+            narrow.append(min(width, (self.epw - sum(narrow)) / columns))
+        return size, [min(width, narrow[-1]) for width in widths]
 
     def _letters(self, size: float, style: str = "", colour: str = INK) -> None:
         self.set_font("DejaVu", style, size)

@@ -56,8 +56,8 @@ def budget_table(calibration: Calibration, factor: float) -> CertificateTable | 
         rows.append(tuple(map(CertificateCell, (name.replace("_", " "), DISPLAY_UNITS[part[0]], *texts))))
     head = ("group", "unit", *map(source_label, sources), "combined", f"U (k = {factor:g})")
     note = (
-        "Standard uncertainties by source, root mean square of the parameters of a group; their squares add up to that "
-        "of the combined one. Stated noise and references are type B, noise from the stationary windows is type A. The "
-        "covariance of all parameters is in the calibration file."
+        "Each entry is the standard uncertainty by one source, root mean square over the group. The combined one is "
+        "the root of the sum of squares of its row. Stated noise and references are type B, noise from the stationary "
+        "windows is type A. The covariance of all parameters is in the calibration file."
     )
     return CertificateTable("Uncertainty budget", head, tuple(rows), "ll" + "r" * (len(sources) + 2), note)

@@ -52,7 +52,7 @@ def unit_description(
             "Recording",
             (
                 f"{course.count} samples, {course.duration_s:.1f} s at {course.rate_hz:.6g} Hz, "
-                f"turns of up to {course.turned_deg_s:.3g} °/s"
+                f"rotation rates up to {course.turned_deg_s:.3g} °/s"
             ),
         )
     yield "SHA-256 of the samples", provenance.get("data_sha256") or "not stated"
@@ -160,7 +160,7 @@ def _sentences(calibration: Calibration, course: RecordingHistory | None) -> Ite
     fastest = "" if course is None else f" (up to {course.turned_deg_s:.3g} °/s)"
     yield (f"Gyros were tested at the rates of the rotations{fastest}: the scale factor at other rates is not known.")
     for row in calibration.diagnostics.get("unseen_errors", ()):
-        yield f"No residual shows an error of {row['source']}: {plain(row['sentence'])}"
+        yield f"{plain(row['sentence'])} No residual shows such an error."
     known = calibration.temperature
     yield (
         "The temperature of the test was not recorded; the temperature dependence is not known."
@@ -171,8 +171,8 @@ def _sentences(calibration: Calibration, course: RecordingHistory | None) -> Ite
     followed = G_SENSITIVITY in calibration.diagnostics
     yield (
         f"{'The' if followed else 'Gyro g-sensitivity, and the'} dependence of all sensors on vibration, pressure, "
-        f"supply and magnetic field, {'is' if followed else 'are'} not among the parameters; part of them is in the "
-        "values."
+        f"supply and magnetic field, {'is' if followed else 'are'} not among the parameters; the "
+        "values include a part of their effect."
     )
     yield (
         "Delays and bandwidth of the sensors, and the size effect of the accelerometers, are not measured: specific "
@@ -193,7 +193,8 @@ def _sentences(calibration: Calibration, course: RecordingHistory | None) -> Ite
     )
     if calibration.site.get("latitude_deg") is None:
         yield "The Earth rate is in the gyro biases, as no latitude is stated; their sigmas hold it."
-    yield "Gravity is taken as stated: its error is a common error of all accelerometer scale factors."
+    if "unseen_errors" not in calibration.diagnostics:
+        yield "Gravity is taken as stated: its error is a common error of all accelerometer scale factors."
 
 
 FORMULAS: Final = ("y = M v + s ∘ |v| + b", "v = (M + diag(s ∘ sign v))⁻¹ (y − b)")
@@ -229,10 +230,10 @@ def application_section(calibration: Calibration) -> Application:
     sentences = [
         "y: reading; v: true value. Gyros in rad/s, accelerometers in m/s²; each has its own M, s and "
         "b. ∘ multiplies element by element.",
-        "Take the signs of v from inverse(M) (y − b) first, then from v itself until they no longer change. Where s is "
-        "zero, one step suffices.",
+        "Start with the signs of inverse(M) (y − b). Compute v with the signs of the last v until no sign changes; "
+        "where s is zero, one step suffices.",
         "Readings that are increments of a time step T: divide them by T, correct, multiply by T.",
-        "v is in MARS axes, those in which the matrix M of the gyros is symmetric.",
+        "v is in MARS axes, the axes in which the matrix M of the gyros is symmetric; they are close to the gyro axes.",
     ]
     tables = [
         _triad("Gyros: M, s, b (rad/s)", gyro_triad(calibration.errors)),
@@ -246,8 +247,8 @@ def application_section(calibration: Calibration) -> Application:
         )
     if calibration.U is not None:
         sigma = calibration.U_sigma_rad
-        known = "" if sigma is None else f", known to {1e3 * sigma:.2g} mrad per axis"
-        sentences.append(f"transpose(U) v is in the axes of the table on which the unit was mounted{known}.")
+        known = "" if sigma is None else f", to {1e3 * sigma:.2g} mrad (1-sigma) about each axis"
+        sentences.append(f"U rotates the axes of the table to MARS axes{known}: transpose(U) v is v in table axes.")
         rows = tuple(tuple(CertificateCell(f"{x:+.9f}", x) for x in row) for row in calibration.U.tolist())
         tables.append(CertificateTable("U", ("", "", ""), rows, "rrr"))
     sentences.append("'srt apply' does this to a recording, 'srt apply --c-header' writes it as C.")

@@ -9,8 +9,9 @@ import io
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from srt.arguments import require_path
 from srt.estimation.registry import ESTIMATORS
-from srt.exceptions import MissingExtraError
+from srt.exceptions import InputError, MissingExtraError
 from srt.recording.atomic_file import atomic_write_bytes
 
 try:
@@ -122,6 +123,9 @@ def symbol(name: str) -> str:
     return rf"{name[0]}$_\mathrm{{{name[1:]}}}$"
 
 
+_SUFFIXES: Final = (".png", ".pdf", ".svg")
+
+
 def save_figure(figure: Figure, path: str | PathLike[str]) -> None:
     """Write a figure, whole or not at all.
 
@@ -134,9 +138,12 @@ def save_figure(figure: Figure, path: str | PathLike[str]) -> None:
     Raises
     ------
     InputError
-        If it cannot be written.
+        A name with another ending, or a path that cannot be written.
     """
+    require_path("A figure", path)
     suffix, drawn = Path(path).suffix.lower(), io.BytesIO()
+    if suffix not in _SUFFIXES:
+        raise InputError(f"The figure cannot be written as {path}: name a file that ends in {' or '.join(_SUFFIXES)}.")
     # Without a date, the same result makes the same file.
     undated: dict[str, Any] = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
     # In memory first: matplotlib leaves the file of a PDF open that cannot be written.

@@ -33,7 +33,12 @@ _STATED_NOISE: Final = {
 
 
 def calibration_summary(
-    calibration: Calibration, *, title: str = "Calibration", truth: SensorErrors | None = None, source: str = ""
+    calibration: Calibration,
+    *,
+    title: str = "Calibration",
+    truth: SensorErrors | None = None,
+    source: str = "",
+    with_moves: tuple[float, float] | None = None,
 ) -> str:
     """Status, verdict and advice, then the table of the parameters.
 
@@ -46,6 +51,8 @@ def calibration_summary(
         Adds columns of the truth, the error, and the error over sigma.
     source : str
         Path of the recording for the command that looks for faults; empty: none.
+    with_moves : (float, float), optional
+        Smallest and largest sigma with the recorded moves over that of the result.
 
     Returns
     -------
@@ -53,7 +60,7 @@ def calibration_summary(
         Lines of at most 80 characters, without a line feed at the end.
     """
     head = [line for text in verdict_lines(calibration, title) for line in wrap(text)]
-    advice = [line for text in _advice(calibration, source) for line in wrap(text)]
+    advice = [line for text in _advice(calibration, source, with_moves) for line in wrap(text)]
     notes = [line for text in _notes(calibration) for line in _shortened(wrap(text), _NOTE_LINES)]
     lines = [*head, *_shortened(notes, _MOST_BEFORE_TABLE - len(head) - len(advice)), *advice]
     parameters = parameter_table(calibration, truth)
@@ -72,11 +79,12 @@ def calibration_text(
     details: bool = False,
     budget: bool = False,
     verdict: bool = False,
+    with_moves: tuple[float, float] | None = None,
 ) -> str:
     """Summary of a calibration; with one of the flags, the whole report."""
     if details or budget or verdict:
         return report(calibration, title=title, truth=truth, budget=budget, verdict=verdict)
-    return calibration_summary(calibration, title=title, truth=truth, source=source)
+    return calibration_summary(calibration, title=title, truth=truth, source=source, with_moves=with_moves)
 
 
 def verdict_lines(calibration: Calibration, title: str) -> Iterator[str]:
@@ -97,7 +105,7 @@ def _notes(calibration: Calibration) -> Iterator[str]:
     yield from (f"Note: {sentence}" for sentence in calibration.warnings)
 
 
-def _advice(calibration: Calibration, source: str) -> Iterator[str]:
+def _advice(calibration: Calibration, source: str, with_moves: tuple[float, float] | None) -> Iterator[str]:
     """Next steps for the user."""
     noise = calibration.noise
     estimated = [key for name, key in _STATED_NOISE.items() if name in noise.get("estimated", ())]
@@ -111,7 +119,9 @@ def _advice(calibration: Calibration, source: str) -> Iterator[str]:
     if source and (calibration.judgement.word != SOUND or calibration.warnings):
         yield f"To do: look for faults of the recording with 'srt inspect {source} --deep'."
     if moves := calibration.diagnostics.get("unused_moves"):
-        yield f"To do: {moves} recorded moves are not used by the closed form: '--estimator graph' uses them."
+        low, high = (0.0, 0.0) if with_moves is None else with_moves
+        gain = f"gives {low:.2f}-{high:.2f} of these sigmas" if high else "uses them"
+        yield f"To do: {moves} recorded moves are not used by the closed form: '--estimator least-squares' {gain}."
 
 
 def _shortened(lines: list[str], most: int) -> list[str]:

@@ -22,6 +22,12 @@ _FASTEST_RAD_S: Final = 100.0
 """Rate beyond that of any gyro sold (4000 °/s), rad/s: a larger one means a wrong unit."""
 _TEXT_WIDTH: Final = WIDTH - 17
 """Width of the second column in characters, beside the longest label."""
+_NO_FIXTURE: Final = (
+    "No fixture is stated, so that attitudes and heading are unknown (a free recording). If the unit was on a fixture, "
+    "state it with --heading-deg, --alignment-sigma-mrad and --rotation-sigma-mrad, with --like, or in [fixture] of "
+    "recording.toml."
+)
+"""Note on a recording without a fixture."""
 _SAMPLE_RATES_HZ: Final = (5.0, 50e3)
 """Range of the sample rates of IMUs: a rate outside it probably means a wrong unit of time."""
 
@@ -64,8 +70,15 @@ def import_text(recording: Recording, imported: ImportedSamples, importer: Impor
     if rate.max() > _FASTEST_RAD_S:
         option = "--gyro-lsb" if imported.units.get("gyro", "").startswith(COUNTS) else "--gyro-unit"
         notes.append(f"The gyros read up to {rate.max() / DEG:.4g} °/s, more than any IMU measures: check {option}.")
-    if imported.sample_rate_hz is None and not _SAMPLE_RATES_HZ[0] <= 1.0 / interval <= _SAMPLE_RATES_HZ[1]:
+    clock_is_stated = "time_unit" not in importer.options
+    if (
+        imported.sample_rate_hz is None
+        and not clock_is_stated
+        and not _SAMPLE_RATES_HZ[0] <= 1.0 / interval <= _SAMPLE_RATES_HZ[1]
+    ):
         notes.append(f"The stamps give a rate of {1.0 / interval:.4g} Hz, which no IMU has: check --time-unit.")
+    if recording.fixture is None:
+        notes.append(_NO_FIXTURE)
     for note in notes:
         lines += wrap(f"Note: {note}")
     return "\n".join(lines)

@@ -1,0 +1,28 @@
+"""Calibration, readings and their correction for the tests of streams."""
+
+from __future__ import annotations
+
+import numpy as np
+
+import srt
+from srt.sensor_errors import N_PARAMETERS, SensorErrors
+from srt.stacks.stream_correction import StreamCorrector, StreamOptions
+
+RNG = np.random.default_rng(1)
+CALIBRATION = srt.Calibration(
+    "hand",
+    "converged",
+    "Done.",
+    SensorErrors(RNG.normal(0.0, 0.01, N_PARAMETERS)),
+    1e-8 * np.eye(N_PARAMETERS),
+    temperature={"mean_c": 25.0, "range_c": 2.0, "sequences": []},
+    diagnostics={"g_sensitivity": {"matrix": RNG.normal(0.0, 1e-4, (3, 3)).tolist()}},
+)
+N = 40
+Y = np.column_stack([RNG.normal(size=(N, 3)), 9.8 * RNG.normal(size=(N, 3))])
+TRUE = np.hstack(CALIBRATION.apply(Y[:, :3], Y[:, 3:]))
+TIME = 0.01 * np.arange(1, N + 1)
+
+
+def corrector(told, **options):
+    return StreamCorrector(CALIBRATION, "mars", StreamOptions(**options), told.append)
