@@ -26,6 +26,7 @@ from srt.estimation.convergence import PARAMETER_UNITS
 from srt.estimation.fixed_parameters import fixed_sigma, reason_on_request
 from srt.exceptions import InputError
 from srt.joint.elimination_steps import global_columns
+from srt.joint.initial_attitudes import placed
 from srt.joint.iteration import apply_correction
 from srt.joint.linear_system import attitude_columns
 from srt.joint.linearisation import linearise
@@ -156,7 +157,7 @@ class SequentialFilter(JointSolver):
         self, joint: JointModel, state: JointState, number: int, previous: SequenceUpdate | None
     ) -> SequenceUpdate:
         """Update the estimate with a sequence, linearised once or until the correction is negligible."""
-        state = joint.placed(state)[0]
+        state = placed(joint, state)[0]
         total: Array | float = 0.0
         for _ in range(_ITERATIONS[self.form]):
             system = linearise(joint, state, joint.compensate(state), self.free)
@@ -193,7 +194,7 @@ class SequentialFilter(JointSolver):
 
     def _compare_with_optimum(self, joint: JointModel, iteration: IterationState) -> None:
         """Set the status by the distance of the estimate from the optimum of all measurements and the prior."""
-        state, compensated = joint.placed(iteration.state)
+        state, compensated = placed(joint, iteration.state)
         for _ in range(_ATTITUDE_PASSES):
             iteration.linearisation_point, iteration.compensated = state, compensated
             iteration.system = linearise(joint, state, compensated, self.free)

@@ -28,7 +28,7 @@ from srt.estimation.fixed_parameters import (
 from srt.estimation.observability import OBSERVED_BELOW, admission_sigma, admit, default_prior
 from srt.joint.block_solution import eliminate
 from srt.joint.elimination_steps import global_columns
-from srt.joint.initial_attitudes import initial_attitudes
+from srt.joint.initial_attitudes import initial_attitudes, placed
 from srt.joint.linear_system import N_ERRORS, total
 from srt.joint.linearisation import linearise
 from srt.joint.model_selection import add_drift, add_g_sensitivity, add_instability, add_unmodelled_noise
@@ -373,7 +373,7 @@ def _not_shown_by_poses(joint: JointModel, requested: Mapping[str, str]) -> dict
     if not by_earth_rate:
         return {}
     wanted = np.array([name not in by_earth_rate and name not in requested for name in NAMES])
-    system = linearise(joint, *joint.placed(joint.start), wanted)
+    system = linearise(joint, *placed(joint, joint.start), wanted)
     observable = observable_parameters(system, ~wanted)
     others = [name for name, lost in zip(NAMES, wanted & ~observable, strict=True) if lost]
     return by_earth_rate | {name: reason_not_observed(name) for name in others}

@@ -29,9 +29,9 @@ from srt.estimation.rest_rate_scatter import excess_variance
 from srt.estimation.srt_measurements import SrtProcessor
 from srt.joint.drift_states import drift_chain, drift_states
 from srt.joint.drift_terms import DriftTerms
-from srt.joint.initial_attitudes import initial_attitudes, nominal_end, nominal_start
 from srt.joint.joint_state import CompensatedData, JointState, LevelFrame
-from srt.joint.stated_rates import SteadyReadings, stated_rates
+from srt.joint.nominal_attitudes import nominal_end, nominal_start
+from srt.joint.stated_rates import SteadyReadings
 from srt.model import measurement_model as model
 from srt.model.analytic_platform import integrate_attitude, parts_per_rotation
 from srt.model.prior import Prior
@@ -50,6 +50,7 @@ if TYPE_CHECKING:
     from srt.estimation.g_sensitivity import PoseRegression
     from srt.estimation.options import Options
     from srt.joint.drift_states import DriftChain, DriftStates
+    from srt.joint.stated_rates import StatedRates
     from srt.model.rotation_integrals import RotationIntegrals
     from srt.model.sensor_model import Triad
     from srt.sequences.preparation import PreparedRecording
@@ -199,10 +200,7 @@ class JointModel:
 
     @property
     def start_sigma(self) -> Array:
-        """Standard deviation of inner angle, outer angle and axis non-orthogonality of a start, shape (3,), rad.
-
-        The non-orthogonality of all poses is one angle of the fixture, an unknown; it varies by the axis wobble.
-        """
+        """Standard deviation of inner angle, outer angle and axis wobble of a start, shape (3,), rad."""
         inner, outer, wobble = sources.start_sigma(self.data.recording).tolist()
         return np.array([inner, outer, math.hypot(_LEAST_WOBBLE * inner, wobble)])
 
@@ -215,12 +213,9 @@ class JointModel:
         self.ends_tied |= new
         return new
 
-    def nominal_end(self, k: int) -> Array | None:
-        """Nominal end attitude of sequence k, T to base; None if one of its rotations is not about a fixture axis."""
-        return self._nominal_ends[k]
-
     @cached_property
-    def _nominal_ends(self) -> list[Array | None]:
+    def nominal_ends(self) -> list[Array | None]:
+        """Nominal end attitude of every sequence, T to base; None if a rotation is not about an axis of the fixture."""
         return [nominal_end(C, s) for C, s in zip(self.nominal, self.data.catalogue, strict=True)]
 
     def without_moves(self, reasons: Mapping[int, str]) -> JointModel:
@@ -328,10 +323,20 @@ class JointModel:
             duration_s=integrals.weight_s,
             edges=noise["gyro_quantization"],
             force_slope=by.force,
-            stated=stated_rates(self, state, gyro, along),
+            stated=self._stated_rates(state, gyro, along),
             drift_form=by_drift,
             drift=self._drift(by, gyro),
         )
+
+    def _stated_rates(self, state: JointState, gyro: Triad, force: Array) -> StatedRates:
+        """Runs at a stated rate; ``force`` is the mean specific force in the halves of their steady windows."""
+        rated, shares = self.steady.rated, self.steady.shares
+        drift = state.bias_deviation[rated, None] + shares @ self.drift.raw("gyro", state.drift, "parts")[rated]
+        windows, earth = self.data.start[rated], np.zeros((len(rated), 1, 3))
+        if state.attitude is not None:  # before the first iteration it is unknown
+            earth = self.earth_rate(state)[windows, None] @ state.attitude[windows]
+        raw_bias = drift + force @ self.drift.g_sensitivity(state.drift).T
+        return self.steady.compensate(gyro, raw_bias, earth, self.data.noise)
 
     def _drift_form(self, by: Slopes, gyro: Triad) -> dict[str, Array]:
         """Effect of the coefficients of the modelled drift on all measurements."""
@@ -436,11 +441,6 @@ class JointModel:
             if term.form == WALK:
                 out["gyro_drift"] = sources.walk_between_windows(self.data, by, term.sigma)
         return out | sources.unmodelled(self.data, self.unmodelled_sigma)
-
-    def placed(self, state: JointState) -> tuple[JointState, CompensatedData]:
-        """State with attitudes from the data, and the data compensated with it."""
-        compensated = self.compensate(state)
-        return initial_attitudes(self, state, compensated), compensated
 
     def rest_rate(self, state: JointState, compensated: CompensatedData) -> Array:
         """Compensated rates of the windows with the bias of their sequence, less the Earth's, shape (W, 3), rad/s."""

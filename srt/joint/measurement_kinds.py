@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from srt.joint.initial_attitudes import pose_nominal
+from srt.joint.nominal_attitudes import pose_nominal
 
 if TYPE_CHECKING:
     from srt.joint.joint_model import JointModel
@@ -69,7 +69,7 @@ def fixture_attitudes(joint: JointModel) -> list[tuple[str, list[tuple[int, int,
     ends = [
         (k, int(data.end[k]), nominal)
         for k in on_fixture
-        if joint.ends_tied and int(data.end[k]) not in known and (nominal := joint.nominal_end(k)) is not None
+        if joint.ends_tied and int(data.end[k]) not in known and (nominal := joint.nominal_ends[k]) is not None
     ]
     kinds = (("start", starts, slice(0, 3)), ("end", ends, slice(2, 3)))
     return [(kind, poses, components) for kind, poses, components in kinds if poses]

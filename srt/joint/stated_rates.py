@@ -17,8 +17,6 @@ from srt.model.analytic_platform import equal_parts, parts_per_rotation
 from srt.model.rotations import cross_matrix
 
 if TYPE_CHECKING:
-    from srt.joint.joint_model import JointModel
-    from srt.joint.joint_state import JointState
     from srt.model.sensor_model import Triad
     from srt.noise.noise_model import NoiseModel
     from srt.sequences.preparation import PreparedRecording
@@ -103,6 +101,30 @@ class SteadyReadings:
         """The same by biases of the raw channels in P equal parts of the rotation, shape (R, P, 2, 3)."""
         return np.asarray(np.einsum("rhp,rhb->rphb", self.shares, self.by_raw_rate(gyro)))
 
+    def compensate(self, gyro: Triad, raw_bias: Array, earth_rate: Array, noise: NoiseModel) -> StatedRates:
+        """Compensate the mean rates at an estimate.
+
+        Parameters
+        ----------
+        gyro : Triad
+        raw_bias : ndarray, shape (R, 2, 3), rad/s
+            Biases of the raw channels in the halves beside the mean bias.
+        earth_rate : ndarray, shape (R, 1, 3), rad/s
+            In B_Strt; it is a small part of the derivative.
+        noise : NoiseModel
+        """
+        rate = self.compensated(gyro, raw_bias)
+        _, by_rate, _ = model.stated_rate_residual(rate, earth_rate, self.stated[:, None])
+        by_errors = model.rate_error_jacobian(rate.reshape(-1, 3), gyro)
+        return StatedRates(
+            self.rated,
+            rate,
+            self.stated,
+            np.broadcast_to(-(self.sigma * self.stated)[:, None, None], (len(rate), 2, 1)),
+            np.einsum("rha,rhap->rhp", by_rate, by_errors.reshape(*rate.shape, by_errors.shape[2])),
+            {"gyro_noise": self.rate_noise(noise, gyro)},
+        )
+
     def rate_noise(self, noise: NoiseModel, gyro: Triad) -> Array:
         """Covariance by white noise and quantization, diagonal, shape (R, 2, 2), (rad/s)²."""
         variance = np.sum(self.by_raw_rate(gyro) ** 2 * raw_rate_variance(noise, self.duration_s), axis=2)
@@ -152,34 +174,3 @@ class StatedRates:
         residual, _, by_earth = model.stated_rate_residual(self.rate, earth[:, None], self.stated[:, None])
         residual = residual + self.by_table_rate[:, :, 0] * table_rate
         return residual, by_earth @ cross_matrix(earth), by_earth @ to_body
-
-
-def stated_rates(joint: JointModel, state: JointState, gyro: Triad, force: Array) -> StatedRates:
-    """Compensate the mean rates of the runs at an estimate.
-
-    Parameters
-    ----------
-    joint : JointModel
-    state : JointState
-    gyro : Triad
-        Sensor model of the gyros at ``state``.
-    force : ndarray, shape (R, 2, 3), m/s²
-        Mean specific forces in the halves.
-    """
-    stated = joint.steady
-    windows, parts = joint.data.start[stated.rated], joint.drift.raw("gyro", state.drift, "parts")[stated.rated]
-    drift = state.bias_deviation[stated.rated, None] + stated.shares @ parts
-    rate = stated.compensated(gyro, drift + force @ joint.drift.g_sensitivity(state.drift).T)
-    earth = np.zeros((len(rate), 1, 3))
-    if state.attitude is not None:  # before the first iteration it is unknown; a small part of the derivative
-        earth = joint.earth_rate(state)[windows, None] @ state.attitude[windows]
-    _, by_rate, _ = model.stated_rate_residual(rate, earth, stated.stated[:, None])
-    by_errors = model.rate_error_jacobian(rate.reshape(-1, 3), gyro)
-    return StatedRates(
-        stated.rated,
-        rate,
-        stated.stated,
-        np.broadcast_to(-(stated.sigma * stated.stated)[:, None, None], (len(rate), 2, 1)),
-        np.einsum("rha,rhap->rhp", by_rate, by_errors.reshape(*rate.shape, by_errors.shape[2])),
-        {"gyro_noise": stated.rate_noise(joint.data.noise, gyro)},
-    )

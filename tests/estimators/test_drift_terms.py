@@ -19,6 +19,7 @@ pytest.importorskip("filterpy")
 from estimators.kalman_filter import run_filter
 from srt.estimation.observability import default_prior
 from srt.joint.drift_terms import DriftTerms
+from srt.joint.initial_attitudes import placed
 from srt.joint.linearisation import linearise
 from srt.joint.recording_opening import open_joint_model
 
@@ -48,7 +49,7 @@ def test_columns_against_differences():
     drift = np.concatenate(
         [rng.normal(0.0, 0.4, 3), rng.normal(0.0, 1000.0 * DEG_PER_H, 3), rng.normal(0.0, 0.1, joint.drift.size - 6)]
     )
-    state, compensated = joint.placed(replace(joint.start, errors=errors, drift=drift))
+    state, compensated = placed(joint, replace(joint.start, errors=errors, drift=drift))
     system = linearise(joint, state, compensated, ALL)
     assert system.of("drift_form").size == joint.drift.size
     for i, column in enumerate(system.of("drift_form").tolist()):
@@ -106,7 +107,7 @@ def test_filter_is_the_block_solution_with_drift():
     recording = ramp(noisy_recording(3, "navigation", sample_rate_hz=50.0, instability=True)[0], 1000.0)
     joint = open_joint_model(recording, Options())
     joint.drift = DriftTerms(joint.data, TERMS)
-    state, compensated = joint.placed(replace(joint.start, drift=np.zeros(joint.drift.size)))
+    state, compensated = placed(joint, replace(joint.start, drift=np.zeros(joint.drift.size)))
     prior = default_prior()
     solution = BlockSolution(linearise(joint, state, compensated, ALL, prior))
     filtered = run_filter(joint, linearise(joint, state, compensated, ALL), state, prior)
