@@ -240,6 +240,8 @@ def _correct(
     iteration.state = apply_correction(state, system, delta)
     iteration.linearisation_point, iteration.system = state, system
     iteration.compensated, iteration.covariance = system.compensated, solved.covariance
+    if solved.whole is not None:
+        iteration.whole = system, solver.prior_in_use, solved.whole
     reason = outside_model(iteration.state.errors)
     if reason is not None:
         iteration.message = f"After iteration {len(iteration.corrections)} {reason}."

@@ -38,7 +38,7 @@ class BlockSolver(JointSolver):
         """Solve for all columns."""
         whole = BlockSolution(with_prior(system, joint, state, self.prior_in_use))
         correction = system.parameter_map() @ whole.delta
-        return LinearSolution(whole.delta, correction, whole.covariance)
+        return LinearSolution(whole.delta, correction, whole.covariance, whole)
 
 
 def estimate(recording: Recording, options: Options, progress: Progress | None = None) -> Calibration:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -157,20 +158,17 @@ def search(joint: JointModel, iteration: IterationState, solution: BlockSolution
     slope = np.asarray(np.linalg.inv(gyro_triad(state.errors).matrix), dtype=np.float64)
     rest = joint.rest_rate(state, compensated) + joint.drift.raw("gyro", state.drift, "windows") @ slope.T
 
-    def of_accel(courses: Array) -> Statistics:
-        return _force_statistics(solution, by_drift(compensated.force_slope, courses), freedom)
-
     def of_gyro(courses: Mapping[str, Array]) -> dict[str, Statistics]:
         return gyro_statistics(data, slope, rest, joint.integrated, joint.drift.terms, courses)
 
     def by_window(sensor: Sensor) -> Statistics:
         if sensor == "gyro":
             return of_gyro({"each": np.eye(len(rest))})["each"]
-        return _force_statistics(solution, np.eye(3 * len(rest)).reshape(len(rest), 3, -1), freedom)
+        return _force_statistics(solution, [np.eye(3 * len(rest)).reshape(len(rest), 3, -1)], freedom)[0]
 
-    found: dict[tuple[Sensor, str], Statistics] = {
-        (sensor, form): of_accel(data.drift_shapes[form].tested.windows) for sensor, form in keys if sensor == "accel"
-    }
+    forms = [key for key in keys if key[0] == "accel"]
+    effects = [by_drift(compensated.force_slope, data.drift_shapes[form].tested.windows) for _, form in forms]
+    found = dict(zip(forms, _force_statistics(solution, effects, freedom), strict=True))
     found |= {("gyro", form): statistics for form, statistics in of_gyro(gyro_courses(data, keys)).items()}
     courses = {form: shape.windows for form, shape in data.drift_shapes.items()}
     return most_significant(found, len(keys), joint.drift.terms, joint.unmodelled_sigma.force, courses, by_window)
@@ -184,14 +182,19 @@ def shows_instability(joint: JointModel, iteration: IterationState, solution: Bl
     """
     assert iteration.compensated is not None
     effect = accel_drift(joint.data, iteration.compensated.force_slope, joint.data.noise.accel_limit)
-    return variance_component(_force_statistics(solution, effect, freedom)).p_value < MISFIT_PROBABILITY
+    return variance_component(_force_statistics(solution, [effect], freedom)[0]).p_value < MISFIT_PROBABILITY
 
 
-def _force_statistics(solution: BlockSolution, effect: Array, freedom: int) -> Statistics:
-    """Statistics of coefficients with an ``effect`` on the specific forces of the windows, shape (W, 3, q)."""
+def _force_statistics(solution: BlockSolution, effects: list[Array], freedom: int) -> list[Statistics]:
+    """Statistics of groups of coefficients with ``effects`` on the specific forces of the windows, (W, 3, q) each."""
+    if not effects:
+        return []
     system, residual = solution.system, solution.residual
     rows = system.rows_of("force").index.ravel()
-    white = (-system.whitening["force"] @ effect).reshape(len(rows), -1)
+    white = (-system.whitening["force"] @ np.concatenate(effects, axis=2)).reshape(len(rows), -1)
     by_columns = np.asarray(system.A[rows].T @ white)
     information = white.T @ white - by_columns.T @ solution.with_columns(by_columns)
-    return Statistics(white.T @ residual[rows], information, float(residual @ residual), freedom)
+    gradient, square = white.T @ residual[rows], float(residual @ residual)
+    ends = np.cumsum([0, *(effect.shape[2] for effect in effects)]).tolist()
+    at = [slice(a, b) for a, b in pairwise(ends)]
+    return [Statistics(gradient[own], information[own, own], square, freedom) for own in at]

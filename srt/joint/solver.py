@@ -33,11 +33,14 @@ class LinearSolution:
         Correction of the reported parameters.
     covariance : ndarray, shape (27, 27)
         Covariance of the reported parameters.
+    whole : BlockSolution, optional
+        Solution of all columns, where the solver has it.
     """
 
     delta: Array
     correction: Array
     covariance: Array
+    whole: BlockSolution | None = None
 
 
 class JointSolver(ABC):
