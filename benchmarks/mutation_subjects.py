@@ -281,8 +281,8 @@ SUBJECTS = (
         (),
         (
             ("document[_DIGEST] != _digest(document)", "False"),
-            ("if not trust and _DIGEST", "if trust and _DIGEST"),
-            ("if not trust and _DIGEST in document and", "if _DIGEST in document and"),
+            ("if changed and not trust", "if changed and trust"),
+            ("if signed and _DIGEST not in document", "if _DIGEST not in document"),
             (
                 "for key, value in document.items() if key != _DIGEST",
                 'for key, value in document.items() if key not in (_DIGEST, "parameters")',
