@@ -74,7 +74,7 @@ class Site:
     ------
     InputError
         Gravity or latitude outside the range on the Earth's surface, a sigma outside the range of its key in
-        :mod:`srt.recording.schema`.
+        ``srt.recording.schema``.
     """
 
     gravity_m_s2: float
@@ -111,7 +111,7 @@ class Fixture:
     Raises
     ------
     InputError
-        A heading or sigma outside the range of its key in :mod:`srt.recording.schema`.
+        A heading or sigma outside the range of its key in ``srt.recording.schema``.
     """
 
     heading_rad: float | None = 0.0
@@ -150,7 +150,7 @@ class ImuNoise:
     Raises
     ------
     InputError
-        A value outside the range of its key in :mod:`srt.recording.schema`; quantization and bias instability may be
+        A value outside the range of its key in ``srt.recording.schema``; quantization and bias instability may be
         zero.
     """
 
