@@ -19,9 +19,9 @@ def require_type(user: str, needed: str, value: object, *kinds: type) -> None:
     Parameters
     ----------
     user : str
-        What takes the argument, as the start of a sentence: "An Applier".
+        Function or class that takes the argument, as the start of a sentence: "An Applier".
     needed : str
-        What is expected, and where it comes from: "a calibration (srt.calibrate, srt.load_calibration)".
+        Kind of object that is expected, and its origin: "a calibration (srt.calibrate, srt.load_calibration)".
     value : object
     *kinds : type
         Classes of which the value may be.

@@ -44,7 +44,7 @@ SECTIONS: Final = {
 """Sections of the help: for every command its function (module:attribute) and its line of help."""
 
 OPTIONS_AS_COMMANDS: Final = {"merge": "calibrate --merge", "fleet": "calibrate FOLDER"}
-"""What does the work of a word that is no command."""
+"""Words that users type and that are no command, with what does their work."""
 
 COMMANDS: Final = {name: entry for section in SECTIONS.values() for name, entry in section.items()}
 

@@ -84,7 +84,7 @@ def test_a_signed_message_goes_out_unsigned_and_this_is_told(told):
     assert len(told) == 1
     assert "sent without a signature" in told[0]
     told.clear()
-    # What holds no IMU is not changed: its signature stays.
+    # A message without readings of an IMU is passed unchanged, with its signature.
     packet, _ = corrected_packet(told, ("heartbeat", 2, 3, 0, 0, 4, 3), key=b"k" * 32)
     assert packet[2] == 1
     assert "sent without" not in told[0]
