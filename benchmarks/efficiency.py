@@ -43,8 +43,6 @@ from srt.constants import DEG_PER_H
 from srt.estimation.closed_form_solver import ClosedFormSolver
 from srt.estimation.initial_estimates import initial_estimate
 from srt.estimation.iteration import iterate
-from srt.estimation.least_squares_solver import LeastSquaresSolver
-from srt.estimation.observability import admission_sigma
 from srt.estimation.options import Options
 from srt.model.prior import Prior
 from srt.recording.recording import Fixture
@@ -354,7 +352,7 @@ def component_table(grade: str) -> Table:
     recording = read_out(motion, SensorErrors(), GRADES[grade], np.random.default_rng(FIRST_SEED[grade]))
     options = Options()
     data = prepare_checked(recording, recording.sequences, options.average)
-    solution = iterate(data, options, LeastSquaresSolver((), admission_sigma()), *initial_estimate(data, options))
+    solution = iterate(data, options, ClosedFormSolver(data, options), *initial_estimate(data, options))
     H, R = solution.measurements.H, solution.measurement_covariance
 
     def sigma(read: np.ndarray) -> np.ndarray:

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from srt.constants import STANDARD_GRAVITY_M_S2
-from srt.sensor_errors import GROUP_SLICES, INDEX, N_PARAMETERS
+from srt.estimation.convergence import PARAMETER_UNITS
+from srt.sensor_errors import INDEX
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -17,9 +17,6 @@ if TYPE_CHECKING:
 
 RELIABLE_BELOW: Final = 0.05
 """Linearised standard deviations are reliable if all of them (accelerometer bias in g) are below this."""
-PARAMETER_UNITS: Final = np.ones(N_PARAMETERS)
-"""SI value of the unit of each parameter in comparisons: accelerometer bias in g, all others in SI units."""
-PARAMETER_UNITS[GROUP_SLICES["accel_bias"]] = STANDARD_GRAVITY_M_S2
 
 
 def compare_with_targets(sigma: Array, targets: Mapping[str, float]) -> tuple[bool, bool, str | None]:

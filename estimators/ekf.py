@@ -7,14 +7,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from estimators.accuracy_targets import PARAMETER_UNITS
 from estimators.covariance_filter import CovarianceFilter
-from estimators.iteration import default_prior, run
 from estimators.kalman_filter import KalmanSolver
-from estimators.recording_opening import open_joint_model
 from estimators.sequential_filter import SequentialFilter, run_sequentially
 from estimators.square_root_filter import SquareRootFilter
 from estimators.unscented_filter import UnscentedFilter
+from srt.estimation.convergence import PARAMETER_UNITS
+from srt.estimation.observability import default_prior
+from srt.joint.iteration import run
+from srt.joint.recording_opening import open_joint_model
 from srt.sensor_errors import NAMES
 
 if TYPE_CHECKING:

@@ -27,9 +27,9 @@ import numpy as np
 from gtsam.symbol_shorthand import A, B, D, E, F, G, L, N, Q, S, T, U, X
 
 from estimators import factors
-from estimators.drift_states import combined
-from estimators.linear_system import N_ERRORS, total
-from estimators.linearisation import (
+from srt.joint.drift_states import combined
+from srt.joint.linear_system import N_ERRORS, total
+from srt.joint.measurement_kinds import (
     fixed_headings,
     fixture_attitudes,
     rotation_kinds,
@@ -41,8 +41,8 @@ from srt.sensor_errors import N_PARAMETERS
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from estimators.joint_model import JointModel
-    from estimators.joint_state import CompensatedData, JointState
+    from srt.joint.joint_model import JointModel
+    from srt.joint.joint_state import CompensatedData, JointState
     from srt.model.prior import Prior
     from srt.types import Array, Indices, Mask
 

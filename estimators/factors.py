@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any
 import gtsam
 import numpy as np
 
-from estimators.linear_system import whiten
+from srt.joint.linear_system import whiten
 from srt.model import measurement_model as model
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from estimators.stated_rates import StatedRates
+    from srt.joint.stated_rates import StatedRates
     from srt.types import Array, Indices
 
     Linearised = tuple[Array, list[Array]]

@@ -17,19 +17,19 @@ from scipy.linalg import solve_triangular
 from scipy.special import chdtri
 
 from estimators.factor_graph import FactorGraph
-from estimators.iteration import default_prior, run
-from estimators.recording_opening import open_joint_model
-from estimators.solver import JointSolver, LinearSolution
+from srt.joint.iteration import run
+from srt.joint.recording_opening import open_joint_model
+from srt.joint.solver import JointSolver, LinearSolution
 from srt.sensor_errors import N_PARAMETERS
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from estimators.joint_model import JointModel
-    from estimators.joint_state import JointState
-    from estimators.linear_system import LinearSystem
     from srt.estimation.options import Options
     from srt.estimation.registry import Progress
+    from srt.joint.joint_model import JointModel
+    from srt.joint.joint_state import JointState
+    from srt.joint.linear_system import LinearSystem
     from srt.model.prior import Prior
     from srt.recording.recording import Recording
     from srt.result.calibration import Calibration
@@ -125,7 +125,7 @@ class GraphSolver(JointSolver):
         """Solve once; with a robust loss, relinearise and update the weights until both converge."""
         loss = self.stages[min(self.calls, len(self.stages) - 1)]
         self.calls += 1
-        prior = default_prior() if self.prior is None and self.observability_pending else self.prior
+        prior = self.prior_in_use
         weights = np.ones(joint.data.K)
         built = FactorGraph(joint, state, system.compensated, system.free, prior=prior)
         values, solution = built.values, None

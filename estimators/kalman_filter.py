@@ -19,20 +19,20 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from estimators.accuracy_targets import targets_met
-from estimators.elimination_steps import global_columns
-from estimators.linear_system import FIXTURE, N_ERRORS
 from estimators.nuisance_elimination import eliminate_nuisances, smoothed
-from estimators.solver import JointSolver, LinearSolution
 from estimators.square_root_filter import SquareRootFilter
 from srt.estimation.goodness_of_fit import chi_square_probability
+from srt.joint.elimination_steps import global_columns
+from srt.joint.linear_system import FIXTURE, N_ERRORS
+from srt.joint.solver import JointSolver, LinearSolution
 from srt.sensor_errors import N_PARAMETERS
 
 if TYPE_CHECKING:
     from estimators.covariance_filter import CovarianceFilter
-    from estimators.joint_model import JointModel
-    from estimators.joint_state import JointState
-    from estimators.linear_system import LinearSystem
     from estimators.nuisance_elimination import SequenceEquations
+    from srt.joint.joint_model import JointModel
+    from srt.joint.joint_state import JointState
+    from srt.joint.linear_system import LinearSystem
     from srt.model.prior import Prior
     from srt.types import Array, Indices
 

@@ -17,15 +17,16 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from estimators.accuracy_targets import compare_with_targets
-from estimators.iteration import default_prior, iterate
-from estimators.joint_model import JointModel
 from estimators.kalman_filter import KalmanSolver
-from estimators.solution_analysis import whole_solution
-from estimators.solver import IterationState
 from estimators.square_root_filter import SquareRootFilter
 from srt.estimation.goodness_of_fit import chi_square_probability
 from srt.estimation.initial_estimates import initial_estimate, rotation_angles
+from srt.estimation.observability import default_prior
 from srt.exceptions import DataError, InputError
+from srt.joint.iteration import iterate
+from srt.joint.joint_model import JointModel
+from srt.joint.solution_analysis import whole_solution
+from srt.joint.solver import IterationState
 from srt.model.gyro_stream import gyro_stream
 from srt.model.sensor_model import Triad, to_mars
 from srt.sensor_errors import GROUP_SLICES, NAMES
@@ -170,7 +171,7 @@ class LiveFilter:
         found = self.solver.last
         if found is None or self.iteration.covariance is None:
             raise DataError(f"After {data.labels[-1].title} the filter cannot continue: {self.iteration.message}")
-        sigma = np.sqrt(np.maximum(np.diag(self.iteration.covariance), 0.0))
+        sigma = self.iteration.sigma
         promised, met, limiting = compare_with_targets(sigma, self.options.targets)
         return LiveReport(
             sequence=data.ids[-1],

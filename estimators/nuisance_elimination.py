@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.linalg.lapack import dgeqrf, dormqr
 
-from estimators.elimination_steps import elimination_steps, global_columns
+from srt.joint.elimination_steps import elimination_steps, global_columns
 
 if TYPE_CHECKING:
-    from estimators.linear_system import LinearSystem
+    from srt.joint.linear_system import LinearSystem
     from srt.types import Array, Indices, Mask
 
 

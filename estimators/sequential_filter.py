@@ -19,26 +19,27 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from estimators.accuracy_targets import PARAMETER_UNITS
-from estimators.elimination_steps import global_columns
-from estimators.iteration import apply_correction
 from estimators.kalman_filter import FilterRun, filter_diagnostics, hand_on, padded, prior_root
-from estimators.linear_system import attitude_columns
-from estimators.linearisation import linearise
 from estimators.nuisance_elimination import eliminate_nuisances
-from estimators.solution_analysis import FixedParameters, make_calibration, whole_solution
-from estimators.solver import IterationState, JointSolver, LinearSolution
 from estimators.square_root_filter import SquareRootFilter
+from srt.estimation.convergence import PARAMETER_UNITS
 from srt.estimation.fixed_parameters import fixed_sigma, reason_on_request
 from srt.exceptions import InputError
+from srt.joint.elimination_steps import global_columns
+from srt.joint.initial_attitudes import placed
+from srt.joint.iteration import apply_correction
+from srt.joint.linear_system import attitude_columns
+from srt.joint.linearisation import linearise
+from srt.joint.solution_analysis import FixedParameters, make_calibration, whole_solution
+from srt.joint.solver import IterationState, JointSolver, LinearSolution
 from srt.model.sensor_model import outside_model
 from srt.sensor_errors import NAMES, SensorErrors
 
 if TYPE_CHECKING:
-    from estimators.joint_model import JointModel
-    from estimators.joint_state import JointState
-    from estimators.linear_system import LinearSystem
     from srt.estimation.registry import Progress
+    from srt.joint.joint_model import JointModel
+    from srt.joint.joint_state import JointState
+    from srt.joint.linear_system import LinearSystem
     from srt.model.prior import Prior
     from srt.result.calibration import Calibration
     from srt.types import Array, Mask
@@ -102,7 +103,7 @@ class SequentialFilter(JointSolver):
 
     def __init__(self, joint: JointModel, prior: Prior, form: str, free: Mask) -> None:
         windows = np.concatenate([joint.data.start, joint.data.end])
-        unsuitable = len(joint.level_frames) > 1 or joint.bias_walks or bool(joint.processor.stated.rated.size)
+        unsuitable = len(joint.level_frames) > 1 or joint.bias_walks or bool(joint.steady.rated.size)
         if unsuitable or len(np.unique(windows)) < len(windows):
             raise InputError(
                 f"The filter {form!r} needs labelled sequences on a fixture, no shared windows, no stated rates and "
@@ -156,7 +157,7 @@ class SequentialFilter(JointSolver):
         self, joint: JointModel, state: JointState, number: int, previous: SequenceUpdate | None
     ) -> SequenceUpdate:
         """Update the estimate with a sequence, linearised once or until the correction is negligible."""
-        state = joint.placed(state)[0]
+        state = placed(joint, state)[0]
         total: Array | float = 0.0
         for _ in range(_ITERATIONS[self.form]):
             system = linearise(joint, state, joint.compensate(state), self.free)
@@ -193,7 +194,7 @@ class SequentialFilter(JointSolver):
 
     def _compare_with_optimum(self, joint: JointModel, iteration: IterationState) -> None:
         """Set the status by the distance of the estimate from the optimum of all measurements and the prior."""
-        state, compensated = joint.placed(iteration.state)
+        state, compensated = placed(joint, iteration.state)
         for _ in range(_ATTITUDE_PASSES):
             iteration.linearisation_point, iteration.compensated = state, compensated
             iteration.system = linearise(joint, state, compensated, self.free)

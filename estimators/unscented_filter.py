@@ -18,18 +18,19 @@ import numpy as np
 from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 from scipy.linalg import block_diag, solve_triangular
 
-from estimators.elimination_steps import global_columns
-from estimators.iteration import apply_correction
-from estimators.joint_model import JointModel
 from estimators.kalman_filter import prior_root
-from estimators.linearisation import linearise
 from estimators.sequential_filter import SequenceUpdate, SequentialFilter, require_valid
+from srt.joint.elimination_steps import global_columns
+from srt.joint.initial_attitudes import placed
+from srt.joint.iteration import apply_correction
+from srt.joint.joint_model import JointModel
+from srt.joint.linearisation import linearise
 from srt.sequences.checked_preparation import prepare_checked
 
 if TYPE_CHECKING:
-    from estimators.drift_states import DriftStates
-    from estimators.joint_state import JointState
-    from estimators.linear_system import LinearSystem
+    from srt.joint.drift_states import DriftStates
+    from srt.joint.joint_state import JointState
+    from srt.joint.linear_system import LinearSystem
     from srt.model.prior import Prior
     from srt.types import Array, Mask
 
@@ -126,7 +127,7 @@ class SequenceModel:
         self.rows = np.concatenate([rows.index.ravel() for rows in self.system.rows if np.all(rows.owner >= 0)])
         self.basis = self._complement(self.system)
         # The drift is correlated between sequences: its states come from the model of the whole recording.
-        whole = linearise(joint, *joint.placed(replace(state, attitude=None)), free)
+        whole = linearise(joint, *placed(joint, replace(state, attitude=None)), free)
         windows = [int(joint.data.start[k]), int(joint.data.end[k])]
         rows = [whole.rows_of(kind).index[windows].ravel() for kind in ("force", "rate")]
         rows.append(whole.rows_of("turn").index[k])
@@ -162,7 +163,7 @@ class SequenceModel:
         return np.asarray(self.basis.T @ (Q @ (Q.T @ system.b[self.rows])))
 
     def _linearise(self, state: JointState) -> LinearSystem:
-        return linearise(self.joint, *self.joint.placed(state), self.free)
+        return linearise(self.joint, *placed(self.joint, state), self.free)
 
     def _complement(self, system: LinearSystem) -> Array:
         """Orthonormal basis of the residuals that nuisance parameters do not affect, shape (rows, m)."""

@@ -77,8 +77,7 @@ def protocol_accuracy(name: str, plan: PlanFile, total_s: float) -> ProtocolAccu
 def sigma_with_moves(file: PlanFile, plan: Plan, estimator: str = "least-squares") -> Array:
     """Expected sigma where the moves between the sequences of a plan are recorded.
 
-    The covariance is that of a noise-free simulated run for which the unit's noise is stated. Filter and graph also tie
-    the attitude at the end of each sequence to the fixture, so that theirs is at most that of least squares.
+    The covariance is that of a noise-free simulated run for which the unit's noise is stated.
 
     Parameters
     ----------

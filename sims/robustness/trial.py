@@ -56,7 +56,7 @@ solution there. The limit is a thirtieth of that.
 """
 SAMPLED: Final = 10
 """Every so many trials the fixed point is computed in any case: an estimator that stops too early is noticed."""
-_NEWTON: Final = ("closed-form", "least-squares")
+_NEWTON: Final = ("closed-form",)
 """Estimators to which this applies. A filter that passes over the data once, or a robust loss, depends on its start."""
 
 

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     "estimators",
     multiple=True,
     metavar="NAME",
-    help="Repeatable. Default: closed-form, and the optimum (graph, or least-squares where gtsam is absent).",
+    help="Repeatable. Default: closed-form and least-squares.",
 )
 @click.option("--paper", is_flag=True, help="Analysis of Savage 2020, §9, with the noise of the scenario.")
 @click.option("--draws", type=click.IntRange(min=2), default=30, show_default=True, help="Draws of the fixture errors.")
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 @click.option(
     "--plot",
     type=NamedPath(path_type=Path),
-    help="Figure: FILE.png, .pdf or .svg; one for each estimator, as FILE-graph.png.",
+    help="Figure: FILE.png, .pdf or .svg; one for each estimator, as FILE-least-squares.png.",
 )
 @click.option("--details", is_flag=True, help="Show all parameters, and the errors that are not in the sum.")
 @click.option("-q", "--quiet", is_flag=True, help="No progress and no tables; warnings and errors only.")
@@ -74,7 +74,7 @@ def budget(
     from sims.accuracy.budget import budget as predict
     from srt.recording.atomic_file import atomic_write_text
 
-    names = estimators or default_estimators(gyro_bias)
+    names = estimators or ("closed-form", "least-squares")
     with count_progress("budget", quiet=quiet, lines=False) as progress:
         found = predict(chosen, names, draws=draws, gyro_bias=gyro_bias, progress=progress)
     if output is not None:
@@ -101,14 +101,6 @@ def budget(
             show("\n--details shows all parameters, and the errors that are not in the sum.")
     announce(output, *figures, quiet=quiet)
     return 0
-
-
-def default_estimators(gyro_bias: GyroBias = "auto") -> tuple[str, ...]:
-    """Closed form, and the most efficient estimator that is installed and has this model of the gyro bias."""
-    from importlib.util import find_spec
-
-    joint = find_spec("gtsam") is not None and gyro_bias != "g-sensitive"
-    return ("closed-form", "graph" if joint else "least-squares")
 
 
 def paper_mode(scenario: Scenario, output: Path | None, *, quiet: bool) -> int:

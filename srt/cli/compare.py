@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from srt.recording.recording import Recording
     from srt.result.calibration import Calibration
 
-SHARED_OPTIONS = ("no_asymmetry", "hold", "ignore_moves", "average", "window_attitude", "start", "max_playbacks")
+SHARED_OPTIONS = ("no_asymmetry", "hold", "ignore_moves", "average", "start", "max_playbacks")
 """Options of ``srt calibrate`` that have the same meaning for every estimator."""
 
 _FOREIGN_TRUTH = 10.0

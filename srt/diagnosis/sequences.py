@@ -51,7 +51,7 @@ _FAR: Final = 1.0
 """Squared distance above which a manoeuvre is another sequence; rotation angles in units of 180°, verticals as unit
 vectors. The two most similar of the 17 sequences are 2 apart; a unit with errors of 10 % is within 0.1 of its own."""
 _SIGMAS: Final = 6.0
-"""Allowed error of an angle in sigma of the fixture, as in :func:`srt.sequences.manoeuvres.wrong_rotation_angles`."""
+"""Allowed error of an angle in sigma of the fixture, as in :mod:`srt.estimation.calibration_builder`."""
 _AGREE: Final = 0.5
 """Largest share of an angle error of the gyros that the accelerometers may contradict: they contradict the whole of an
 error due to lost samples or asymmetric scale factors, but nothing of a rotation by a wrong angle."""

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+import math
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -11,10 +12,11 @@ from srt.estimation.error_sources import start_sigma
 from srt.estimation.goodness_of_fit import chi_square_probability, is_misfit
 from srt.estimation.leave_one_out import verdict
 from srt.estimation.unseen_errors import clock_effect, unseen_errors
+from srt.model.rotations import rotation_vector
 from srt.result.calibration import Calibration, software
 from srt.result.verdict import LARGEST_RATIO, USABLE, p_value_text
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES
-from srt.sequences.manoeuvres import wrong_rotation_angles
+from srt.sequences.manoeuvres import end_attitude
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -314,7 +316,7 @@ def _warnings(data: PreparedRecording, result: SolverResult, observed: Mask) -> 
         )
     messages += [term.sentence for term in result.drift]
     if result.status in (*USABLE, "not_converged"):
-        messages += wrong_rotation_angles(data, result.end_attitude, result.U)
+        messages += _wrong_rotation_angles(data, result.end_attitude, result.U)
     if result.status in USABLE:
         messages += result.notes
     if data.recording.site.latitude_rad is None:
@@ -330,3 +332,53 @@ def _warnings(data: PreparedRecording, result: SolverResult, observed: Mask) -> 
             f"{fixed} of {N_PARAMETERS} parameters are not observed; they keep the values of the initial estimate."
         )
     return tuple(messages)
+
+
+_SIGMAS: Final = 6.0
+"""Largest rotation error, in sigma, that is consistent with a label (false alarms: p = 1e-9)."""
+
+
+def _wrong_rotation_angles(data: PreparedRecording, turned: Array, U: Array) -> tuple[str, ...]:
+    """Sentences about sequences whose measured rotation contradicts the label.
+
+    Parameters
+    ----------
+    data : PreparedRecording
+    turned : ndarray, shape (K, 3, 3)
+        C_End as the gyros measured it, B_End to B_Strt.
+    U : ndarray, shape (3, 3)
+        T to MARS components.
+
+    Returns
+    -------
+    tuple of str
+        One sentence for each rotation whose error is above six times the fixture's sigma.
+    """
+    fixture = data.recording.fixture
+    if fixture is None:
+        return ()
+    said = []
+    for k, sequence in enumerate(data.catalogue):
+        if sequence is None:
+            continue
+        nominal = U @ end_attitude(sequence) @ U.T
+        off = rotation_vector((nominal.T @ turned[k])[None])[0]
+        # Every leg has its own error; about a misaligned axis a turn ends up to twice the misalignment away.
+        legs = len(sequence.rotations)
+        allowed = _SIGMAS * math.hypot(math.sqrt(legs) * fixture.rotation_sigma_rad, 2.0 * fixture.alignment_sigma_rad)
+        if np.linalg.norm(off) <= allowed:
+            continue
+        title = data.labels[k].title[0].upper() + data.labels[k].title[1:]
+        if legs == 1:
+            angle = float(sequence.angles_rad[0])
+            done = angle + float(off @ U @ sequence.axes[0])
+            said.append(
+                f"{title} turned by {math.degrees(done):.2f}° where its label has {math.degrees(angle):.0f}°: "
+                "the gyros measure what it did turn, but check the label."
+            )
+        else:
+            said.append(
+                f"{title} ends {math.degrees(float(np.linalg.norm(off))):.2f}° from where its rotations lead: one of "
+                "them was not turned by its nominal angle; the gyros measure what it did turn, but check the label."
+            )
+    return tuple(said)

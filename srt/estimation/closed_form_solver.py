@@ -55,8 +55,6 @@ class ClosedFormSolver:
         If the sequences support no formula at all.
     """
 
-    estimates_earth_rate = False  # the paper takes the heading as known
-
     def __init__(self, data: PreparedRecording, options: Options) -> None:
         self.data = data
         fixed = set(options.fixed_names)

@@ -6,8 +6,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
 from srt.constants import DEG_PER_H, MICRO_G
+from srt.estimation.error_sources import earth_rate_sigma, raw_rate_variance
 from srt.noise.drift_forms import (
     FALSE_ALARM,
     LINEAR,
@@ -15,6 +17,7 @@ from srt.noise.drift_forms import (
     drift_test,
     form_or_scatter,
     of_courses,
+    residual_statistics,
     variance_component,
 )
 
@@ -23,7 +26,7 @@ if TYPE_CHECKING:
 
     from srt.noise.drift_forms import Statistics
     from srt.sequences.preparation import PreparedRecording
-    from srt.types import Array
+    from srt.types import Array, Mask
 
     Sensor = Literal["gyro", "accel"]
 
@@ -55,37 +58,6 @@ class DriftTerm(NamedTuple):
     sigma: float
 
 
-class Unmodelled(NamedTuple):
-    """Errors beyond the noise of the sensors that the residuals show.
-
-    Attributes
-    ----------
-    rotation : float, rad
-        Standard deviation per rotation.
-    force : float, m/s²
-        Standard deviation per window.
-    drift : tuple of DriftTerm
-    """
-
-    rotation: float = 0.0
-    force: float = 0.0
-    drift: tuple[DriftTerm, ...] = ()
-
-    @property
-    def sizes(self) -> tuple[float, float]:
-        """Standard deviations of unmodelled errors: rotation, rad; specific force, m/s²."""
-        return self.rotation, self.force
-
-    @property
-    def coefficients(self) -> int:
-        """Number of coefficients that are estimated without a prior."""
-        return sum(3 for term in self.drift if term.form != WALK)
-
-    def drifting(self, sensor: Sensor) -> bool:
-        """True if a drift of the triad is modelled."""
-        return any(term.sensor == sensor for term in self.drift)
-
-
 class DriftSearch(NamedTuple):
     """Drift that the residuals of a solution show beyond what it models.
 
@@ -105,10 +77,6 @@ class DriftSearch(NamedTuple):
     def diagnostics(self) -> dict[str, Any]:
         """JSON values; empty without a possible drift."""
         return {"possible_accel_drift_sigma_m_s2": self.possible} if self.possible > 0.0 else {}
-
-
-NOTHING: Final = Unmodelled()
-"""No error beyond the noise of the sensors."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -150,7 +118,7 @@ class DriftEstimate:
         end = (
             "the estimate includes this drift, and the sigmas allow for it."
             if self.modelled
-            else "this estimator does not model it: use least-squares, ekf or graph, or let the unit warm up."
+            else "this estimator does not model it: use least-squares, or let the unit warm up."
         )
         return (
             f"The {_NAMES[self.sensor]} biases changed {form} by {sizes} {unit} (x, y, z) over the recording, more "
@@ -168,7 +136,8 @@ def candidates(data: PreparedRecording, present: Sequence[DriftTerm]) -> list[tu
 def most_significant(
     found: Mapping[tuple[Sensor, str], Statistics],
     tests: int,
-    present: Unmodelled,
+    present: Sequence[DriftTerm],
+    force: float,
     courses: Mapping[str, Array],
     by_window: Callable[[Sensor], Statistics],
 ) -> DriftSearch:
@@ -183,26 +152,29 @@ def most_significant(
         Coefficients of the three channels, for each function in the test of a form in turn.
     tests : int
         Number of forms that are tested in the recording, over all sensors.
-    present : Unmodelled
-        Errors that are modelled. Independent errors of the windows may be a drift that was not known.
+    present : sequence of DriftTerm
+        Forms that are modelled.
+    force : float, m/s²
+        Standard deviation of independent errors of the windows that are modelled. They may be a drift that was not
+        known.
     courses : mapping of str to ndarray, shape (W, n)
         All functions of each form in the windows.
     by_window : callable
         Statistics of independent errors of the windows of a sensor.
     """
     p_values = {key: test.p_value for key, statistics in found.items() if (test := drift_test(statistics)) is not None}
-    if present.force > 0.0:
+    if force > 0.0:
         each = by_window("accel")
         for sensor, form in p_values:
             if sensor == "accel":
-                p_values[sensor, form] = form_or_scatter(each, courses[form], present.force, walk=form == WALK)
+                p_values[sensor, form] = form_or_scatter(each, courses[form], force, walk=form == WALK)
     out = []
     for sensor in dict.fromkeys(sensor for sensor, _ in p_values):
         key = min((key for key in p_values if key[0] == sensor), key=lambda key: p_values[key])
         if p_values[key] < FALSE_ALARM / tests:
             out.append(DriftTerm(*key, _prior_sigma(key, found, courses[WALK], by_window)))
     linear: tuple[Sensor, str] = ("accel", LINEAR)
-    drifting = any(term.sensor == "accel" for term in (*present.drift, *out))
+    drifting = any(term.sensor == "accel" for term in (*present, *out))
     possible = not drifting and p_values.get(linear, 1.0) < _POSSIBLE
     return DriftSearch(tuple(out), variance_component(found[linear]).sigma if possible else 0.0)
 
@@ -226,3 +198,53 @@ def change(form: str, coefficients: Array, windows: Array) -> Array:
         return np.asarray(np.ptp(windows @ coefficients, axis=0))
     course = windows[:, 0]
     return np.asarray(coefficients[0] * np.sign(course[-1] - course[0]))
+
+
+def gyro_courses(data: PreparedRecording, keys: Sequence[tuple[Sensor, str]]) -> dict[str, Array]:
+    """Functions in the tests of the forms of gyro drift among the keys, by form, shape (W, functions)."""
+    return {form: data.drift_shapes[form].tested.windows for sensor, form in keys if sensor == "gyro"}
+
+
+def gyro_statistics(
+    data: PreparedRecording,
+    slope: Array,
+    rest: Array,
+    integrated: Mask,
+    present: Sequence[DriftTerm],
+    courses: Mapping[str, Array],
+) -> dict[str, Statistics]:
+    """Test statistics of courses of the gyro bias in the rest rates, weighted by the specified noise.
+
+    Parameters
+    ----------
+    data : PreparedRecording
+    slope : ndarray, shape (3, 3)
+        Derivative of compensated rates with respect to the raw ones.
+    rest : ndarray, shape (W, 3), rad/s
+        Compensated rates of the windows less the Earth's.
+    integrated : ndarray of bool, shape (W,)
+        Windows in which the unit moved; their rate is not used.
+    present : sequence of DriftTerm
+        Forms that are modelled.
+    courses : mapping of str to ndarray, shape (W, functions)
+        Courses to test, by name.
+    """
+    used = np.flatnonzero(~integrated)
+    doubt = earth_rate_sigma(data.recording)
+    noise = np.diag((raw_rate_variance(data.noise, data.windows.duration_s) @ (slope**2).T + doubt**2).ravel())
+    if data.noise.gyro_flicker is not None:
+        own = data.noise.gyro_flicker * slope
+        noise = noise + np.kron(data.drift.window_covariance, own @ own.T)
+    modelled = [(term, data.drift_shapes[term.form].windows) for term in present if term.sensor == "gyro"]
+    for term, course in modelled:
+        if term.form == WALK:
+            own = term.sigma * slope
+            noise = noise + np.kron(course @ course.T, own @ own.T)
+    rows = (3 * used[:, None] + np.arange(3)).ravel()
+    L = np.linalg.cholesky(noise[np.ix_(rows, rows)])
+    taken = [course for term, course in modelled if term.form != WALK]
+    parts = [np.concatenate([np.ones((len(rest), 1)), *taken], axis=1), *courses.values()]
+    by_axis = np.kron(np.concatenate(parts, axis=1)[used], np.eye(3))
+    white = solve_triangular(L, np.column_stack([rest[used].ravel(), by_axis]), lower=True)
+    z, H, *effects = np.split(white, np.cumsum([1, *(3 * part.shape[1] for part in parts)])[:-1], axis=1)
+    return dict(zip(courses, residual_statistics(z[:, 0], H, *effects), strict=True))

@@ -8,8 +8,16 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from srt.estimation import measurement_covariance
-from srt.estimation.drift_model import DriftEstimate, DriftSearch, DriftTerm, candidates, change, most_significant
-from srt.estimation.error_sources import earth_rate_sigma, raw_rate_variance
+from srt.estimation.drift_model import (
+    DriftEstimate,
+    DriftSearch,
+    candidates,
+    change,
+    gyro_courses,
+    gyro_statistics,
+    most_significant,
+)
+from srt.estimation.error_sources import raw_rate_variance
 from srt.estimation.goodness_of_fit import chi_square, is_misfit
 from srt.estimation.rest_rate_scatter import bias_gain
 from srt.noise.drift_forms import LINEAR, WALK, residual_statistics
@@ -17,7 +25,7 @@ from srt.noise.drift_forms import LINEAR, WALK, residual_statistics
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from srt.estimation.drift_model import Sensor
+    from srt.estimation.drift_model import DriftTerm, Sensor
     from srt.estimation.iteration import Solution
     from srt.estimation.options import Options
     from srt.noise.drift_forms import Statistics
@@ -39,7 +47,7 @@ def search(data: PreparedRecording, options: Options, solution: Solution, fixed:
     measurements = solution.measurements
     if measurements.integrals.time_parts is None:
         return DriftSearch()
-    keys = candidates(data, solution.excess.drift)
+    keys = candidates(data, ())
     scale = 1.0 / np.sqrt(np.diag(solution.measurement_covariance))
     try:
         L = np.linalg.cholesky(solution.measurement_covariance * np.outer(scale, scale))
@@ -55,7 +63,7 @@ def search(data: PreparedRecording, options: Options, solution: Solution, fixed:
 
     def of_gyro(courses: Mapping[str, Array]) -> dict[str, Statistics]:
         m = measurements
-        return gyro_statistics(data, m.gyro.inverse, m.rest_rate, m.integrated, solution.excess.drift, courses)
+        return gyro_statistics(data, m.gyro.inverse, m.rest_rate, m.integrated, (), courses)
 
     def by_window(sensor: Sensor) -> Statistics:
         if sensor == "gyro":
@@ -64,9 +72,8 @@ def search(data: PreparedRecording, options: Options, solution: Solution, fixed:
 
     found = dict(zip(forms, of_accel(*_effects(data, options, solution, forms, tested=True)), strict=True))
     found |= {("gyro", form): statistics for form, statistics in of_gyro(gyro_courses(data, keys)).items()}
-    return most_significant(
-        found, len(keys), solution.excess, {form: shape.windows for form, shape in data.drift_shapes.items()}, by_window
-    )
+    courses = {form: shape.windows for form, shape in data.drift_shapes.items()}
+    return most_significant(found, len(keys), (), solution.excess.force, courses, by_window)
 
 
 def explaining_drift(
@@ -82,69 +89,17 @@ def explaining_drift(
     return () if is_misfit(statistic, freedom - 3 * len(terms)) else terms
 
 
-def gyro_courses(data: PreparedRecording, keys: Sequence[tuple[Sensor, str]]) -> dict[str, Array]:
-    """Functions in the tests of the forms of gyro drift among the keys, by form, shape (W, functions)."""
-    return {form: data.drift_shapes[form].tested.windows for sensor, form in keys if sensor == "gyro"}
-
-
-def gyro_statistics(
-    data: PreparedRecording,
-    slope: Array,
-    rest: Array,
-    integrated: Mask,
-    present: Sequence[DriftTerm],
-    courses: Mapping[str, Array],
-) -> dict[str, Statistics]:
-    """Test statistics of courses of the gyro bias in the rest rates, weighted by the specified noise.
-
-    Parameters
-    ----------
-    data : PreparedRecording
-    slope : ndarray, shape (3, 3)
-        Derivative of compensated rates with respect to the raw ones.
-    rest : ndarray, shape (W, 3), rad/s
-        Compensated rates of the windows less the Earth's.
-    integrated : ndarray of bool, shape (W,)
-        Windows in which the unit moved; their rate is not used.
-    present : sequence of DriftTerm
-        Forms that are modelled.
-    courses : mapping of str to ndarray, shape (W, functions)
-        Courses to test, by name.
-    """
-    used = np.flatnonzero(~integrated)
-    doubt = earth_rate_sigma(data.recording)
-    noise = np.diag((raw_rate_variance(data.noise, data.windows.duration_s) @ (slope**2).T + doubt**2).ravel())
-    if data.noise.gyro_flicker is not None:
-        own = data.noise.gyro_flicker * slope
-        noise = noise + np.kron(data.drift.window_covariance, own @ own.T)
-    modelled = [(term, data.drift_shapes[term.form].windows) for term in present if term.sensor == "gyro"]
-    for term, course in modelled:
-        if term.form == WALK:
-            own = term.sigma * slope
-            noise = noise + np.kron(course @ course.T, own @ own.T)
-    rows = (3 * used[:, None] + np.arange(3)).ravel()
-    L = np.linalg.cholesky(noise[np.ix_(rows, rows)])
-    taken = [course for term, course in modelled if term.form != WALK]
-    parts = [np.concatenate([np.ones((len(rest), 1)), *taken], axis=1), *courses.values()]
-    by_axis = np.kron(np.concatenate(parts, axis=1)[used], np.eye(3))
-    white = solve_triangular(L, np.column_stack([rest[used].ravel(), by_axis]), lower=True)
-    z, H, *effects = np.split(white, np.cumsum([1, *(3 * part.shape[1] for part in parts)])[:-1], axis=1)
-    return dict(zip(courses, residual_statistics(z[:, 0], H, *effects), strict=True))
-
-
 def estimates(
-    data: PreparedRecording, options: Options, solution: Solution, fixed: Mask, unmodelled: tuple[DriftTerm, ...] = ()
+    data: PreparedRecording, options: Options, solution: Solution, fixed: Mask, terms: tuple[DriftTerm, ...]
 ) -> tuple[DriftEstimate, ...]:
-    """Estimated drift of the terms of a solution, and of those that it does not model."""
-    terms = [*solution.excess.drift, *unmodelled]
+    """Estimated drift of terms that a solution does not model."""
     if not terms:
         return ()
     gyro = _gyro_coefficients(data, solution, [term for term in terms if term.sensor == "gyro"])
     R, z, H = solution.measurement_covariance, solution.measurements.z, solution.measurements.H[:, ~fixed]
     effects = _effects(data, options, solution, terms)
     for term, effect in zip(terms, effects, strict=True):
-        if term in unmodelled:
-            R = R + term.sigma**2 * effect @ effect.T
+        R = R + term.sigma**2 * effect @ effect.T
     scale = 1.0 / np.sqrt(np.diag(R))
     factor = cho_factor(R * np.outer(scale, scale), lower=True)
     H, unit = H * scale[:, None], np.linalg.norm(H * scale[:, None], axis=0)
@@ -158,7 +113,7 @@ def estimates(
         if term.sensor == "gyro":
             coefficients = gyro[term.form]
         size = change(term.form, coefficients, data.drift_shapes[term.form].windows)
-        out.append(DriftEstimate(term.sensor, term.form, size, modelled=term not in unmodelled))
+        out.append(DriftEstimate(term.sensor, term.form, size, modelled=False))
     return tuple(out)
 
 
@@ -183,8 +138,6 @@ def _gyro_coefficients(data: PreparedRecording, solution: Solution, terms: list[
 
 def used_bias_gain(data: PreparedRecording, options: Options, solution: Solution) -> Array:
     """Weight of a sequence's own rest rate in its bias, per axis, shape (3,); see ``bias_gain``."""
-    if solution.excess.drifting("gyro"):
-        return np.ones(3)
     compensated = np.sqrt(solution.measurements.gyro.inverse**2 @ solution.wander**2)
     return bias_gain(solution.measurements, data, options.gyro_bias, compensated)
 

@@ -3,8 +3,8 @@
 A source acts on the compensated mean specific force ("force") and mean rate ("rate") of every window, and on the
 attitude error φ of every rotation ("turn"), in two ways: errors of single windows and rotations, which are independent,
 with their covariance; and errors that several of them share, as unit-variance unknowns with their derivatives. The
-joint estimators whiten with the first and estimate the second; closed form and least squares project both onto the SRT
-measurements (:mod:`srt.estimation.measurement_covariance`).
+joint model whitens with the first and estimates the second; the closed form projects both onto the SRT measurements
+ (:mod:`srt.estimation.measurement_covariance`).
 """
 
 from __future__ import annotations
@@ -161,13 +161,37 @@ def raw_rate_variance(noise: NoiseModel, duration_s: Array) -> Array:
     return np.asarray(noise.gyro_white**2 / T + 2.0 * (noise.gyro_edge / T) ** 2)
 
 
-def unmodelled(data: PreparedRecording, rotation: float, force: float, rate: float = 0.0) -> dict[str, Source]:
-    """Errors beyond the noise of the sensors, 1-sigma: of rotations, rad, specific forces, m/s², and rates, rad/s."""
+class UnmodelledErrors(NamedTuple):
+    """Standard deviations of errors that the residuals show beyond the noise.
+
+    Attributes
+    ----------
+    rotation : float, rad
+    force : float, m/s²
+        Mean specific force of a window.
+    rate : float, rad/s
+        Mean rate of a window.
+    wobble : float, rad
+        Wobble of the fixture's axes beyond the stated one, per pose.
+    """
+
+    rotation: float = 0.0
+    force: float = 0.0
+    rate: float = 0.0
+    wobble: float = 0.0
+
+
+NO_ERRORS: Final = UnmodelledErrors()
+"""Residuals that agree with the noise."""
+
+
+def unmodelled(data: PreparedRecording, errors: UnmodelledErrors) -> dict[str, Source]:
+    """Unmodelled errors of rotations, specific forces and rates."""
     W, unit = len(data.windows.duration_s), np.eye(3)
     return {
-        "turn_excess": Source({"turn": np.broadcast_to(rotation**2 * unit, (data.K, 3, 3))}),
-        "pose_excess": Source({"force": np.broadcast_to(force**2 * unit, (W, 3, 3))}),
-        "rest_excess": Source({"rate": np.broadcast_to(rate**2 * unit, (W, 3, 3))}),
+        "turn_excess": Source({"turn": np.broadcast_to(errors.rotation**2 * unit, (data.K, 3, 3))}),
+        "pose_excess": Source({"force": np.broadcast_to(errors.force**2 * unit, (W, 3, 3))}),
+        "rest_excess": Source({"rate": np.broadcast_to(errors.rate**2 * unit, (W, 3, 3))}),
     }
 
 

@@ -66,6 +66,8 @@ def fixed_sigma(data: PreparedRecording, options: Options) -> Array:
     return sigma
 
 
+_LEAST_HORIZONTAL: Final = 0.1
+"""Share of horizontal rotations below which gravity shows no gyro error: a tenth also allows for inclined axes."""
 _REMEDIES: Final = {
     "gyro_scale": "a rotation about the axis while it is horizontal, or a run at a stated rate about it",
     "gyro_asymmetry": "rotations about the axis in both senses while it is horizontal",
@@ -80,16 +82,31 @@ _REMEDIES: Final = {
 
 
 def seen_by_earth_rate_alone(data: PreparedRecording) -> dict[str, str]:
-    """Gyro errors that are fixed in a test of poses and stated rates, with reasons: only the Earth's rate shows them.
+    """Gyro errors that are fixed in a test of poses, stated rates and rotations about the vertical, with reasons.
+
+    Only the Earth's rate shows them.
 
     If they are estimated, the unknown heading of each pose brings the square of the rate noise into them: gyro scale
     factors were up to 4 sigma too large.
     """
-    if not all(label.pose or label.rate is not None for label in data.labels):
+    if not all(label.pose or label.rate is not None for label in data.labels) and not _about_vertical(data):
         return {}
     rated = any(label.rate is not None for label in data.labels)
     groups = ["gyro_orthogonality"] if rated else ["gyro_scale", "gyro_asymmetry", "gyro_orthogonality"]
     return {name: reason_not_observed(name) for name in expand_names(groups)}
+
+
+def _about_vertical(data: PreparedRecording) -> bool:
+    """True if all rotations are about the vertical: their horizontal parts are a small share of the summed angles."""
+    stream, windows = data.rotation_stream, data.windows
+    horizontal = total = 0.0
+    for k, (first, last) in enumerate(stream.rotation.tolist()):
+        rest = 0.5 * (windows.gyro_mean[data.start[k]] + windows.gyro_mean[data.end[k]])
+        turned = (stream.smooth[:, first:last] - rest[:, None] * stream.interval_s[first:last]).T
+        force = windows.accel_mean[data.start[k]]
+        horizontal += np.linalg.norm(np.cross(turned, force / np.linalg.norm(force)), axis=1).sum()
+        total += np.linalg.norm(turned, axis=1).sum()
+    return bool(horizontal < _LEAST_HORIZONTAL * total)
 
 
 def reason_not_observed(name: str) -> str:

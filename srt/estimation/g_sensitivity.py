@@ -20,7 +20,7 @@ rotation. The noise of f_w, multiplied by Γ, is neglected.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -75,6 +75,32 @@ class PoseRegression:
         left = own - force @ (self.weights.T @ own)
         whole = float(np.sum((deviation @ own) ** 2))
         return float(np.sum((deviation @ left) ** 2)) / whole if whole > 0.0 else 1.0
+
+
+class RestRates(NamedTuple):
+    """Rates of the windows at rest and their regression on specific force.
+
+    Attributes
+    ----------
+    poses : PoseRegression
+    force : ndarray, shape (W, 3), m/s²
+        Compensated, in B.
+    rate : ndarray, shape (W, 3), rad/s
+        Compensated rates less the Earth rate.
+    pool : ndarray, shape (W,)
+        Weights of the windows.
+    sequence : ndarray of int, shape (W,)
+        Sequence of each window.
+    gyro : Triad
+        Sensor model that the rates were compensated with.
+    """
+
+    poses: PoseRegression
+    force: Array
+    rate: Array
+    pool: Array
+    sequence: Indices
+    gyro: Triad
 
 
 def pose_regression(force: Array, pool: Array, gravity: float) -> PoseRegression:

@@ -13,13 +13,12 @@ import numpy as np
 from scipy.special import fdtrc
 
 from srt.constants import DEG_PER_H, STANDARD_GRAVITY_M_S2
-from srt.estimation import measurement_covariance
-from srt.estimation.error_sources import earth_rate_sigma
+from srt.estimation.error_sources import earth_rate_sigma, raw_rate_variance
 from srt.estimation.g_sensitivity import LEAST_FORCE_VARIATION, MODE
 from srt.result.calibration import G_SENSITIVITY
 
 if TYPE_CHECKING:
-    from srt.estimation.srt_measurements import SrtMeasurements
+    from srt.estimation.g_sensitivity import RestRates
     from srt.sequences.preparation import PreparedRecording
     from srt.types import Array, Mask
 
@@ -37,29 +36,10 @@ _ESTIMATED: Final = (
 _DEG_PER_H_PER_G: Final = STANDARD_GRAVITY_M_S2 / DEG_PER_H
 
 
-def rate_disturbances(measurements: SrtMeasurements, data: PreparedRecording, wander: Array) -> Array:
-    """Disturbances of the window rates by unit draws of all sources, shape (W, 3, S), rad/s.
-
-    Parameters
-    ----------
-    measurements : SrtMeasurements
-        With noise integrals.
-    data : PreparedRecording
-    wander : ndarray, shape (3,), rad/s
-        1-sigma of a sequence's gyro bias about the mean of the test (sensor axes).
-    """
-    sources = measurement_covariance.disturbances(measurements, data, wander).values()
-    return np.concatenate([source.rate for source in sources if source.rate is not None], axis=2)
-
-
 def diagnostics(
-    data: PreparedRecording,
-    measurements: SrtMeasurements,
-    matrix: Array,
-    wander: Array,
-    covariance: Array | None = None,
+    data: PreparedRecording, rest: RestRates, matrix: Array, covariance: Array, wander: Array
 ) -> dict[str, Any]:
-    """Estimated g-sensitivity, as JSON values; empty where it is not estimated.
+    """Estimated g-sensitivity, as JSON values.
 
     ``matrix``, its ``sigma`` and its ``covariance`` (nine elements by rows) are SI, rows gyros and columns axes of B;
     ``rest_rate_scatter_rad_s`` is the rms of the windows' rest rates about their mean before and after Γ is subtracted,
@@ -68,41 +48,45 @@ def diagnostics(
     Parameters
     ----------
     data : PreparedRecording
-    measurements : SrtMeasurements
-        With noise integrals.
+    rest : RestRates
+        With Γ f subtracted.
     matrix : ndarray, shape (3, 3), rad/s per m/s²
+    covariance : ndarray, shape (9, 9)
+        Of the elements of the matrix by rows.
     wander : ndarray, shape (3,), rad/s
-        As in :func:`rate_disturbances`.
-    covariance : ndarray, shape (9, 9), optional
-        Of the elements of the matrix by rows; default that of the regression of the rest rates.
+        1-sigma of a sequence's gyro bias about the mean of the test (sensor axes), if no instability is stated.
     """
-    if measurements.poses is None:
-        return {}
-    disturbed = rate_disturbances(measurements, data, wander)
-    by_draw = np.einsum("ab,bcs->acs", measurements.gyro.matrix, measurements.poses.fit(disturbed)).reshape(9, -1)
-    P = by_draw @ by_draw.T if covariance is None else covariance
-    sigma = np.sqrt(np.diag(P)).reshape(3, 3)
-    rate = measurements.after_g_sensitivity(disturbed)[0]
-    expected = measurements.pool @ np.sum((rate - np.tensordot(measurements.pool, rate, 1)) ** 2, axis=2)
-    left = measurements.rest_rate - measurements.pool @ measurements.rest_rate
-    deviation = measurements.force - measurements.pool @ measurements.force
-    followed = np.linalg.solve(measurements.gyro.matrix, matrix)
+    pool, gyro = rest.pool, rest.gyro
+    left, deviation = rest.rate - pool @ rest.rate, rest.force - pool @ rest.force
+    followed = np.linalg.solve(gyro.matrix, matrix)
     return {
         G_SENSITIVITY: {
             "matrix": matrix.tolist(),
-            "sigma": sigma.tolist(),
-            "covariance": P.tolist(),
+            "sigma": np.sqrt(np.diag(covariance)).reshape(3, 3).tolist(),
+            "covariance": covariance.tolist(),
             "unit": "rad/s per m/s^2",
             "matrix_deg_per_h_per_g": (matrix * _DEG_PER_H_PER_G).tolist(),
-            "sigma_deg_per_h_per_g": (sigma * _DEG_PER_H_PER_G).tolist(),
-            "not_seen_along": measurements.poses.unobserved.tolist(),
+            "sigma_deg_per_h_per_g": (np.sqrt(np.diag(covariance)).reshape(3, 3) * _DEG_PER_H_PER_G).tolist(),
+            "not_seen_along": rest.poses.unobserved.tolist(),
             "rest_rate_scatter_rad_s": {
-                "before": np.sqrt(measurements.pool @ (left + deviation @ followed.T) ** 2).tolist(),
-                "after": np.sqrt(measurements.pool @ left**2).tolist(),
-                "expected": np.sqrt(expected).tolist(),
+                "before": np.sqrt(pool @ (left + deviation @ followed.T) ** 2).tolist(),
+                "after": np.sqrt(pool @ left**2).tolist(),
+                "expected": np.sqrt(_expected_scatter(data, rest, wander)).tolist(),
             },
         }
     }
+
+
+def _expected_scatter(data: PreparedRecording, rest: RestRates, wander: Array) -> Array:
+    """Variance of the rest rates about their mean, after Γ is fitted, by noise and bias instability, (3,), (rad/s)²."""
+    slope, flicker = rest.gyro.inverse**2, data.noise.gyro_flicker
+    # Deviations from mean and fit, as combinations of the rates of the windows.
+    C = np.eye(len(rest.rate)) - rest.force @ rest.poses.weights.T
+    C -= rest.pool @ C
+    own = raw_rate_variance(data.noise, data.windows.duration_s) @ slope.T
+    same = rest.sequence[:, None] == rest.sequence
+    between, size = (same, wander) if flicker is None else (data.drift.window_covariance, flicker)
+    return np.asarray(rest.pool @ (C**2 @ own) + rest.pool @ np.sum(C @ between * C, axis=1) * (slope @ size**2))
 
 
 def warnings(unobserved: Array | None, size: float | None, *, automatic: bool) -> tuple[str, ...]:
@@ -135,14 +119,6 @@ def warnings(unobserved: Array | None, size: float | None, *, automatic: bool) -
         f"{size * _DEG_PER_H_PER_G:.2g} °/h/g (F-test, p < {FALSE_ALARM_PROBABILITY:g}). The sigmas do not include it; "
         f"estimate it with --gyro-bias {MODE} (gyro_bias={MODE!r}).",
     )
-
-
-def warnings_of(data: PreparedRecording, measurements: SrtMeasurements, *, automatic: bool) -> tuple[str, ...]:
-    """Warnings on a solution of the SRT measurements."""
-    if measurements.poses is not None:
-        return warnings(measurements.poses.unobserved, None, automatic=automatic)
-    size = significant_g_sensitivity(data, measurements.force, measurements.rest_rate, measurements.integrated)
-    return warnings(None, size, automatic=automatic)
 
 
 def significant_g_sensitivity(

@@ -44,7 +44,7 @@ def chi_square(solution: Solution, fixed: Mask, covariance: Array | None = None)
     y = np.linalg.solve(L, z * scale)
     orthonormal, _ = np.linalg.qr(H / np.linalg.norm(H, axis=0))
     y = y - orthonormal @ (orthonormal.T @ y)
-    return float(y @ y), len(z) - int((~fixed).sum()) - solution.excess.coefficients
+    return float(y @ y), len(z) - int((~fixed).sum())
 
 
 def chi_square_probability(statistic: float, freedom: int) -> float | None:

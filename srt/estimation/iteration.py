@@ -1,6 +1,6 @@
 """Iteration of the solution until the corrections are negligible (Savage 2020 [P], §8).
 
-Closed form and least squares use it; Kalman filter and factor graph have that of :mod:`estimators.iteration`.
+The closed form uses it; the joint model has that of :mod:`srt.joint.iteration`.
 
 Each iteration re-processes (plays back, [P] §8) the recorded data with the corrected compensation, and solves for a
 correction δ = G z. Two steps are available:
@@ -18,12 +18,9 @@ from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
 
-from srt.constants import STANDARD_GRAVITY_M_S2
 from srt.estimation import measurement_covariance
-from srt.estimation.drift_model import NOTHING, Unmodelled
-from srt.estimation.earth_rate_regression import with_earth_rate_regression
-from srt.estimation.error_sources import earth_rate_sigma
-from srt.estimation.force_drift import ForceDrift
+from srt.estimation.convergence import CONVERGED_CORRECTION, CONVERGED_SIGMAS, MAX_STEP, PARAMETER_UNITS
+from srt.estimation.error_sources import NO_ERRORS, UnmodelledErrors, earth_rate_sigma
 from srt.estimation.g_sensitivity import LEAST_SCATTER
 from srt.estimation.g_sensitivity import MODE as G_SENSITIVE
 from srt.estimation.rest_rate_scatter import bias_gain, excess_variance, rest_rate_variance
@@ -42,28 +39,12 @@ if TYPE_CHECKING:
     from srt.types import Array, Mask
 
 
-CONVERGED_CORRECTION: Final = 1e-9
-"""Correction, in units of ``_UNIT``, that counts as negligible; noise-free data reach it."""
-_CONVERGED_EARTH_RATE: Final = 1e-6
-"""Largest negligible change of the unknown Earth rate over its prior sigma: 5e-11 rad/s, below any noise."""
-
-CONVERGED_SIGMAS: Final = 0.01
-"""Correction, in sigma of the parameter, that counts as negligible: it changes an error by 1e-4 in quadrature."""
-_UNIT: Final = np.ones(N_PARAMETERS)
-_UNIT[GROUP_SLICES["accel_bias"]] = STANDARD_GRAVITY_M_S2
-"""Units in which corrections are compared, SI: 1, 1 rad, 1 rad/s, and 1 g for accelerometer biases."""
-_MAX_STEP: Final = 0.7
-"""Largest correction of one iteration, in ``_UNIT``: a longer linear step is reliable in direction, not in length."""
 _NEAR: Final = 1e-3
-"""Correction, in ``_UNIT``, below which the full covariance of the measurements is computed and used as weights."""
-_CREEPING: Final = 0.7
-"""Ratio of successive corrections above which the first iterations, held back by a prior, creep."""
-_CREEPING_BELOW: Final = 10.0 * _NEAR
-"""Largest correction that counts as creeping: beyond it, steps are limited in length, or the start is far off."""
+"""Correction, in ``PARAMETER_UNITS``, below which the full covariance of the measurements is used as weights."""
 
 
 class Solver(Protocol):
-    """Linear solution for the corrections. The closed form and least squares differ only in this solution."""
+    """Linear solution for the corrections."""
 
     def gain(self, measurements: SrtMeasurements, covariance: Array, *, near: bool) -> Array:
         """Matrix G of the correction δ = G z, shape (27, n_z); rows of fixed parameters are zero.
@@ -78,10 +59,6 @@ class Solver(Protocol):
     @property
     def fixed(self) -> Mask:
         """Parameters that keep their initial value, shape (27,)."""
-
-    @property
-    def estimates_earth_rate(self) -> bool:
-        """True if the unknown part of the Earth rate is estimated with the sensor errors."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,11 +87,7 @@ class Solution:
         Bias of each sequence less the common one, as used.
     g_sensitivity : ndarray, shape (3, 3), rad/s per m/s²
         Γ as used (rows: gyro axes before compensation; columns: axes of B); zero if it is not estimated.
-    earth_rate_draws : ndarray, shape (S,), or None
-        Estimate of the unknown part of the Earth rate, in units of its prior sigma.
-    earth_rate : ndarray, shape (K, 3, S), rad/s
-        That part per unit draw, in each B_Strt.
-    excess : Unmodelled
+    excess : UnmodelledErrors
         Errors beyond the noise of the sensors.
     """
 
@@ -132,9 +105,7 @@ class Solution:
     wander: Array
     bias_by_sequence: Array
     g_sensitivity: Array
-    earth_rate_draws: Array | None
-    earth_rate: Array
-    excess: Unmodelled
+    excess: UnmodelledErrors
 
 
 class _DivergenceError(Exception):
@@ -151,7 +122,7 @@ class Iteration:
         solver: Solver,
         *,
         start: SensorErrors,
-        excess: Unmodelled,
+        excess: UnmodelledErrors,
         resume: Solution | None,
         fixed_sigma: Array,
     ) -> None:
@@ -160,15 +131,10 @@ class Iteration:
         self.noise: tuple[Array | None, Array | None] = None, None
         self.offset, self.g_sensitivity = np.zeros((data.K, 3)), np.zeros((3, 3))
         self.wander = np.zeros(3) if data.noise.gyro_wander is None else data.noise.gyro_wander
-        self.earth_rate_draws: Array | None = None
-        self._earth_rate = np.zeros((data.K, 3, 0))
         self.integrated = np.full(len(data.windows.duration_s), options.window_attitude == "integrated")
         if resume is not None:
             self.integrated, self.offset = resume.measurements.integrated, resume.bias_by_sequence
             self.wander, self.g_sensitivity = resume.wander, resume.g_sensitivity
-            self.earth_rate_draws, self._earth_rate = resume.earth_rate_draws, resume.earth_rate
-        self.force_drift = ForceDrift(data, excess)
-        self._drift_settled = not self.force_drift.terms
         self.first = start if resume is None else resume.errors
         self.resumed = resume is not None
         self.before = () if resume is None else resume.corrections
@@ -187,21 +153,18 @@ class Iteration:
         for i in range(self.options.max_playbacks):
             nominal = (i == 0 and not self.resumed) or not self.options.measured_vertical
             # Near the solution the full weights are computed once: they change with the estimate by about 1e-3.
-            near = near or _is_near(corrections)
+            near = near or bool(corrections and corrections[-1] < _NEAR)
             fresh = near and weights is None
             measurements = self._process(errors, U, nominal=nominal, with_noise=fresh)
             if fresh and self._release_moving(measurements):
                 continue
             try:
                 weights = self._weights(measurements) if fresh else weights
-                measurements = self.force_drift.added_to(measurements)
                 gain = self._gain(measurements, self._rough(measurements) if weights is None else weights, near=near)
                 if weights is not None:
                     sigma = np.sqrt(np.maximum(np.diag(gain @ weights @ gain.T), 0.0))
                 errors, U, correction = self._correct(errors, measurements, gain)
-                settled = self._update_earth_rate(measurements, correction)
-                settled &= self._update_force_drift(measurements, correction, weights, sigma)
-                size = float(np.max(np.abs(correction) / _UNIT))
+                size = float(np.max(np.abs(correction) / PARAMETER_UNITS))
                 corrections.append(size)
                 if progress is not None:
                     progress(len(self.before) + len(corrections), size)
@@ -210,12 +173,9 @@ class Iteration:
             except _DivergenceError as reason:
                 status, message = "outside_model", f"After iteration {len(self.before) + len(corrections)} {reason}."
                 break
-            settled &= self._update_offsets(measurements, sigma)
-            tolerance = np.maximum(CONVERGED_CORRECTION * _UNIT, CONVERGED_SIGMAS * sigma)
+            settled = self._update_offsets(measurements, sigma)
+            tolerance = np.maximum(CONVERGED_CORRECTION * PARAMETER_UNITS, CONVERGED_SIGMAS * sigma)
             settled &= near and bool(np.all(np.abs(correction) <= tolerance))
-            if settled and not self._drift_settled:
-                weights, self._drift_settled = None, True  # new weights, at the estimated drift
-                continue
             if settled and not self._release_moving(measurements):
                 status = "converged"
                 message = f"Converged after {len(self.before) + len(corrections)} iterations."
@@ -237,34 +197,15 @@ class Iteration:
         return self._finish(final, errors, U, corrections, status, message)
 
     def _process(self, errors: SensorErrors, U: Array, *, nominal: bool, with_noise: bool) -> SrtMeasurements:
-        """Process the recorded data with given errors and the current estimate of the unknown Earth rate."""
-        draws = self.earth_rate_draws
-        measurements = self.processor.process(
+        """Process the recorded data with given errors."""
+        return self.processor.process(
             errors,
             U=U,
             nominal_vertical=nominal,
             bias_offset=self.offset,
             g_sensitivity=self.g_sensitivity,
-            earth_rate_offset=0.0 if draws is None else self._earth_rate @ draws,
-            force_drift=self.force_drift.in_windows,
             with_noise=with_noise,
         )
-        if not self.solver.estimates_earth_rate:
-            return measurements
-        wander = self._compensated(measurements)
-        if self.excess.drifting("gyro"):  # the modelled drift is still in the rates at rest
-            wander = np.hypot(wander, measurements.bias_by_sequence.std(axis=0))
-        return with_earth_rate_regression(measurements, self.data, wander, self._bias_gain(measurements), draws)
-
-    def _update_earth_rate(self, measurements: SrtMeasurements, correction: Array) -> bool:
-        """Update the unknown part of the Earth rate; return True if the change is negligible."""
-        regression = measurements.earth_rate_regression
-        if regression is None:
-            return True
-        before = np.zeros(len(regression.draws)) if self.earth_rate_draws is None else self.earth_rate_draws
-        self._earth_rate, self.earth_rate_draws = regression.rate, regression.after_correction(correction)
-        negligible = np.maximum(_CONVERGED_EARTH_RATE, CONVERGED_SIGMAS * regression.sigma)
-        return bool(np.all(np.abs(self.earth_rate_draws - before) <= negligible))
 
     def _gain(self, measurements: SrtMeasurements, covariance: Array, *, near: bool) -> Array:
         try:
@@ -285,9 +226,9 @@ class Iteration:
         delta = (coefficients if composed and coefficients is not None else gain) @ measurements.z
         if not np.all(np.isfinite(delta)):
             raise _DivergenceError("the correction is not finite")
-        largest = float(np.max(np.abs(delta) / _UNIT))
-        if largest > _MAX_STEP:
-            delta *= _MAX_STEP / largest
+        largest = float(np.max(np.abs(delta) / PARAMETER_UNITS))
+        if largest > MAX_STEP:
+            delta *= MAX_STEP / largest
         if composed:
             try:
                 corrected, turn = compose(errors, delta)
@@ -316,8 +257,6 @@ class Iteration:
         return bool(change <= max(CONVERGED_CORRECTION, CONVERGED_SIGMAS * sigma[GROUP_SLICES["gyro_bias"]].max()))
 
     def _bias_gain(self, measurements: SrtMeasurements) -> Array:
-        if self.excess.drifting("gyro"):  # a drift of deg/s is not linear in the attitude: each sequence has its bias
-            return np.ones(3)
         return bias_gain(measurements, self.data, self.options.gyro_bias, self._compensated(measurements))
 
     def _compensated(self, measurements: SrtMeasurements) -> Array:
@@ -329,11 +268,6 @@ class Iteration:
         if np.sum(~self.data.is_move) < 3 or left < LEAST_SCATTER:
             return np.zeros(3)
         rest = measurements.rest_rate
-        forms = [self.data.drift_shapes[term.form].windows for term in self.excess.drift if term.sensor == "gyro"]
-        if forms:  # the scatter beyond the modelled drift
-            shapes = np.concatenate([np.ones((len(rest), 1)), *forms], axis=1)
-            weight = np.sqrt(measurements.pool)[:, None]
-            rest = rest - shapes @ np.linalg.lstsq(weight * shapes, weight * rest)[0]
         # A move has no windows of its own.
         own = measurements.share[~self.data.is_move]
         deviation = (own @ rest - measurements.pool @ rest) / np.sqrt(left)
@@ -355,20 +289,9 @@ class Iteration:
         self.processor = SrtProcessor(self.data, self.options, self.integrated)
         return True
 
-    def _update_force_drift(
-        self, measurements: SrtMeasurements, correction: Array, weights: Array | None, sigma: Array
-    ) -> bool:
-        """Update the drift of the accelerometers; return True if the change is negligible."""
-        if weights is None:
-            return True
-        change = self.force_drift.update(measurements, correction, weights)
-        tolerance = CONVERGED_SIGMAS * sigma[GROUP_SLICES["accel_bias"]].max()
-        return bool(change <= max(CONVERGED_CORRECTION * self.data.gravity, tolerance))
-
     def _weights(self, measurements: SrtMeasurements) -> Array:
-        """Covariance of z, and what belongs to the same estimate: noise integrals, and the effect of the drift."""
+        """Covariance of z; the noise integrals that belong to it are stored."""
         self.noise = measurements.integrals.noise, measurements.integrals.time_parts
-        self.force_drift.linearise(measurements)
         return self._total(measurements)
 
     def _total(self, measurements: SrtMeasurements) -> Array:
@@ -427,17 +350,8 @@ class Iteration:
             wander=self.wander,
             bias_by_sequence=self.offset,
             g_sensitivity=self.g_sensitivity,
-            earth_rate_draws=self.earth_rate_draws,
-            earth_rate=self._earth_rate,
             excess=self.excess,
         )
-
-
-def _is_near(corrections: list[float]) -> bool:
-    """Return True if the last correction is small, or creeps along a direction that the data hardly show."""
-    if len(corrections) < 2:
-        return bool(corrections) and corrections[-1] < _NEAR
-    return corrections[-1] < (_CREEPING_BELOW if corrections[-1] > _CREEPING * corrections[-2] else _NEAR)
 
 
 def _require_inside(errors: SensorErrors) -> None:
@@ -455,7 +369,7 @@ def iterate(
     U: Array,
     progress: Callable[[int, float], None] | None = None,
     *,
-    excess: Unmodelled = NOTHING,
+    excess: UnmodelledErrors = NO_ERRORS,
     resume: Solution | None = None,
     fixed_sigma: Array | None = None,
 ) -> Solution:
@@ -472,7 +386,7 @@ def iterate(
         T to MARS components.
     progress : callable, optional
         Called with the number of the iteration, counted on from ``resume``, and the largest correction.
-    excess : Unmodelled
+    excess : UnmodelledErrors
         Errors beyond the noise of the sensors.
     resume : Solution, optional
         Solution on the same data to continue from (its errors, windows and biases).

@@ -8,20 +8,17 @@ window shared by two rotations, the gyro bias pooled over all windows, one headi
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from srt.estimation import error_sources as sources
-from srt.estimation.drift_model import NOTHING
-from srt.estimation.unknown_earth_rate import unknown_earth_rate_draws
+from srt.estimation.error_sources import NO_ERRORS
 from srt.model.rotations import cross_matrix, rotation_matrix
-from srt.noise.drift_forms import WALK
 
 if TYPE_CHECKING:
-    from srt.estimation.drift_model import Unmodelled
-    from srt.estimation.error_sources import Slopes, Source
+    from srt.estimation.error_sources import Slopes, Source, UnmodelledErrors
     from srt.estimation.srt_measurements import SrtMeasurements
     from srt.sequences.preparation import PreparedRecording
     from srt.types import Array
@@ -43,14 +40,11 @@ class Disturbance:
         On the compensated mean rate of each window, rad/s.
     force : ndarray, shape (W, 3, S), or None
         On the compensated mean specific force of each window, m/s².
-    stated : ndarray, shape (K, 2, S), or None
-        On the measurements that compare with a stated vertical, m/s², or a stated rate, rad/s.
     """
 
     phi: Array | None = None
     rate: Array | None = None
     force: Array | None = None
-    stated: Array | None = None
 
 
 def project(measurements: SrtMeasurements, data: PreparedRecording, source: Disturbance, bias_gain: Array) -> Array:
@@ -64,29 +58,23 @@ def project(measurements: SrtMeasurements, data: PreparedRecording, source: Dist
         Share of a sequence's own rest rate that is taken as its bias (0: pooled, 1: its own).
     """
     K, W = data.K, len(measurements.pool)
-    parts = (source.phi, source.rate, source.force, source.stated)
+    parts = (source.phi, source.rate, source.force)
     S = next(a.shape[2] for a in parts if a is not None)
     phi = np.zeros((K, 3, S)) if source.phi is None else source.phi
     rest = np.zeros((3, S))
     if source.rate is not None:
-        rate, by_regressions = measurements.after_g_sensitivity(source.rate)
-        if measurements.earth_rate_regression is not None:
-            rate, by_earth_rate = measurements.earth_rate_regression.after(rate)
-            by_regressions = by_regressions + by_earth_rate
+        rate, by_regression = measurements.after_g_sensitivity(source.rate)
         rest = np.tensordot(measurements.pool, rate, 1)
         own = np.tensordot(measurements.share, rate, 1) - rest
         # The bias offset of a sequence is subtracted from the compensated rate.
-        phi = phi + by_regressions - _phi_per_rate(measurements) @ (bias_gain[:, None] * own)
+        phi = phi + by_regression - _phi_per_rate(measurements) @ (bias_gain[:, None] * own)
     z = np.zeros((2 * K + W + 3, S))
     horizontal = measurements.attitude_effect @ phi
     if source.force is not None:
-        horizontal = horizontal + measurements.stated.change_of_force(
-            measurements.basis, measurements.integrals, source.force[data.start], source.force[data.end]
-        )
+        change = measurements.integrals.C_end @ source.force[data.end] - source.force[data.start]
+        horizontal = horizontal + measurements.basis @ change
         up = measurements.force / np.linalg.norm(measurements.force, axis=1, keepdims=True)
         z[2 * K : 2 * K + W] = -np.einsum("wa,was->ws", up, source.force)
-    if source.stated is not None:
-        horizontal = horizontal + source.stated
     z[: 2 * K] = horizontal.reshape(2 * K, S)
     z[2 * K + W :] = rest
     return z
@@ -99,7 +87,7 @@ def _phi_per_rate(measurements: SrtMeasurements) -> Array:
 
 
 def disturbances(
-    measurements: SrtMeasurements, data: PreparedRecording, wander: Array, excess: Unmodelled = NOTHING
+    measurements: SrtMeasurements, data: PreparedRecording, wander: Array, excess: UnmodelledErrors = NO_ERRORS
 ) -> dict[str, Disturbance]:
     """All error sources by name, in the order of the report.
 
@@ -110,7 +98,7 @@ def disturbances(
     data : PreparedRecording
     wander : ndarray, shape (3,), rad/s
         1-sigma of a sequence's gyro bias about the mean of the test (sensor axes), if no instability is stated.
-    excess : Unmodelled
+    excess : UnmodelledErrors
         Errors beyond the noise of the sensors.
     """
     by = slopes_of(measurements)
@@ -118,7 +106,7 @@ def disturbances(
     noise = {name: draws(source, data) for name, source in sensors.items()}
     up = measurements.force / np.linalg.norm(measurements.force, axis=1, keepdims=True)
     out = {
-        "gyro_noise": _beside(noise["gyro_noise"], Disturbance(stated=_steady_rate_noise(measurements, data))),
+        "gyro_noise": noise["gyro_noise"],
         "gyro_quantization": noise["gyro_quantization"],
         "gyro_bias_instability": _bias_instability(measurements, data, by, wander),
         "accel_noise": noise["accel_noise"],
@@ -126,16 +114,10 @@ def disturbances(
         "accel_bias_instability": bias_drift(data, by, "accel"),
         "earth_rate_alignment": _earth_rate_error(measurements, data),
         **_latitude(measurements, data),
-        **_stated_values(measurements, data),
         "gravity": Disturbance(force=(data.recording.site.gravity_sigma_m_s2 * -up)[:, :, None]),
     }
-    unmodelled = sources.unmodelled(data, *excess.sizes)
+    unmodelled = sources.unmodelled(data, excess)
     out |= {name: draws(unmodelled[name], data) for name in ("turn_excess", "pose_excess")}
-    for term in excess.drift:
-        out[f"{term.sensor}_drift ({term.form})"] = drift_form(measurements, data, *term)
-        if term.form == WALK and term.sensor == "gyro":
-            between = sources.walk_between_windows(data, by, term.sigma)
-            out["gyro_drift (random walk in rotations)"] = draws(between, data)
     return out
 
 
@@ -173,21 +155,6 @@ def _root(covariance: Array) -> Array:
     return np.asarray(np.where(size > 0.0, out, 0.0))
 
 
-def _beside(first: Disturbance, second: Disturbance) -> Disturbance:
-    """Draws of two independent parts of a source."""
-    parts = [(f.name, getattr(first, f.name), getattr(second, f.name)) for f in fields(Disturbance)]
-    sizes = [next(a.shape[2] for _, *pair in parts if (a := pair[i]) is not None) for i in (0, 1)]
-    joined = {}
-    for name, *pair in parts:
-        present = [a for a in pair if a is not None]
-        if present:
-            filled = [
-                np.zeros((*present[0].shape[:2], size)) if a is None else a for a, size in zip(pair, sizes, strict=True)
-            ]
-            joined[name] = np.concatenate(filled, axis=2)
-    return Disturbance(**joined)
-
-
 def bias_drift(data: PreparedRecording, by: Slopes, sensor: str) -> Disturbance:
     """Bias instability of a sensor, as specified: of the gyros in windows and rotations, of the others in windows."""
     if sensor == "accel":
@@ -209,29 +176,20 @@ def force_errors(measurements: SrtMeasurements, data: PreparedRecording) -> Arra
     return project(measurements, data, Disturbance(force=np.eye(3 * W).reshape(W, 3, 3 * W)), np.zeros(3))
 
 
-def force_drift(measurements: SrtMeasurements, data: PreparedRecording, form: str) -> Array:
-    """Effect on z of the coefficients of a drift of the accelerometers, shape (n_z, 3 × functions of the form)."""
-    return project(measurements, data, drift_form(measurements, data, "accel", form), np.zeros(3))
-
-
 def drift_form(
     measurements: SrtMeasurements,
     data: PreparedRecording,
     sensor: str,
     form: str,
-    sigma: float = 1.0,
     *,
     tested: bool = False,
 ) -> Disturbance:
-    """Drift of a triad in one form, for coefficients of 1-sigma ``sigma``: three draws for each function of it.
+    """Drift of a triad in one form, for unit coefficients: three draws for each function of it.
 
     With ``tested``, only the functions that the test of the form uses.
     """
     shape = data.drift_shapes[form].tested if tested else data.drift_shapes[form]
-    found = _following(slopes_of(measurements), sensor, sigma, (shape.windows, shape.parts))
-    if sensor == "accel":
-        return found
-    return replace(found, stated=_drift_of_rated(measurements, data, sigma, shape.parts))
+    return _following(slopes_of(measurements), sensor, 1.0, (shape.windows, shape.parts))
 
 
 def _following(by: Slopes, sensor: str, size: Array | float, course: tuple[Array, Array | None]) -> Disturbance:
@@ -251,7 +209,7 @@ def covariances(
     data: PreparedRecording,
     wander: Array,
     gain: Array,
-    excess: Unmodelled = NOTHING,
+    excess: UnmodelledErrors = NO_ERRORS,
 ) -> dict[str, Array]:
     """Covariance of z by source; the sum over the sources is the covariance of z."""
     out = {}
@@ -269,78 +227,35 @@ def _own_draw(blocks: Array) -> Array:
     return out.reshape(n, rows, n * m)
 
 
-def _steady_rate_noise(measurements: SrtMeasurements, data: PreparedRecording) -> Array:
-    """White noise and quantization of the mean rates that compare with a stated rate, shape (K, 2, 2 R)."""
-    stated = measurements.stated
-    return _of_rated(measurements, data, _own_draw(np.sqrt(stated.rate_noise(data.noise, measurements.gyro))))
-
-
-def _of_rated(measurements: SrtMeasurements, data: PreparedRecording, effect: Array) -> Array:
-    """Effect on all sequences, shape (K, 2, S), of one on those at a stated rate, shape (R, 2, S)."""
-    out = np.zeros((data.K, 2, effect.shape[2]))
-    out[measurements.stated.rated] = effect
-    return out
-
-
-def _drift_of_rated(measurements: SrtMeasurements, data: PreparedRecording, size: Array | float, parts: Array) -> Array:
-    """Effect on stated rates of gyro biases of 1-sigma ``size`` that follow courses (K, P, S), shape (K, 2, 3 S)."""
-    stated = measurements.stated
-    slope = stated.by_parts(measurements.gyro) * size
-    return _of_rated(measurements, data, sources.by_drift(slope, parts[stated.rated]))
-
-
-def _stated_values(measurements: SrtMeasurements, data: PreparedRecording) -> dict[str, Disturbance]:
-    """Errors of the values that the labels state: rates of a table, one draw for the recording, and verticals."""
-    out = {}
-    stated, fixture = measurements.stated, data.recording.fixture
-    if stated.rated.size:
-        rate = np.broadcast_to((stated.sigma * stated.stated)[:, None, None], (len(stated.rated), 2, 1))
-        out["stated_rate"] = Disturbance(stated=_of_rated(measurements, data, rate))
-    if stated.directed and fixture is not None and data.nominal is not None:
-        # Levelling and mounting have one draw per recording, the executed angles one per pose.
-        to_body = measurements.U @ np.swapaxes(data.nominal, 1, 2)
-        mounting = np.broadcast_to(np.eye(3) * fixture.alignment_sigma_rad, (data.K, 3, 3))
-        inner = np.broadcast_to(measurements.U[:, 2], (data.K, 3))
-        executed = np.stack([inner, to_body[:, :, 1]], axis=2) * fixture.rotation_sigma_rad
-        axes = np.concatenate([to_body * fixture.alignment_sigma_rad, mounting, _own_draw(executed)], axis=2)
-        tilt = np.cross(axes, to_body[:, :, 2, None], axis=1)
-        out["stated_vertical"] = Disturbance(stated=data.gravity * (measurements.basis @ tilt))
-    return out
-
-
 def _bias_instability(measurements: SrtMeasurements, data: PreparedRecording, by: Slopes, wander: Array) -> Disturbance:
     """Gyro bias instability as specified; otherwise independent biases of the sequences, of 1-sigma ``wander``."""
-    stated = measurements.stated
     if data.noise.gyro_flicker is not None:
-        effect = _drift_of_rated(measurements, data, data.noise.gyro_flicker, data.drift.parts)
-        return replace(bias_drift(data, by, "gyro"), stated=effect)
+        return bias_drift(data, by, "gyro")
     own = _own_draw(np.broadcast_to(by.angle * wander, (data.K, 3, 3)))
-    raw = _own_draw(np.broadcast_to(np.diag(wander), (data.K, 3, 3)))[stated.rated]
-    effect = _of_rated(measurements, data, stated.by_raw_rate(measurements.gyro) @ raw)
-    return Disturbance(phi=_phi_per_rate(measurements) @ own, rate=own[measurements.window_sequence], stated=effect)
+    return Disturbance(phi=_phi_per_rate(measurements) @ own, rate=own[measurements.window_sequence])
 
 
 def _earth_rate_error(measurements: SrtMeasurements, data: PreparedRecording) -> Disturbance:
     """Error of ω̂e: fixture attitude errors times the Earth rate, and the unknown part of the Earth rate."""
     axes = _attitude_errors(measurements, data)
-    unknown = unknown_earth_rate_draws(measurements, data)
+    unknown = _base(measurements, data) * sources.unknown_earth_rate(data.recording, placed=True)
     parts = [np.cross(axes, measurements.earth_rate[:, :, None], axis=1), unknown]
     return _of_earth_rate(measurements, np.concatenate(parts, axis=2))
 
 
+def _base(measurements: SrtMeasurements, data: PreparedRecording) -> Array:
+    """Axes of the fixture's base in B_Strt, shape (K, 3, 3)."""
+    assert data.nominal is not None
+    return np.asarray(measurements.U @ np.swapaxes(data.nominal, 1, 2))
+
+
 def _latitude(measurements: SrtMeasurements, data: PreparedRecording) -> dict[str, Disturbance]:
     """Error of the stated latitude, one draw for the recording; empty if its sigma is not stated."""
-    fixed, free = (sources.latitude_error(data.recording, placed=placed) for placed in (True, False))
-    if not (fixed.any() or free.any()):
+    error, fixture = sources.latitude_error(data.recording, placed=True), data.recording.fixture
+    if not error.any() or fixture is None:
         return {}
-    down = -measurements.force[data.start] / np.linalg.norm(measurements.force[data.start], axis=1, keepdims=True)
-    delta = free[2] * down
-    fixture = data.recording.fixture
-    if data.nominal is not None and fixture is not None:
-        to_body = measurements.U @ np.swapaxes(data.nominal, 1, 2)
-        level = rotation_matrix(np.array([0.0, 0.0, -(fixture.heading_rad or 0.0)])) @ fixed
-        delta = np.where(data.placed[:, None], to_body @ level, delta)
-    return {"latitude": _of_earth_rate(measurements, delta[:, :, None])}
+    level = rotation_matrix(np.array([0.0, 0.0, -(fixture.heading_rad or 0.0)])) @ error
+    return {"latitude": _of_earth_rate(measurements, (_base(measurements, data) @ level)[:, :, None])}
 
 
 def _of_earth_rate(measurements: SrtMeasurements, delta: Array) -> Disturbance:
@@ -360,15 +275,14 @@ def _attitude_errors(measurements: SrtMeasurements, data: PreparedRecording) -> 
     inner and outer angle and the axis wobble have one per sequence. The mounting error is estimated in U. With a
     measured vertical, only the rotation about the vertical remains.
     """
-    if data.nominal is None:
-        return np.zeros((data.K, 3, 0))
-    to_body = measurements.U @ np.swapaxes(data.nominal, 1, 2)
+    assert data.nominal is not None
+    to_body = _base(measurements, data)
     # The axes lean about the horizontal axis across the outer one, base y.
     leaning = np.einsum("kab,kb->ka", to_body, np.cross([0.0, 1.0, 0.0], data.nominal[:, :, 2]))[:, :, None]
     common = np.concatenate([to_body, leaning], axis=2) * sources.alignment_sigma(data.recording)
     inner = np.broadcast_to(measurements.U[:, 2:], (data.K, 3, 1))
     executed = np.concatenate([inner, to_body[:, :, 1:2], leaning], axis=2) * sources.start_sigma(data.recording)
-    axes = np.concatenate([common, _own_draw(executed)], axis=2) * data.placed[:, None, None]
+    axes = np.concatenate([common, _own_draw(executed)], axis=2)
     if measurements.nominal_vertical:
         return np.asarray(axes)
     up = measurements.force[data.start] / np.linalg.norm(measurements.force[data.start], axis=1, keepdims=True)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.model.prior import prior_sigma
+from srt.model.prior import Prior, prior_sigma
 from srt.sensor_errors import GROUP_SLICES, INDEX, N_PARAMETERS, expand_names
 
 if TYPE_CHECKING:
@@ -31,6 +31,11 @@ def admission_sigma() -> Array:
     for group in ("gyro_asymmetry", "accel_asymmetry"):
         sigma[GROUP_SLICES[group]] = 0.01
     return sigma
+
+
+def default_prior() -> Prior:
+    """Wide prior with negligible information: 1-sigma of a third of full scale, 1 % asymmetry."""
+    return Prior.from_sigma(admission_sigma())
 
 
 def admit(A: Array, wanted: Mask) -> Mask:

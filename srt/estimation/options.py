@@ -36,11 +36,12 @@ class Options:
     down : "tilt-immune" or "paper"
         ``g − |mean â|``, or ``û_dwn · â + g`` with the nominal vertical (Savage 2020, eq. 1).
     window_attitude : "held" or "integrated"
-        Attitude in the stationary windows: constant (except in windows that moved), or integrated from the gyros.
+        Attitude in the stationary windows of the closed form: constant (except in windows that moved), or integrated
+        from the gyros. Joint estimation integrates it in windows that moved.
     gyro_bias : "auto", "pooled", "per-sequence" or "g-sensitive"
         One bias for the test, one per sequence, or a weighting of both by the bias instability ("auto");
-        "g-sensitive": as "auto", with gyro g-sensitivity estimated too. With "auto", closed form and least squares do
-        so where the residuals contradict the noise and the rest rates show it (F-test).
+        "g-sensitive": as "auto", with gyro g-sensitivity estimated too. With "auto", it is
+        estimated where the residuals contradict the noise and the rest rates show it (F-test).
     step : "jacobian" or "coefficients"
         Correction of an iteration: by the full Jacobian, added; or by the coefficients of eq. 13, composed.
     start : "auto", "zero" or SensorErrors
@@ -61,10 +62,10 @@ class Options:
     loss : "squared", "huber" or "cauchy"
         Loss of the factor graph: squared is efficient, the robust ones reduce the weight of outliers.
     fixture_states : bool
-        Estimate levelling, north, mounting and gravity in Kalman filter and factor graph; False: north and gravity as
-        stated, level from the accelerometers.
+        Estimate levelling, north, mounting and gravity in joint estimation (all but the closed form); False: north and
+        gravity as stated, level from the accelerometers.
     prior : Prior, optional
-        Prior of the sensor errors, for Kalman filter and factor graph; default: very wide.
+        Prior of the sensor errors, for joint estimation; default: very wide.
     ignore_moves : bool
         Use the sequences alone; False: recorded moves between them are measurements, too (not for the closed form).
     live : bool

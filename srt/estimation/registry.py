@@ -34,7 +34,7 @@ OWN_PACKAGE: Final = "estimators"
 """Package with the other estimators of this distribution; the extras that they need have their names."""
 BUILT_IN: Final = {
     "closed-form": "srt.estimation.closed_form_solver:estimate",
-    "least-squares": "srt.estimation.least_squares_solver:estimate",
+    "least-squares": "srt.joint.least_squares:estimate",
 }
 """Estimators of ``srt``; the residuals of both are those of :func:`srt.estimation.iteration.iterate`."""
 ESTIMATORS: Final = (*BUILT_IN, "ekf", "graph")

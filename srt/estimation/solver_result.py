@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from srt.estimation import g_sensitivity_report
+from srt.estimation import g_sensitivity_report, measurement_covariance
 from srt.estimation.drift_search import estimates, possible_drift_covariance
 from srt.estimation.g_sensitivity import MODE as G_SENSITIVE
+from srt.estimation.g_sensitivity import RestRates
 from srt.estimation.goodness_of_fit import chi_square, is_misfit
 from srt.estimation.leave_one_out import second_order_variance, sequence_diagnostics
 from srt.estimation.unmodelled_errors import fit_to_sensor_noise
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from srt.estimation.drift_model import DriftEstimate
+    from srt.estimation.error_sources import UnmodelledErrors
     from srt.estimation.iteration import Solution
     from srt.estimation.leave_one_out import LeaveOneOutEstimator, SequenceDiagnostics
     from srt.estimation.options import Options
@@ -53,9 +55,8 @@ class SolverResult:
     degrees_of_freedom : int
     sensor_noise_fit : tuple of float and int
         Chi-square and degrees of freedom with the noise of the sensors alone.
-    unmodelled : tuple of float
-        1-sigma of the unmodelled errors that were added to the noise: of a rotation, rad, of a window's specific force,
-        m/s², of its rate, rad/s, and of the axis wobble of a pose, rad.
+    unmodelled : UnmodelledErrors
+        Unmodelled errors that were added to the noise.
     integrated : tuple of int
         Windows whose attitude was integrated.
     wander : ndarray, shape (3,), rad/s
@@ -85,7 +86,7 @@ class SolverResult:
     chi_square: float
     degrees_of_freedom: int
     sensor_noise_fit: tuple[float, int]
-    unmodelled: tuple[float, float, float, float]
+    unmodelled: UnmodelledErrors
     integrated: tuple[int, ...]
     wander: Array
     bias_by_sequence: Array
@@ -126,8 +127,7 @@ def solver_result(
     covariance["accel_bias_instability"] = covariance["accel_bias_instability"] + possible_drift_covariance(
         data, options, solution, fitted.unmodelled_drift
     )
-    measurements = solution.measurements
-    diagnostics = g_sensitivity_report.diagnostics(data, measurements, solution.g_sensitivity, solution.wander)
+    diagnostics, notes = _g_sensitivity(data, solution, automatic=options.gyro_bias != G_SENSITIVE)
     if drift:
         diagnostics = {**diagnostics, "drift": [term.as_dict() for term in drift]}
     diagnostics = {**diagnostics, **fitted.unmodelled_drift.diagnostics()}
@@ -142,9 +142,9 @@ def solver_result(
         chi_square=statistic,
         degrees_of_freedom=freedom,
         sensor_noise_fit=fit_to_sensor_noise(solution, data, fixed, unmodelled)
-        if any(unmodelled.sizes)
+        if any(unmodelled)
         else (statistic, freedom),
-        unmodelled=(*unmodelled.sizes, 0.0, 0.0),
+        unmodelled=unmodelled,
         integrated=solution.integrated,
         wander=solution.wander,
         bias_by_sequence=solution.bias_by_sequence,
@@ -152,8 +152,24 @@ def solver_result(
         diagnostics=diagnostics,
         drift=drift,
         sequences=() if outside else sequence_diagnostics(leave_one_out, data, options, solution, fixed),
-        notes=g_sensitivity_report.warnings_of(data, measurements, automatic=options.gyro_bias != G_SENSITIVE),
+        notes=notes,
     )
+
+
+def _g_sensitivity(
+    data: PreparedRecording, solution: Solution, *, automatic: bool
+) -> tuple[dict[str, Any], tuple[str, ...]]:
+    """Diagnostics of the g-sensitivity of the gyros, and warnings."""
+    m = solution.measurements
+    if m.poses is None:
+        size = g_sensitivity_report.significant_g_sensitivity(data, m.force, m.rest_rate, m.integrated)
+        return {}, g_sensitivity_report.warnings(None, size, automatic=automatic)
+    rest = RestRates(m.poses, m.force, m.rest_rate, m.pool, m.window_sequence, m.gyro)
+    by_source = measurement_covariance.disturbances(m, data, solution.wander).values()
+    disturbed = np.concatenate([source.rate for source in by_source if source.rate is not None], axis=2)
+    by_draw = np.einsum("ab,bcs->acs", m.gyro.matrix, m.poses.fit(disturbed)).reshape(9, -1)
+    found = g_sensitivity_report.diagnostics(data, rest, solution.g_sensitivity, by_draw @ by_draw.T, solution.wander)
+    return found, g_sensitivity_report.warnings(m.poses.unobserved, None, automatic=automatic)
 
 
 def _residuals(data: PreparedRecording, solution: Solution) -> tuple[Residual, ...]:

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from srt.estimation.g_sensitivity import MODE, compensate_stream, pose_regression
-from srt.estimation.stated_measurements import StatedMeasurements
 from srt.model import measurement_model as model
 from srt.model.analytic_platform import integrate_attitude
 from srt.model.rotations import cross_matrix, smallest_rotation
@@ -22,7 +21,6 @@ from srt.model.sensor_model import accel_triad, gyro_triad
 from srt.model.table1 import AXES
 
 if TYPE_CHECKING:
-    from srt.estimation.earth_rate_regression import EarthRateRegression
     from srt.estimation.g_sensitivity import PoseRegression
     from srt.estimation.options import Options
     from srt.model.gyro_stream import GyroStream
@@ -76,12 +74,8 @@ class SrtMeasurements:
     integrated : ndarray of bool, shape (W,)
     nominal_vertical : bool
         True if the vertical was the nominal one.
-    stated : StatedMeasurements
-        Statements of the labels of poses and rate tables, and the measurements that compare with them.
     poses : PoseRegression, or None
         Regression of ``rest_rate`` on specific force; None where gyro g-sensitivity is not estimated.
-    earth_rate_regression : EarthRateRegression, or None
-        Estimate of the unknown Earth rate from ``rest_rate``; None where it is known or left unknown.
     """
 
     z: Array
@@ -103,9 +97,7 @@ class SrtMeasurements:
     U: Array
     integrated: Mask
     nominal_vertical: bool
-    stated: StatedMeasurements
     poses: PoseRegression | None = None
-    earth_rate_regression: EarthRateRegression | None = None
 
     @property
     def bias_by_sequence(self) -> Array:
@@ -115,10 +107,8 @@ class SrtMeasurements:
 
     @property
     def attitude_effect(self) -> Array:
-        """Effect of φ on the two horizontal measurements, shape (K, 2, 3); none on poses and on stated rates."""
-        M = model.attitude_to_horizontal(self.basis, self.acceleration)
-        M[self.stated.replaced] = 0.0
-        return M
+        """Effect of φ on the two horizontal measurements, shape (K, 2, 3)."""
+        return model.attitude_to_horizontal(self.basis, self.acceleration)
 
     def after_g_sensitivity(self, rate: Array) -> tuple[Array, Array]:
         """Disturbances of the window rates after Γ was estimated from these rates, and their effect on φ.
@@ -160,7 +150,6 @@ class SrtProcessor:
         self.data, self.options = data, options
         self.integrated = np.zeros(W, dtype=np.bool_) if integrated is None else integrated
         self._g_sensitive = options.gyro_bias == MODE
-        self.stated = StatedMeasurements.of(data)
         self._stream, self._force, self._weights = data.stream(self.integrated, with_force=self._g_sensitive)
         self._roles()
 
@@ -216,7 +205,6 @@ class SrtProcessor:
         bias_offset: Array | None = None,
         g_sensitivity: Array | None = None,
         earth_rate_offset: Array | float = 0.0,
-        force_drift: Array | float = 0.0,
         with_noise: bool = False,
     ) -> SrtMeasurements:
         """Compensate the recorded data with given errors and form the SRT measurements.
@@ -235,14 +223,12 @@ class SrtProcessor:
             Γ (rows: gyro axes before compensation; columns: axes of B), used if the options select it; default zero.
         earth_rate_offset : ndarray, shape (K, 3), rad/s, optional
             Estimate of the unknown part of the Earth rate in each B_Strt (no heading or latitude); default zero.
-        force_drift : ndarray, shape (W, 3), m/s², optional
-            Estimated drift of the accelerometer biases in the windows, before compensation; default zero.
         with_noise : bool
             Compute the noise integrals too.
         """
         data, U, gyro, accel = self.data, np.eye(3) if U is None else U, gyro_triad(errors), accel_triad(errors)
         gyro_mean, accel_mean = data.means(gyro, accel)
-        force = accel.compensate(accel_mean - force_drift)
+        force = accel.compensate(accel_mean)
         stream, gyro_mean, poses = self._without_g_sensitivity(accel, force, gyro_mean, g_sensitivity)
         rate = gyro.compensate(gyro_mean)
         known, down = self._earth_rate(U, force[data.start], nominal_vertical)
@@ -256,15 +242,8 @@ class SrtProcessor:
         window_C = np.where(self._is_end[:, None, None], integrals.C_end[self._sequence], np.eye(3))
         rest = rate - np.einsum("wab,wa->wb", window_C, earth_rate[self._sequence])
         # Δa_H = horizontal part of (â_End − â_Strt)  ([P] eq. 1)
-        horizontal, H = self.stated.replace(
-            np.einsum("kia,ka->ki", basis, carried[:, 1] - carried[:, 0]),
-            model.horizontal_jacobian(integrals, basis, *ends, accel),
-            basis=basis,
-            force=ends,
-            earth_rate=earth_rate,
-            triads=(gyro, accel),
-            g_sensitivity=np.zeros((3, 3)) if poses is None or g_sensitivity is None else g_sensitivity,
-        )
+        horizontal = np.einsum("kia,ka->ki", basis, carried[:, 1] - carried[:, 0])
+        H = model.horizontal_jacobian(integrals, basis, *ends, accel)
         return SrtMeasurements(
             z=np.concatenate([horizontal.ravel(), self._down(force, down, window_C), self._pool @ rest]),
             H=self._jacobian(H, force, rate, gyro, accel),
@@ -285,7 +264,6 @@ class SrtProcessor:
             U=self._orientation(integrals, force, U),
             integrated=self.integrated,
             nominal_vertical=nominal_vertical and data.nominal is not None,
-            stated=self.stated,
             poses=poses,
         )
 
@@ -336,8 +314,6 @@ class SrtProcessor:
         axes = np.stack([first, np.einsum("kab,kb->ka", cross_matrix(down), first)], axis=1)
         if data.nominal is not None:
             axes[self._labelled] = U.T[self._horizontal]
-        if self.stated.directed:
-            return np.asarray(axes)  # the nominal axes themselves: their inclination is the measurement
         out: Array = axes @ model.horizontal_projector(down)
         return out
 
@@ -375,7 +351,7 @@ class SrtProcessor:
         U includes the mounting error of the IMU on the table, so that ω̂e is free of it.
         """
         data = self.data
-        if data.nominal is None or self.stated.posed.all():
+        if data.nominal is None or data.posed.all():
             return U  # without a rotation, no gyro axis shows on the table
         starts = force[data.start[self._labelled]]
         in_T, in_B = [data.nominal[self._labelled, 2]], [-starts / np.linalg.norm(starts, axis=1)[:, None]]

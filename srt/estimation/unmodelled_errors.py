@@ -1,8 +1,8 @@
-"""Errors beyond the noise of the sensors: unmodelled errors of rotations and specific forces, and bias drift.
+"""Errors beyond the noise of the sensors in the closed form: of rotations and specific forces, and bias drift.
 
-Where the residuals are larger than the noise, closed form and least squares estimate the unmodelled errors from them by
-restricted maximum likelihood. If one sequence alone explains the misfit, it is faulty, and no noise is added.
-Once the noise is settled, a drift is searched for, and the noise estimated again with it.
+Where the residuals are larger than the noise, the closed form estimates the unmodelled errors from them by restricted
+maximum likelihood. If one sequence alone explains the misfit, it is faulty, and no noise is added. Once the noise is
+settled, a drift is searched for, which the result reports.
 """
 
 from __future__ import annotations
@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from srt.estimation import measurement_covariance
-from srt.estimation.drift_model import MOST_TERMS, NOTHING, DriftSearch, Unmodelled
+from srt.estimation.drift_model import DriftSearch
 from srt.estimation.drift_search import explaining_drift, search
+from srt.estimation.error_sources import NO_ERRORS, UnmodelledErrors
 from srt.estimation.g_sensitivity import MODE
 from srt.estimation.g_sensitivity_report import significant_g_sensitivity
 from srt.estimation.goodness_of_fit import (
@@ -30,7 +31,6 @@ from srt.noise.variance_components import restricted_likelihood
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from srt.estimation.drift_model import DriftTerm
     from srt.estimation.iteration import Solution, Solver
     from srt.estimation.options import Options
     from srt.estimation.registry import Progress
@@ -51,7 +51,7 @@ class Fitted(NamedTuple):
         Recording with the noise that was used.
     solution : Solution
     solver : Solver
-    unmodelled : Unmodelled
+    unmodelled : UnmodelledErrors
     unmodelled_drift : DriftSearch
         Drift that the residuals show beyond what the solution models.
     """
@@ -59,7 +59,7 @@ class Fitted(NamedTuple):
     data: PreparedRecording
     solution: Solution
     solver: Solver
-    unmodelled: Unmodelled
+    unmodelled: UnmodelledErrors
     unmodelled_drift: DriftSearch
 
 
@@ -70,8 +70,6 @@ def iterate_with_unmodelled_errors(
     first: tuple[SensorErrors, Array],
     uncertain: Array,
     progress: Progress | None,
-    *,
-    models_drift: bool = False,
 ) -> Fitted:
     """Iterate, and repeat with unmodelled errors if the residuals contradict the noise.
 
@@ -89,13 +87,11 @@ def iterate_with_unmodelled_errors(
     uncertain : ndarray, shape (27,)
         Standard deviation of fixed values.
     progress : callable, optional
-    models_drift : bool
-        Model the bias drift that the residuals show.
     """
     solver = new_solver()
     solution = iterate(data, options, solver, *first, progress, fixed_sigma=uncertain)
-    present, found = NOTHING, DriftSearch()
-    for _ in range(_ROUNDS * (1 + MOST_TERMS * models_drift)):
+    present = NO_ERRORS
+    for _ in range(_ROUNDS):
         if solution.status != "converged":
             break
         new = present
@@ -105,36 +101,25 @@ def iterate_with_unmodelled_errors(
                 options, solver = replace(options, gyro_bias=MODE), new_solver()
                 solution = iterate(data, options, solver, *first, progress, fixed_sigma=uncertain)
                 continue
-            ramp: tuple[DriftTerm, ...] = ()
-            if not any(present.sizes) and _explained_at_limit(solution, data, solver.fixed):
-                ramp = explaining_drift(data, options, solution, solver.fixed)
-                if not ramp:
+            if not any(present) and _explained_at_limit(solution, data, solver.fixed):
+                if not explaining_drift(data, options, solution, solver.fixed):
                     data, solver = replace(data, noise_at_limit=True), new_solver()
                     solution = iterate(
                         data, options, solver, first[0], solution.U, progress,
                         excess=present, resume=solution, fixed_sigma=uncertain,
                     )  # fmt: skip
                     continue
-            elif not any(present.sizes) and _one_sequence_explains(solution, data, solver.fixed, *fit):
+            elif not any(present) and _one_sequence_explains(solution, data, solver.fixed, *fit):
                 break
-            if ramp and models_drift:
-                new = Unmodelled(drift=(*present.drift, *ramp))
-            else:
-                new = _estimated(solution, data, solver.fixed, present)
-        if new.drift == present.drift and np.allclose(new.sizes, present.sizes, rtol=0.1, atol=1e-6):
-            more = models_drift and len(present.drift) < MOST_TERMS
-            found = search(data, options, solution, solver.fixed) if more else DriftSearch()
-            if not found.terms:
-                break
-            new = Unmodelled(drift=(*present.drift, *found.terms))
-        present, found = new, DriftSearch()
-        solver = new_solver()
+            new = _estimated(solution, data, solver.fixed, present)
+        if np.allclose(new, present, rtol=0.1, atol=1e-6):
+            break
+        present, solver = new, new_solver()
         solution = iterate(
             data, options, solver, first[0], solution.U, progress,
             excess=present, resume=solution, fixed_sigma=uncertain,
         )  # fmt: skip
-    if not models_drift and solution.status == "converged":
-        found = search(data, options, solution, solver.fixed)
+    found = search(data, options, solution, solver.fixed) if solution.status == "converged" else DriftSearch()
     return Fitted(data, solution, solver, present, found)
 
 
@@ -155,21 +140,21 @@ def _shows_g_sensitivity(solution: Solution, data: PreparedRecording) -> bool:
 
 
 def fit_to_sensor_noise(
-    solution: Solution, data: PreparedRecording, fixed: Mask, present: Unmodelled
+    solution: Solution, data: PreparedRecording, fixed: Mask, present: UnmodelledErrors
 ) -> tuple[float, int]:
     """Chi-square of the residuals and its degrees of freedom, without the unmodelled errors in the noise."""
     return chi_square(solution, fixed, _sensor_noise(solution, data, present)[0])
 
 
 def _sensor_noise(
-    solution: Solution, data: PreparedRecording, present: Unmodelled
+    solution: Solution, data: PreparedRecording, present: UnmodelledErrors
 ) -> tuple[Array, tuple[Array, Array]]:
     """Covariance of the measurements without unmodelled errors, and that of each for unit size."""
     unit = measurement_covariance.covariances(
-        solution.measurements, data, np.zeros(3), np.zeros(3), Unmodelled(1.0, 1.0)
+        solution.measurements, data, np.zeros(3), np.zeros(3), UnmodelledErrors(1.0, 1.0)
     )
     parts = unit["turn_excess"], unit["pose_excess"]
-    added = sum((size**2 * part for size, part in zip(present.sizes, parts, strict=True)), np.zeros_like(parts[0]))
+    added = sum((size**2 * part for size, part in zip(present, parts, strict=False)), np.zeros_like(parts[0]))
     return solution.measurement_covariance - added, parts
 
 
@@ -190,9 +175,9 @@ def _tests(solution: Solution, data: PreparedRecording, fixed: Mask, R: Array) -
     return [(test.chi_square, test.degrees_of_freedom) for test in found]
 
 
-def _estimated(solution: Solution, data: PreparedRecording, fixed: Mask, present: Unmodelled) -> Unmodelled:
+def _estimated(solution: Solution, data: PreparedRecording, fixed: Mask, present: UnmodelledErrors) -> UnmodelledErrors:
     """Unmodelled errors by restricted likelihood."""
     known, parts = _sensor_noise(solution, data, present)
     measurements = solution.measurements
     rotation, force = np.sqrt(restricted_likelihood(measurements.z, measurements.H[:, ~fixed], known, parts))
-    return Unmodelled(float(rotation), float(force), present.drift)
+    return UnmodelledErrors(float(rotation), float(force))

@@ -11,14 +11,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from scipy.special import stdtrit
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-    from srt.result.calibration import Calibration
 
 USABLE: Final = ("converged", "partial")
 """Statuses with valid values and sigmas; the verdict on all others is "failed"."""
@@ -47,6 +46,30 @@ _SMALLEST: Final = 1e-99
 """p-value below which only this limit is shown: smaller ones underflow."""
 
 
+class Judged(Protocol):
+    """Attributes of a calibration that the verdict is made from; :class:`srt.Calibration` has them."""
+
+    @property
+    def status(self) -> str:
+        """Status."""
+
+    @property
+    def message(self) -> str:
+        """Message of the status."""
+
+    @property
+    def verdict(self) -> Mapping[str, Any]:
+        """Consistency of the measurements."""
+
+    @property
+    def noise(self) -> Mapping[str, Any]:
+        """Noise as used, with the factor on the sigmas."""
+
+    @property
+    def diagnostics(self) -> Mapping[str, Any]:
+        """Further results."""
+
+
 @dataclass(frozen=True, slots=True)
 class Verdict:
     """Verdict on a calibration.
@@ -67,7 +90,7 @@ class Verdict:
         return f"{self.word.capitalize()}. {self.reason}"
 
 
-def verdict_on(calibration: Calibration) -> Verdict:
+def verdict_on(calibration: Judged) -> Verdict:
     """Verdict on a calibration, from its status and the chi-square of its residuals."""
     evidence = calibration.verdict
     faults = calibration.diagnostics.get("faults", ())
@@ -90,7 +113,7 @@ def verdict_on(calibration: Calibration) -> Verdict:
     return Verdict(word, " ".join([*found, agreement, *_modelled(calibration), added]).rstrip())
 
 
-def _modelled(calibration: Calibration) -> Iterator[str]:
+def _modelled(calibration: Judged) -> Iterator[str]:
     """Sentence on the effects that were estimated besides the 27 errors."""
     drift = [row for row in calibration.diagnostics.get("drift", ()) if row["modelled"]]
     sensors = {"gyro": "the gyros", "accel": "the accelerometers"}
@@ -100,7 +123,7 @@ def _modelled(calibration: Calibration) -> Iterator[str]:
         yield f"Modelled besides the 27 errors: {', '.join(names)}."
 
 
-def _failure(calibration: Calibration) -> str:
+def _failure(calibration: Judged) -> str:
     own = calibration.verdict.get("own_noise", calibration.verdict)
     tested = f" Residuals against the sensors' own noise: {_chi_square(own)}." if own.get("probability") else ""
     return f"{calibration.message}{tested if calibration.status != 'inconsistent' else ''}"
@@ -124,7 +147,7 @@ def _chi_square(tested: Mapping[str, Any]) -> str:
     return f"chi-square {tested['chi_square']:.4g} for {freedom} degrees of freedom, {p_value_text(p)}"
 
 
-def _added(calibration: Calibration, own: Mapping[str, Any]) -> Iterator[str]:
+def _added(calibration: Judged, own: Mapping[str, Any]) -> Iterator[str]:
     """Sentences on the noise that was added and on the enlarged sigmas; none without a misfit."""
     evidence = calibration.verdict
     noise = evidence.get("added_noise") or {}

@@ -8,7 +8,6 @@ sensor axis and the sense (:func:`find_manoeuvre`), for labelled ones the pauses
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
@@ -17,14 +16,13 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from srt.model.gyro_stream import moving_average
-from srt.model.rotations import rotation_matrix, rotation_vector
+from srt.model.rotations import rotation_matrix
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from srt.model.table1 import RotationSequence
     from srt.recording.recording import Recording
-    from srt.sequences.preparation import PreparedRecording
     from srt.types import Array, Counts, Indices
 
 MOVING: Final = 0.2
@@ -217,10 +215,6 @@ def quarters(legs: Array, scale: Array) -> list[tuple[int, int]] | None:
     return out
 
 
-_SIGMAS: Final = 6.0
-"""Largest rotation error, in sigma, that is consistent with a label (false alarms: p = 1e-9)."""
-
-
 @cache
 def end_attitude(sequence: RotationSequence) -> Array:
     """Nominal C_End of a sequence, B_End to B_Strt, shape (3, 3), for IMU axes along the table's; read-only."""
@@ -229,49 +223,3 @@ def end_attitude(sequence: RotationSequence) -> Array:
         C = C @ rotation_matrix(axis * angle)
     C.flags.writeable = False
     return C
-
-
-def wrong_rotation_angles(data: PreparedRecording, turned: Array, U: Array) -> tuple[str, ...]:
-    """Sentences about sequences whose measured rotation contradicts the label.
-
-    Parameters
-    ----------
-    data : PreparedRecording
-    turned : ndarray, shape (K, 3, 3)
-        C_End as the gyros measured it, B_End to B_Strt.
-    U : ndarray, shape (3, 3)
-        T to MARS components.
-
-    Returns
-    -------
-    tuple of str
-        One sentence for each rotation whose error is above six times the fixture's sigma.
-    """
-    fixture = data.recording.fixture
-    if fixture is None:
-        return ()
-    said = []
-    for k, sequence in enumerate(data.catalogue):
-        if sequence is None:
-            continue
-        nominal = U @ end_attitude(sequence) @ U.T
-        off = rotation_vector((nominal.T @ turned[k])[None])[0]
-        # Every leg has its own error; about a misaligned axis a turn ends up to twice the misalignment away.
-        legs = len(sequence.rotations)
-        allowed = _SIGMAS * math.hypot(math.sqrt(legs) * fixture.rotation_sigma_rad, 2.0 * fixture.alignment_sigma_rad)
-        if np.linalg.norm(off) <= allowed:
-            continue
-        title = data.labels[k].title[0].upper() + data.labels[k].title[1:]
-        if legs == 1:
-            angle = float(sequence.angles_rad[0])
-            done = angle + float(off @ U @ sequence.axes[0])
-            said.append(
-                f"{title} turned by {math.degrees(done):.2f}° where its label has {math.degrees(angle):.0f}°: "
-                "the gyros measure what it did turn, but check the label."
-            )
-        else:
-            said.append(
-                f"{title} ends {math.degrees(float(np.linalg.norm(off))):.2f}° from where its rotations lead: one of "
-                "them was not turned by its nominal angle; the gyros measure what it did turn, but check the label."
-            )
-    return tuple(said)

@@ -163,7 +163,7 @@ def test_four_estimators_fit_120_columns(recording, calibrations, results, capfd
 
 
 def test_options_reach_the_estimators(recording, tmp_path):
-    chosen = {"average": "overlapping", "window_attitude": "integrated", "start": "zero", "max_playbacks": 9}
+    chosen = {"average": "overlapping", "start": "zero", "max_playbacks": 9}
     flags = [text for name, value in chosen.items() for text in (f"--{name.replace('_', '-')}", str(value))]
     flags += ["--no-asymmetry", "--hold", "accel_bias"]
     assert main(["compare", str(recording), "-q", "-o", str(tmp_path / "x.json"), *BOTH, *flags]) == 1

@@ -18,7 +18,7 @@ import srt
 from sims.physics.imu import read_out
 from sims.physics.sequences import TABLE_1
 from sims.physics.table_motion import table1_motion
-from srt.estimation.iteration import CONVERGED_SIGMAS
+from srt.estimation.convergence import CONVERGED_SIGMAS
 from srt.estimation.leave_one_out import (
     SequenceDiagnostics,
     consistency_tests,
@@ -215,12 +215,26 @@ def test_influence_is_that_of_calibrating_without_the_sequence(estimator, count)
                 assert parameter["information"][k] == pytest.approx(share, abs=5e-3)
 
 
-@pytest.mark.parametrize("options", [{"gyro_bias": "per-sequence"}, {"window_attitude": "integrated"}], ids=str)
-def test_influence_with_other_gyro_biases_and_windows(options):
-    calibration = srt.calibrate(noisy(12), "least-squares", **options, checks=False)
+@pytest.mark.parametrize(
+    ("estimator", "options"),
+    [("least-squares", {"gyro_bias": "pooled"}), ("closed-form", {"window_attitude": "integrated"})],
+    ids=str,
+)
+def test_influence_with_other_gyro_biases_and_windows(estimator, options):
+    calibration = srt.calibrate(noisy(12), estimator, **options, checks=False)
     for k in (0, 8, 15):
         row = calibration.verdict["sequences"][k]
-        again = again_without(calibration, noisy(12), row, "least-squares", **options)
+        again = again_without(calibration, noisy(12), row, estimator, **options)
+        assert distance(calibration, row, again) < 1.0
+
+
+def test_influence_with_a_bias_of_every_sequence():
+    """The reported bias is the mean over the sequences: without one it is another mean, and no bias to hold."""
+    calibration = srt.calibrate(noisy(12), "least-squares", gyro_bias="per-sequence", checks=False)
+    for k in (0, 8, 15):
+        row = calibration.verdict["sequences"][k]
+        rest = without(noisy(12), row["sequence"])
+        again = srt.calibrate(rest, "least-squares", start=calibration.errors, gyro_bias="per-sequence", checks=False)
         assert distance(calibration, row, again) < 1.0
 
 
@@ -273,10 +287,6 @@ def test_turns_that_share_windows():
     recording = recording.with_sequences(srt.find_turns(recording))
     calibration = srt.calibrate(recording, "least-squares", checks=False)
     rows = calibration.verdict["sequences"]
-    # 30 turns, 31 windows: two horizontal components each, and the two ends of the chain a down component of their own.
-    directions = [row["degrees_of_freedom"] for row in rows]
-    assert max(directions[1:-1]) <= 2
-    assert max(directions[0], directions[-1]) <= 3
     for k in (0, 14):
         rest = recording.with_sequences(tuple(s for i, s in enumerate(recording.sequences) if i != k))
         again = srt.calibrate(
@@ -319,16 +329,6 @@ def test_chi_square_of_clean_recordings(estimator, count):
         within([v["sequences"][k] for v in verdicts], 2.3e-4 / 17)
 
 
-def test_closed_form_and_least_squares_judge_alike():
-    """Chi-square of all residuals does not depend on which 24 of them were solved: at first order it is the same."""
-    closed, weighted = (calibrated(11, e).verdict for e in PLAYBACK)
-    assert closed["degrees_of_freedom"] == weighted["degrees_of_freedom"] == 44
-    assert closed["chi_square"] == pytest.approx(weighted["chi_square"], abs=0.05)
-    for one, other in zip(closed["sequences"], weighted["sequences"], strict=True):
-        assert one["chi_square"] == pytest.approx(other["chi_square"], abs=0.05)
-        assert one["only_witness_of"] == other["only_witness_of"]
-
-
 @pytest.mark.parametrize("name", ["4", "8", "11", "13"])
 @pytest.mark.parametrize("estimator", PLAYBACK)
 def test_a_disturbed_sequence_stands_out(estimator, name):
@@ -346,7 +346,7 @@ def test_a_disturbed_sequence_stands_out(estimator, name):
 
 def test_single_witnesses_are_named():
     """Table 1 has one reversed turn for each asymmetry, and one sequence each for four misalignments."""
-    rows = {r["sequence"]: r for r in calibrated(11, "least-squares").verdict["sequences"]}
+    rows = {r["sequence"]: r for r in calibrated(11, "closed-form").verdict["sequences"]}
     for name, parameter in (
         ("1a", "gyro_asymmetry_y"),
         ("7", "accel_misalignment_xy"),
@@ -357,7 +357,7 @@ def test_single_witnesses_are_named():
         assert parameter in rows[name]["lost_without"]
     assert rows["11"]["checkable"] == "yes"
     assert rows["11"]["only_witness_of"] == []
-    text = report(calibrated(11, "least-squares"), title="unit")
+    text = report(calibrated(11, "closed-form"), title="unit")
     assert "the others cannot check them: 1a: κyy κyyy;" in " ".join(text.split())
 
 

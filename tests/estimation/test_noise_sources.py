@@ -378,9 +378,9 @@ def test_earth_rate_of_unknown_direction():
 
 FIXED_SIGMA_OF = {
     "closed-form": "srt.estimation.closed_form_solver",
-    "least-squares": "srt.estimation.least_squares_solver",
-    "graph": "estimators.iteration",
-    "ekf": "estimators.iteration",
+    "least-squares": "srt.joint.iteration",
+    "graph": "srt.joint.iteration",
+    "ekf": "srt.joint.iteration",
 }
 """Module of each estimator that asks for the sigma of fixed values."""
 

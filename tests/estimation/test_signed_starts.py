@@ -182,12 +182,6 @@ def test_axes_not_square_do_no_harm(estimator):
     np.testing.assert_allclose(leaning.sigma, square.sigma, rtol=0.01)
 
 
-def test_residuals_are_named_by_axes_without_sign():
-    recording, _ = unit(0)
-    found = {r.component for r in srt.calibrate(recording, "least-squares").residuals}
-    assert found == {"horizontal_x", "horizontal_y", "horizontal_z", "start_down", "end_down"}
-
-
 def test_the_closed_form_takes_those_of_table_1_and_names_the_others():
     """Sequences from other attitudes beside Table 1 change nothing in it; alone they are none of its own."""
     rng = np.random.default_rng(2110)

@@ -23,7 +23,7 @@ SMALL = 20.0
 def calibrated(request):
     """A recording of rates or increments, its calibration, and its unseen errors by source."""
     recording = Case("tactical-fog", 3, {"recording": {"kind": request.param, "sample_rate_hz": 100.0}}).recording
-    found = srt.calibrate(recording, "least-squares", checks=False)
+    found = srt.calibrate(recording, "closed-form", checks=False)
     return recording, found, {row["source"]: row for row in found.diagnostics["unseen_errors"]}
 
 
@@ -53,7 +53,7 @@ def test_coefficients(calibrated, source):
     recording, found, rows = calibrated
     row, part = rows[source], GROUP_SLICES[rows[source]["group"]]
     error = SMALL * (0.01 if source == "latitude" else 1.0)
-    wrong = srt.calibrate(shifted(recording, source), "least-squares", checks=False)
+    wrong = srt.calibrate(shifted(recording, source), "closed-form", checks=False)
     change = (wrong.errors.vector - found.errors.vector)[part] * FACTORS[row["group_unit"]]
     if row["largest"]:
         # The poses turn the Earth rate to all axes; what remains is smaller.
@@ -67,7 +67,7 @@ def test_a_stated_sigma_is_told_and_in_the_result(calibrated):
     recording, found, rows = calibrated
     assert rows["time base"]["sigma"] is None
     assert "not stated" in rows["time base"]["sentence"]
-    stated = srt.calibrate(replace(recording, clock_sigma=50e-6), "least-squares", checks=False)
+    stated = srt.calibrate(replace(recording, clock_sigma=50e-6), "closed-form", checks=False)
     row = stated.diagnostics["unseen_errors"][0]
     assert row["sigma"] == pytest.approx(50.0)
     part = GROUP_SLICES[row["group"]]

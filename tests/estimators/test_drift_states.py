@@ -20,12 +20,13 @@ from srt.model.sensor_model import accel_triad, gyro_triad
 from srt.sensor_errors import N_PARAMETERS, SensorErrors
 
 pytest.importorskip("filterpy")
-from estimators.block_solution import BlockSolution
-from estimators.iteration import default_prior
 from estimators.kalman_filter import run_filter
-from estimators.linearisation import linearise
 from estimators.nuisance_elimination import eliminate_nuisances
-from estimators.recording_opening import open_joint_model
+from srt.estimation.observability import default_prior
+from srt.joint.block_solution import BlockSolution
+from srt.joint.initial_attitudes import placed
+from srt.joint.linearisation import linearise
+from srt.joint.recording_opening import open_joint_model
 
 ALL = np.ones(N_PARAMETERS, dtype=bool)
 
@@ -33,7 +34,7 @@ ALL = np.ones(N_PARAMETERS, dtype=bool)
 def linearised(recording, prior=None):
     """Joint model, state and system at the initial estimate."""
     joint = open_joint_model(recording, Options())
-    state, compensated = joint.placed(joint.start)
+    state, compensated = placed(joint, joint.start)
     return joint, state, linearise(joint, state, compensated, ALL, prior)
 
 

@@ -16,11 +16,12 @@ from srt.noise.drift_forms import WALK
 from srt.sensor_errors import N_PARAMETERS, SensorErrors
 
 pytest.importorskip("filterpy")
-from estimators.drift_terms import DriftTerms
-from estimators.iteration import default_prior
 from estimators.kalman_filter import run_filter
-from estimators.linearisation import linearise
-from estimators.recording_opening import open_joint_model
+from srt.estimation.observability import default_prior
+from srt.joint.drift_terms import DriftTerms
+from srt.joint.initial_attitudes import placed
+from srt.joint.linearisation import linearise
+from srt.joint.recording_opening import open_joint_model
 
 ALL = np.ones(N_PARAMETERS, dtype=bool)
 TERMS = (DriftTerm("accel", "linear", 1.0), DriftTerm("gyro", "warm-up", 1e-2), DriftTerm("accel", WALK, 1e-2))
@@ -48,7 +49,7 @@ def test_columns_against_differences():
     drift = np.concatenate(
         [rng.normal(0.0, 0.4, 3), rng.normal(0.0, 1000.0 * DEG_PER_H, 3), rng.normal(0.0, 0.1, joint.drift.size - 6)]
     )
-    state, compensated = joint.placed(replace(joint.start, errors=errors, drift=drift))
+    state, compensated = placed(joint, replace(joint.start, errors=errors, drift=drift))
     system = linearise(joint, state, compensated, ALL)
     assert system.of("drift_form").size == joint.drift.size
     for i, column in enumerate(system.of("drift_form").tolist()):
@@ -101,12 +102,12 @@ def test_ramps_on_a_fixture_are_named_and_modelled(estimator):
 
 def test_filter_is_the_block_solution_with_drift():
     """All forms together, a random walk included, at one point of linearisation."""
-    from estimators.block_solution import BlockSolution
+    from srt.joint.block_solution import BlockSolution
 
     recording = ramp(noisy_recording(3, "navigation", sample_rate_hz=50.0, instability=True)[0], 1000.0)
     joint = open_joint_model(recording, Options())
     joint.drift = DriftTerms(joint.data, TERMS)
-    state, compensated = joint.placed(replace(joint.start, drift=np.zeros(joint.drift.size)))
+    state, compensated = placed(joint, replace(joint.start, drift=np.zeros(joint.drift.size)))
     prior = default_prior()
     solution = BlockSolution(linearise(joint, state, compensated, ALL, prior))
     filtered = run_filter(joint, linearise(joint, state, compensated, ALL), state, prior)

@@ -25,8 +25,6 @@ import sims
 from srt.estimation import iteration
 from srt.estimation.closed_form_solver import ClosedFormSolver
 from srt.estimation.initial_estimates import initial_estimate
-from srt.estimation.least_squares_solver import LeastSquaresSolver
-from srt.estimation.observability import admission_sigma
 from srt.estimation.options import Options
 from srt.model.prior import Prior
 from srt.model.table1 import AXES
@@ -40,8 +38,10 @@ from linear_problems import AGREE, EPS, IN_G, RESOLVED, Found, G, SolveStep, dif
 from threadpoolctl import threadpool_limits
 
 from estimators.graph import GraphSolver
-from estimators.joint_model import JointModel
 from estimators.kalman_filter import KalmanSolver
+from srt.joint import iteration as joint_iteration
+from srt.joint.joint_model import JointModel
+from srt.joint.least_squares import BlockSolver
 
 # --- a planet that does not turn ------------------------------------------------------------------------------------
 
@@ -50,8 +50,9 @@ from estimators.kalman_filter import KalmanSolver
 def resolved():
     """Iterate to rounding wherever the criterion is read, in one thread: these matrices gain nothing from more."""
     with pytest.MonkeyPatch.context() as patch, threadpool_limits(limits=1, user_api="blas"):
-        patch.setattr(iteration, "CONVERGED_CORRECTION", RESOLVED[0])
-        patch.setattr(iteration, "CONVERGED_SIGMAS", RESOLVED[1])
+        for module in (iteration, joint_iteration):
+            patch.setattr(module, "CONVERGED_CORRECTION", RESOLVED[0])
+            patch.setattr(module, "CONVERGED_SIGMAS", RESOLVED[1])
         yield
 
 
@@ -275,7 +276,12 @@ class Linear:
     def by_joint_estimation(self, sigma):
         """The filter's prior is 1e5 times wider than the result: 1e-10 of the information."""
         prior = Prior.from_sigma(1e5 * sigma, SensorErrors(self.truth))
-        steps = {"solve": SolveStep(), "graph": GraphSolver("squared", None), "ekf": KalmanSolver(prior)}
+        steps = {
+            "solve": SolveStep(),
+            "least-squares": BlockSolver(),
+            "graph": GraphSolver("squared", None),
+            "ekf": KalmanSolver(prior),
+        }
         return {name: jointly(self.joint(), step) for name, step in steps.items()}
 
     def joint(self):
@@ -305,7 +311,7 @@ def check_agreement(results, reference, brute, sampling, truth):
 
 
 def test_estimators_agree_on_the_components_of_the_closed_form(linear, monkeypatch):
-    """24 components and the pooled rest rate: closed form, filter, graph, one dense solution and brute force."""
+    """24 components and the pooled rest rate: closed form, all joint solvers, one dense solution and brute force."""
     data = linear.data
     horizontal, down = used_components(data)
     assert horizontal.sum() + down.sum() == 24
@@ -319,11 +325,11 @@ def test_estimators_agree_on_the_components_of_the_closed_form(linear, monkeypat
 
 
 def test_estimators_agree_on_all_components(linear):
-    """All 68 and the rest rates: filter, graph, dense solution, least squares and brute force; the closed form is none
+    """All 68 and the rest rates: least squares, filter, graph, dense solution and brute force; the closed form is none
     of them, and its covariance nowhere below theirs.
     """
     data = linear.data
-    least = by_play_back(data, LeastSquaresSolver((), admission_sigma()))
+    least = jointly(linear.joint(), SolveStep())
     found = linear.by_joint_estimation(least.sigma)
     brute, sampling = linear.by_brute_force(slice(None))
     check_agreement(found, least, brute, sampling, linear.truth)
@@ -345,7 +351,7 @@ def test_closed_form_differs_as_its_covariance_allows(still_planet, monkeypatch,
     data = prepare_checked(recording, recording.sequences, OPTIONS.average)
     closed, best = (
         by_play_back(data, ClosedFormSolver(data, OPTIONS)),
-        by_play_back(data, LeastSquaresSolver((), admission_sigma())),
+        jointly(JointModel(data, OPTIONS, initial_estimate(data, OPTIONS)), SolveStep()),
     )
     variance = np.diag(closed.P - best.P) / best.sigma**2
     assert variance.min() > 100.0 * AGREE

@@ -20,20 +20,22 @@ pytest.importorskip("gtsam")
 from filterpy.kalman import SquareRootKalmanFilter
 from linear_problems import AGREE, ALL, EPS, IN_G, RESOLVED, Found, SolveStep, difference, jointly
 
-from estimators.ekf import default_prior
 from estimators.graph import GraphSolver
-from estimators.iteration import iterate
 from estimators.kalman_filter import KalmanSolver, run_filter
-from estimators.recording_opening import open_joint_model
-from estimators.solver import IterationState
+from srt.estimation.observability import default_prior
+from srt.joint import iteration as joint_iteration
+from srt.joint.iteration import iterate
+from srt.joint.recording_opening import open_joint_model
+from srt.joint.solver import IterationState
 
 
 @pytest.fixture(scope="module", autouse=True)
 def resolved():
     """Iterate to rounding wherever the criterion is read, in one thread: these matrices gain nothing from more."""
     with pytest.MonkeyPatch.context() as patch, threadpool_limits(limits=1, user_api="blas"):
-        patch.setattr(iteration, "CONVERGED_CORRECTION", RESOLVED[0])
-        patch.setattr(iteration, "CONVERGED_SIGMAS", RESOLVED[1])
+        for module in (iteration, joint_iteration):
+            patch.setattr(module, "CONVERGED_CORRECTION", RESOLVED[0])
+            patch.setattr(module, "CONVERGED_SIGMAS", RESOLVED[1])
         yield
 
 

@@ -19,7 +19,7 @@ from jacobian_cases import CASES, EPS, VARIANTS, make, simulated_motions
 
 from estimators.factor_graph import FactorGraph
 from estimators.graph import solve_linear
-from estimators.linearisation import linearise
+from srt.joint.linearisation import linearise
 
 # --- factors and rows -----------------------------------------------------------------------------------------------
 

@@ -23,14 +23,15 @@ from srt.sensor_errors import N_PARAMETERS, SensorErrors
 
 pytest.importorskip("filterpy")
 pytest.importorskip("gtsam")
-from estimators.accuracy_targets import PARAMETER_UNITS
-from estimators.block_solution import BlockSolution
-from estimators.drift_terms import DriftTerms
-from estimators.iteration import default_prior
 from estimators.kalman_filter import run_filter
-from estimators.linearisation import linearise
-from estimators.recording_opening import open_joint_model
 from estimators.unscented_filter import SequenceModel
+from srt.estimation.convergence import PARAMETER_UNITS
+from srt.estimation.observability import default_prior
+from srt.joint.block_solution import BlockSolution
+from srt.joint.drift_terms import DriftTerms
+from srt.joint.initial_attitudes import placed
+from srt.joint.linearisation import linearise
+from srt.joint.recording_opening import open_joint_model
 
 PER_G = DEG_PER_H / STANDARD_GRAVITY_M_S2
 SIZE = 30.0 * PER_G
@@ -53,7 +54,7 @@ def test_columns_against_differences():
     rng = np.random.default_rng(4)
     errors = SensorErrors(joint.start.errors.vector + 1e-2 * rng.standard_normal(N_PARAMETERS))
     drift = np.concatenate([rng.normal(0.0, 10.0 * SIZE, 9), rng.normal(0.0, 100.0 * DEG_PER_H, 3)])
-    state, compensated = joint.placed(replace(joint.start, errors=errors, drift=drift))
+    state, compensated = placed(joint, replace(joint.start, errors=errors, drift=drift))
     system = linearise(joint, state, compensated, ALL)
     assert system.of("drift_form").size == 12
     for i, column in enumerate(system.of("drift_form")[:9].tolist()):
@@ -70,7 +71,7 @@ def test_columns_against_differences():
 def test_filter_and_blocks_are_the_dense_solution():
     """At one point of linearisation, to 1e-7 sigma, Γ and its covariance included."""
     joint = opened(noisy_recording(3, "industrial", **UNIT)[0])
-    state, compensated = joint.placed(replace(joint.start, drift=np.zeros(joint.drift.size)))
+    state, compensated = placed(joint, replace(joint.start, drift=np.zeros(joint.drift.size)))
     prior = default_prior()
     system = linearise(joint, state, compensated, ALL, prior)
     dense, blocks = solve(system), BlockSolution(system)
@@ -127,7 +128,7 @@ def test_covariance_form(industrial):
 def test_unscented_filter_has_the_axes_of_all_poses(industrial):
     """Two windows of a sequence show one axis of Γ alone; its model of a sequence has the three of the recording."""
     joint = open_joint_model(industrial[0], Options(gyro_bias="g-sensitive"))
-    single = SequenceModel(joint, joint.placed(joint.start)[0], 0, ALL)
+    single = SequenceModel(joint, placed(joint, joint.start)[0], 0, ALL)
     np.testing.assert_array_equal(single.joint.drift.force_axes, joint.drift.force_axes)
 
 

@@ -26,13 +26,13 @@ from linear_problems import RESOLVED
 from test_joint_jacobians import unwhitened, unwhitened_residuals
 from threadpoolctl import threadpool_limits
 
-from estimators.drift_terms import DriftTerms
 from estimators.graph import GraphSolver
-from estimators.iteration import apply_correction, iterate
-from estimators.linearisation import linearise
-from estimators.recording_opening import open_joint_model
-from estimators.solver import IterationState
 from srt.estimation.options import Options
+from srt.joint.drift_terms import DriftTerms
+from srt.joint.iteration import apply_correction, iterate
+from srt.joint.linearisation import linearise
+from srt.joint.recording_opening import open_joint_model
+from srt.joint.solver import IterationState
 
 HZ = 20.0
 NOT_SHOWN = ("gyro_orthogonality", "accel_asymmetry", "accel_misalignment")

@@ -30,6 +30,7 @@ EXTRAS = {
     "srt/cli": ("cli",),
     "srt/comparison": ("campaign", "cluster"),
     "srt/exporters": ("formats", "graph"),
+    "srt/joint": ("ekf",),
     "srt/model": ("fast",),
     "srt/noise": ("allan",),
     "srt/recording": ("io", "formats"),
@@ -109,3 +110,26 @@ def test_an_undeclared_import_is_found(tmp_path):
     file.write_text("def f():\n    import lz4.frame\n    pytest.importorskip('ruamel.yaml')\n")
     assert imported(file) == {"lz4", "ruamel"}
     assert not {"lz4", "ruamel"} & declared("dev")
+
+
+def modules_imported(module, path, known):
+    """Modules of this distribution that a file imports anywhere, for type checking included."""
+    out = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            out |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and not node.level:
+            inside = {f"{node.module}.{alias.name}" for alias in node.names}
+            out |= (inside & known) or {node.module}
+    return (out & known) - {module}
+
+
+def test_no_two_files_import_each_other():
+    """No circle of imports, type checking included: files that import only files already sorted are sorted next."""
+    paths = [path for top in ("srt", "estimators", "sims") for path in (ROOT / top).rglob("*.py")]
+    names = {path: path.relative_to(ROOT).with_suffix("").as_posix().replace("/", ".") for path in paths}
+    names = {path: name.removesuffix(".__init__") for path, name in names.items()}
+    left = {name: modules_imported(name, path, set(names.values())) for path, name in names.items()}
+    while ready := {name for name, imports in left.items() if not imports & left.keys()}:
+        left = {name: imports for name, imports in left.items() if name not in ready}
+    assert not left

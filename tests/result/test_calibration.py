@@ -10,6 +10,7 @@ import srt
 from sims.physics.imu import read_out
 from sims.physics.sequences import TABLE_1
 from sims.physics.table_motion import table1_motion
+from srt.estimation.convergence import CONVERGED_SIGMAS
 from srt.exceptions import InputError
 from srt.model.sensor_model import accel_triad, gyro_triad
 from srt.sensor_errors import GROUP_SLICES, INDEX, NAMES
@@ -202,10 +203,14 @@ def test_unknown_options_and_estimators_are_named(unit):
 
 
 def test_estimators_agree_noise_free(unit, calibration):
-    """All 68 components by least squares, 24 of them in closed form: the same 27 errors."""
+    """All measurements by least squares, 24 of 68 components in closed form: the same 27 errors.
+
+    The iteration of least squares ends within 0.01 of its sigmas.
+    """
     other = srt.calibrate(unit[0], "least-squares")
-    difference = np.abs(other.errors.vector - calibration.errors.vector) / accuracy_trials.IN_G
-    assert difference[:24].max() < 1e-8
+    difference = np.abs(other.errors.vector - calibration.errors.vector)
+    allowed = 1e-8 * accuracy_trials.IN_G + CONVERGED_SIGMAS * other.sigma
+    assert np.all(difference[:24] < allowed[:24])
 
 
 def test_an_edited_file_does_not_match_its_digest(calibration, tmp_path):

@@ -12,20 +12,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from jacobian_cases import CASES, EPS, HZ, RATE, VARIANTS, G, make, simulated_motions
 
 from srt.estimation.error_sources import shared_edges
+from srt.joint.iteration import apply_correction
+from srt.joint.linear_system import FIXTURE, N_ERRORS
+from srt.joint.linearisation import linearise
+from srt.joint.recording_opening import open_joint_model
 from srt.model import analytic_platform
 from srt.model.sensor_model import accel_triad, gyro_triad
 from srt.noise import markov_drift
 from srt.sensor_errors import GROUP_SLICES
-
-pytest.importorskip("gtsam")
-from jacobian_cases import CASES, EPS, HZ, RATE, VARIANTS, G, make, simulated_motions
-
-from estimators.iteration import apply_correction
-from estimators.linear_system import FIXTURE, N_ERRORS
-from estimators.linearisation import linearise
-from estimators.recording_opening import open_joint_model
 
 
 @pytest.fixture(scope="module")

@@ -5,17 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import pytest
-
-from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS
-
-pytest.importorskip("filterpy")
-pytest.importorskip("gtsam")
 from dense_solution import solve
 
-from estimators.iteration import iterate
-from estimators.linearisation import linearise
-from estimators.solver import IterationState, JointSolver, LinearSolution
+from srt.joint.iteration import iterate
+from srt.joint.linearisation import linearise
+from srt.joint.solver import IterationState, JointSolver, LinearSolution
+from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS
 
 EPS = np.finfo(float).eps
 G = 9.80665

@@ -1,13 +1,7 @@
-"""Measurements against what labels state: the vertical of poses on a fixture, and the rate of a rate table.
+"""Runs at a stated rate in the joint model: mean rates against that of the table, and the heading that they turn to.
 
-A pose does not rotate, so that the change of its horizontal specific force shows no sensor error; in a run at a stated
-rate, this change shows many revolutions, modulo one. The two horizontal measurements of such sequences are replaced:
-
-* pose: if no sequence of the recording rotates and a fixture states the vertical, the horizontal components of the
-  pose's mean specific force along the nominal axes; otherwise the change between its halves in axes of the unit, which
-  has no derivative;
-* stated rate Ω about an axis: in each half of the steady window ``|ω̂| − ω̂e·ω̂/|ω̂| − |Ω|``
-  (:func:`srt.model.measurement_model.stated_rate_residual`). The magnitude is free of mounting errors.
+The rotation between the windows of such a run has many revolutions, and is known modulo one: no measurement of scale
+factors. Only its component about the vertical is used, which the specific force at the end does not show.
 """
 
 from __future__ import annotations
@@ -20,25 +14,21 @@ import numpy as np
 from srt.estimation.error_sources import raw_rate_variance
 from srt.model import measurement_model as model
 from srt.model.analytic_platform import equal_parts, parts_per_rotation
+from srt.model.rotations import cross_matrix
 
 if TYPE_CHECKING:
-    from srt.model.rotation_integrals import RotationIntegrals
     from srt.model.sensor_model import Triad
     from srt.noise.noise_model import NoiseModel
     from srt.sequences.preparation import PreparedRecording
-    from srt.types import Array, Indices, Mask
+    from srt.types import Array, Indices
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class StatedMeasurements:
-    """Statements of a recording's labels as arrays, which do not depend on the sensor errors.
+class SteadyReadings:
+    """Mean readings in the halves of the steady windows of R runs at a stated rate, and the stated rates.
 
     Attributes
     ----------
-    posed : ndarray of bool, shape (K,)
-        Poses without a rotation.
-    directed : bool
-        True if the poses show the vertical of a fixture.
     rated : ndarray of int, shape (R,)
         Sequences at a stated rate.
     rate : ndarray, shape (R, 2, 3), rad/s
@@ -54,8 +44,6 @@ class StatedMeasurements:
         Its relative 1-sigma error.
     """
 
-    posed: Mask
-    directed: bool
     rated: Indices
     rate: Array
     force: Array
@@ -65,7 +53,7 @@ class StatedMeasurements:
     sigma: Array
 
     @classmethod
-    def of(cls, data: PreparedRecording) -> StatedMeasurements:
+    def of(cls, data: PreparedRecording) -> SteadyReadings:
         """Gather what the labels state, and the mean readings in the steady windows."""
         recording = data.recording
         factor = 1.0 if recording.kind == "rate" else 1.0 / recording.nominal_interval_s
@@ -86,8 +74,6 @@ class StatedMeasurements:
         overlap = np.minimum(half[:, 1:], part[..., 1:]) - np.maximum(half[:, :-1], part[..., :-1])
         inside = np.maximum(overlap, 0)
         return cls(
-            data.posed,
-            bool(data.posed.all()) and data.nominal is not None,
             at,
             gyro,
             accel,
@@ -96,13 +82,6 @@ class StatedMeasurements:
             np.array(stated),
             np.array(sigma),
         )
-
-    @property
-    def replaced(self) -> Mask:
-        """True for the sequences whose horizontal measurements do not show an attitude error, shape (K,)."""
-        out = self.posed.copy()
-        out[self.rated] = True
-        return out
 
     def compensated(self, gyro: Triad, raw_bias: Array | float = 0.0) -> Array:
         """Compensated mean rates in the halves, less biases of the raw channels, shape (R, 2, 3), rad/s."""
@@ -122,59 +101,76 @@ class StatedMeasurements:
         """The same by biases of the raw channels in P equal parts of the rotation, shape (R, P, 2, 3)."""
         return np.asarray(np.einsum("rhp,rhb->rphb", self.shares, self.by_raw_rate(gyro)))
 
+    def compensate(self, gyro: Triad, raw_bias: Array, earth_rate: Array, noise: NoiseModel) -> StatedRates:
+        """Compensate the mean rates at an estimate.
+
+        Parameters
+        ----------
+        gyro : Triad
+        raw_bias : ndarray, shape (R, 2, 3), rad/s
+            Biases of the raw channels in the halves beside the mean bias.
+        earth_rate : ndarray, shape (R, 1, 3), rad/s
+            In B_Strt; it is a small part of the derivative.
+        noise : NoiseModel
+        """
+        rate = self.compensated(gyro, raw_bias)
+        _, by_rate, _ = model.stated_rate_residual(rate, earth_rate, self.stated[:, None])
+        by_errors = model.rate_error_jacobian(rate.reshape(-1, 3), gyro)
+        return StatedRates(
+            self.rated,
+            rate,
+            self.stated,
+            np.broadcast_to(-(self.sigma * self.stated)[:, None, None], (len(rate), 2, 1)),
+            np.einsum("rha,rhap->rhp", by_rate, by_errors.reshape(*rate.shape, by_errors.shape[2])),
+            {"gyro_noise": self.rate_noise(noise, gyro)},
+        )
+
     def rate_noise(self, noise: NoiseModel, gyro: Triad) -> Array:
         """Covariance by white noise and quantization, diagonal, shape (R, 2, 2), (rad/s)²."""
         variance = np.sum(self.by_raw_rate(gyro) ** 2 * raw_rate_variance(noise, self.duration_s), axis=2)
         return np.asarray(variance[:, :, None] * np.eye(2))
 
-    def replace(
-        self,
-        horizontal: Array,
-        jacobian: Array,
-        *,
-        basis: Array,
-        force: tuple[Array, Array],
-        earth_rate: Array,
-        triads: tuple[Triad, Triad],
-        g_sensitivity: Array,
-    ) -> tuple[Array, Array]:
-        """Horizontal measurements and their Jacobian with the rows of poses and of stated rates replaced.
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StatedRates:
+    """Compensated mean rates of R runs at a stated rate, in the halves of their steady windows.
+
+    Attributes
+    ----------
+    sequences : ndarray of int, shape (R,)
+    rate : ndarray, shape (R, 2, 3), rad/s
+        Less the bias deviation of the sequence, the modelled drift and g-sensitivity.
+    stated : ndarray, shape (R,), rad/s
+        Magnitude of the stated rate.
+    by_table_rate : ndarray, shape (R, 2, 1), rad/s
+        Derivative of the residual with respect to the error of the table's rate in sigmas, one for all runs.
+    jacobian : ndarray, shape (R, 2, 27)
+        Negative derivative of the residual with respect to the 27 sensor errors.
+    noise : dict of str to ndarray, shape (R, 2, 2)
+        Noise covariance by source.
+    """
+
+    sequences: Indices
+    rate: Array
+    stated: Array
+    by_table_rate: Array
+    jacobian: Array
+    noise: dict[str, Array]
+
+    def residual(self, start: Array, earth_rate: Array, table_rate: float) -> tuple[Array, Array, Array]:
+        """Residuals (n, 2) of all runs, and derivatives by rotations of B_Strt and by the Earth's rate, (n, 2, 3).
 
         Parameters
         ----------
-        horizontal : ndarray, shape (K, 2)
-        jacobian : ndarray, shape (K, 2, 27)
-        basis : ndarray, shape (K, 2, 3)
-        force : (ndarray, ndarray), shape (K, 3), m/s²
-            Compensated specific force in start and end window, in B.
-        earth_rate : ndarray, shape (K, 3), rad/s
-            ω̂e in B_Strt.
-        triads : (Triad, Triad)
-            Sensor models of gyros and accelerometers.
-        g_sensitivity : ndarray, shape (3, 3), rad/s per m/s²
-            Γ; zero where it is not estimated.
+        start : ndarray, shape (R, 3, 3)
+            Attitudes from which the runs start, B to L.
+        earth_rate : ndarray, shape (R, 3), rad/s
+            In L.
+        table_rate : float
+            Error of the table's rate in sigmas.
         """
-        if not self.replaced.any():
-            return horizontal, jacobian
-        gyro, accel = triads
-        horizontal, jacobian = horizontal.copy(), jacobian.copy()
-        jacobian[self.posed] = 0.0
-        horizontal[self.posed] = np.einsum("kia,ka->ki", basis, force[1] - force[0])[self.posed]
-        if self.directed:
-            horizontal = np.einsum("kia,ka->ki", basis, 0.5 * (force[0] + force[1]))
-            jacobian = basis @ (0.5 * sum(model.force_error_jacobian(f, accel) for f in force))
-        rate = self.compensated(gyro, self.compensated_force(accel) @ g_sensitivity.T)
-        horizontal[self.rated], by_rate, _ = model.stated_rate_residual(
-            rate, earth_rate[self.rated, None], self.stated[:, None]
-        )
-        by_errors = model.rate_error_jacobian(rate.reshape(-1, 3), gyro).reshape(-1, 2, 3, jacobian.shape[2])
-        jacobian[self.rated] = np.einsum("rha,rhap->rhp", by_rate, by_errors)
-        return horizontal, jacobian
-
-    def change_of_force(self, basis: Array, integrals: RotationIntegrals, start: Array, end: Array) -> Array:
-        """Effect of force disturbances, shape (K, 3, S) in start and end window, on the measurements, (K, 2, S)."""
-        if self.directed:
-            return np.asarray(basis @ (0.5 * (start + end)))
-        out: Array = basis @ (np.where(self.posed[:, None, None], end, integrals.C_end @ end) - start)
-        out[self.rated] = 0.0
-        return out
+        to_body = np.swapaxes(start, 1, 2)
+        earth = (to_body @ earth_rate[:, :, None])[:, :, 0]
+        residual, _, by_earth = model.stated_rate_residual(self.rate, earth[:, None], self.stated[:, None])
+        residual = residual + self.by_table_rate[:, :, 0] * table_rate
+        return residual, by_earth @ cross_matrix(earth), by_earth @ to_body

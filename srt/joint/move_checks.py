@@ -11,14 +11,12 @@ import numpy as np
 from scipy.special import chdtrc
 
 from srt.estimation.goodness_of_fit import SUSPECT_PROBABILITY
-from srt.estimation.leave_one_out import consistency_tests, rows_of_sequences
 from srt.estimation.srt_measurements import SrtProcessor
 from srt.model.rotations import rotation_vector
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from srt.estimation.iteration import Solution
     from srt.estimation.options import Options
     from srt.sensor_errors import SensorErrors
     from srt.sequences.preparation import PreparedRecording
@@ -85,17 +83,3 @@ def contradicting_move(tests: Sequence[tuple[float, int]], is_move: Mask) -> dic
         worst: f"it contradicts the other measurements (chi-square {chi_square[worst]:.3g} for {freedom[worst]:.0f} "
         "degrees of freedom)"
     }
-
-
-def contradicting_move_of_solution(data: PreparedRecording, solution: Solution, fixed: Mask) -> dict[int, str]:
-    """:func:`contradicting_move` of a weighted least-squares solution."""
-    if not data.moves or solution.status != "converged":
-        return {}
-    horizontal = [np.array([2 * k, 2 * k + 1]) for k in range(data.K)]
-    groups = [horizontal[k] if data.is_move[k] else rows for k, (rows, _) in enumerate(rows_of_sequences(data))]
-    H = np.where(fixed, 0.0, solution.measurements.H)
-    try:
-        found = consistency_tests(solution.measurements.z, H, solution.measurement_covariance, groups)
-    except np.linalg.LinAlgError:
-        return {}
-    return contradicting_move([(test.chi_square, test.degrees_of_freedom) for test in found], data.is_move)

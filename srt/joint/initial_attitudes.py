@@ -1,24 +1,25 @@
-"""Nominal attitudes of sequences, and first attitudes of all windows, from which the joint solution starts."""
+"""First attitudes of all windows, from which the joint solution starts."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from srt.joint.nominal_attitudes import pose_nominal
 from srt.model.rotations import rotation_matrix, smallest_rotation
-from srt.sequences.preparation import nominal_attitude, sequence_of_label
 
 if TYPE_CHECKING:
-    from estimators.joint_model import JointModel
-    from estimators.joint_state import CompensatedData, JointState
-    from srt.model.table1 import RotationSequence
-    from srt.recording.recording import SequenceLabel
+    from srt.joint.joint_model import JointModel
+    from srt.joint.joint_state import CompensatedData, JointState
     from srt.types import Array
 
-_ALONG: Final = 1e-9
-"""Largest component of a nominal rotation axis across an axis of the fixture: rounding of products of rotations."""
+
+def placed(joint: JointModel, state: JointState) -> tuple[JointState, CompensatedData]:
+    """State with attitudes from the data, and the data compensated with it."""
+    compensated = joint.compensate(state)
+    return initial_attitudes(joint, state, compensated), compensated
 
 
 def initial_attitudes(joint: JointModel, state: JointState, compensated: CompensatedData) -> JointState:
@@ -50,32 +51,6 @@ def initial_attitudes(joint: JointModel, state: JointState, compensated: Compens
             earth_rotation = rotation_matrix(-earth[s] * compensated.duration_s[k])
             attitude[e], placed[e] = level(earth_rotation @ attitude[s] @ compensated.rotation[k], e), True
     return replace(state, attitude=attitude)
-
-
-def pose_nominal(label: SequenceLabel) -> Array:
-    """Nominal start attitude C_nom of a label."""
-    sequence = sequence_of_label(label)
-    assert sequence is not None
-    return nominal_attitude(sequence)
-
-
-def nominal_start(sequence: RotationSequence | None) -> Array | None:
-    """Nominal start attitude C_nom; None if it needs IMU z along the outer axis, which the fixture cannot do."""
-    if sequence is None or sequence.along_outer[-1] == "z":
-        return None
-    return nominal_attitude(sequence)
-
-
-def nominal_end(C: Array | None, sequence: RotationSequence | None) -> Array | None:
-    """Nominal attitude after the rotations of a sequence that starts at C, if all are about an axis of the fixture."""
-    if C is None or sequence is None:
-        return None
-    for axis, angle in zip(sequence.axes, sequence.angles_rad, strict=True):
-        across = np.cross(axis, np.stack([[0.0, 0.0, 1.0], C[1]]))  # inner and outer axis
-        if np.linalg.norm(across, axis=1).min() > _ALONG:
-            return None
-        C = C @ rotation_matrix(axis * angle)
-    return C
 
 
 def _any_level_attitude(down: Array) -> Array:

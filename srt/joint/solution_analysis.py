@@ -8,31 +8,31 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from estimators.block_solution import BlockSolution, apply_weights, covariance_by_source
-from estimators.joint_state import NO_ERRORS
-from estimators.linear_system import N_ERRORS
-from estimators.linearisation import linearise
-from estimators.residual_analysis import (
+from srt.estimation import g_sensitivity_report
+from srt.estimation.calibration_builder import build_calibration
+from srt.estimation.error_sources import NO_ERRORS, accel_drift, by_drift, latitude_error
+from srt.estimation.fixed_parameters import reason_not_observed
+from srt.estimation.g_sensitivity import MODE as G_SENSITIVE
+from srt.estimation.observability import OBSERVED_BELOW
+from srt.estimation.solver_result import SolverResult
+from srt.joint.block_solution import BlockSolution, apply_weights, covariance_by_source
+from srt.joint.linear_system import N_ERRORS
+from srt.joint.linearisation import linearise, with_prior
+from srt.joint.residual_analysis import (
     contradictions,
     deletion_table,
     residuals,
     sequence_diagnostics,
 )
-from srt.estimation import g_sensitivity_report
-from srt.estimation.calibration_builder import build_calibration
-from srt.estimation.error_sources import accel_drift, by_drift, latitude_error
-from srt.estimation.g_sensitivity import MODE as G_SENSITIVE
-from srt.estimation.observability import OBSERVED_BELOW, admission_sigma
-from srt.estimation.solver_result import SolverResult
 from srt.noise.drift_forms import LINEAR
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES
 
 if TYPE_CHECKING:
-    from estimators.joint_model import JointModel
-    from estimators.linear_system import LinearSystem
-    from estimators.solver import IterationState, JointSolver
     from srt.estimation.drift_model import DriftSearch
     from srt.estimation.leave_one_out import SequenceDiagnostics
+    from srt.joint.joint_model import JointModel
+    from srt.joint.linear_system import LinearSystem
+    from srt.joint.solver import IterationState, JointSolver
     from srt.result.calibration import Calibration, Residual
     from srt.types import Array, Mask
 
@@ -64,14 +64,13 @@ def make_calibration(
     data, reasons = joint.data, dict(fixed.reasons)
     warnings = [joint.U_note] if joint.U_note and joint.fixture_states else []
     if iteration.system is not None and iteration.covariance is not None:
-        sigma = np.sqrt(np.maximum(np.diag(iteration.covariance), 0.0))
-        weak = ~iteration.free | (sigma > OBSERVED_BELOW * admission_sigma())
+        weak = ~iteration.free | (iteration.sigma > OBSERVED_BELOW * joint.admission)
         for i in np.flatnonzero(weak):
-            reasons.setdefault(NAMES[i], "the sequences of this recording cannot separate it from other parameters")
+            reasons.setdefault(NAMES[i], reason_not_observed(NAMES[i]))
     analysis = analyse_solution(joint, solver, iteration, fixed.sigma)
-    # Parameters that are not observable keep the initial value, not the one from a prior and correlations.
+    # Parameters that are not observable keep the initial value, not the one from a wide prior and correlations.
     identity = np.tile(np.eye(3), (data.K, 1, 1))
-    not_observed = np.array([name in reasons for name in NAMES])
+    not_observed = np.array([name in reasons and not joint.relies_on_fixture for name in NAMES])
     drift = joint.drift.estimates(iteration.state.drift)
     if drift:
         diagnostics = {"drift": [term.as_dict() for term in drift], **diagnostics}
@@ -184,9 +183,21 @@ def analyse_solution(
         degrees_of_freedom=freedom,
         sensor_noise_fit=_fit_to_sensor_noise(joint, solver, iteration) or (chi_square, freedom),
         sequences=sequence_diagnostics(joint, solution, against),
-        instability=joint.instability_by_sequence(system, solution.delta),
+        instability=_instability_by_sequence(joint, system, solution.delta),
         g_sensitivity_covariance=_g_sensitivity_covariance(joint, solution),
     )
+
+
+def _instability_by_sequence(joint: JointModel, system: LinearSystem, delta: Array) -> Array:
+    """Bias instability of the raw gyros in the windows of each sequence, minus its mean, shape (K, 3), rad/s."""
+    compensated, K = system.compensated, joint.data.K
+    drift = compensated.drift.get("gyro")
+    if drift is None:
+        return np.zeros((K, 3))
+    x, u = (delta[system.columns[name]].reshape(K, -1) for name in ("gyro_drift", "gyro_drift_noise"))
+    raw = np.linalg.solve(compensated.rate_slope, drift.effect("rate", x, u)[:, :, None])[:, :, 0]
+    own = joint.rest_rate_weights @ raw
+    return np.asarray(own - own.mean(axis=0))
 
 
 def _g_sensitivity_covariance(joint: JointModel, solution: BlockSolution) -> Array | None:
@@ -206,16 +217,15 @@ def _g_sensitivity(
     automatic = joint.options.gyro_bias != G_SENSITIVE
     if state is None or compensated is None:
         return {}, ()
+    rate = joint.rest_rate(state, compensated)
     if covariance is None:
-        rest = joint.rest_rate(state, compensated)
-        size = g_sensitivity_report.significant_g_sensitivity(data, compensated.force, rest, joint.integrated)
+        size = g_sensitivity_report.significant_g_sensitivity(data, compensated.force, rate, joint.integrated)
         return {}, g_sensitivity_report.warnings(None, size, automatic=automatic)
-    measurements = joint.processed(state, state.bias_deviation)
+    rest = joint.rest_rates(state, rate)
     matrix = joint.drift.g_sensitivity(iteration.state.drift)
-    assert measurements.poses is not None
     return (
-        g_sensitivity_report.diagnostics(data, measurements, matrix, joint.bias_scatter, covariance),
-        g_sensitivity_report.warnings(measurements.poses.unobserved, None, automatic=automatic),
+        g_sensitivity_report.diagnostics(data, rest, matrix, covariance, joint.bias_scatter),
+        g_sensitivity_report.warnings(rest.poses.unobserved, None, automatic=automatic),
     )
 
 
@@ -268,11 +278,8 @@ def whole_solution(joint: JointModel, solver: JointSolver, iteration: IterationS
     assert system is not None
     if iteration.whole is not None and iteration.whole[0] is system and iteration.whole[1] is prior:
         return iteration.whole[2]
-    complete = system
-    if prior is not None:
-        assert iteration.linearisation_point is not None
-        assert iteration.compensated is not None
-        complete = linearise(joint, iteration.linearisation_point, iteration.compensated, iteration.free, prior)
+    assert iteration.linearisation_point is not None
+    complete = with_prior(system, joint, iteration.linearisation_point, prior)
     iteration.whole = system, prior, BlockSolution(complete)
     return iteration.whole[2]
 

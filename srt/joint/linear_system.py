@@ -15,7 +15,7 @@ import numpy as np
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS
 
 if TYPE_CHECKING:
-    from estimators.joint_state import CompensatedData
+    from srt.joint.joint_state import CompensatedData
     from srt.types import Array, Indices, Mask
 
 

@@ -3,37 +3,21 @@
 It solves for the attitudes of the windows together with the sensor errors. The iteration of the closed form and of
 least squares, which solves for the sensor errors alone, is :mod:`srt.estimation.iteration`.
 
-Each iteration re-processes (plays back, Savage 2020, §8) the recorded data. Kalman filter and factor graph differ only
-in their :class:`~estimators.solver.JointSolver`: compensation, observability, convergence, goodness of fit and the
-result are the same.
+Each iteration re-processes (plays back, Savage 2020, §8) the recorded data. Solvers differ only in their
+:class:`~srt.joint.solver.JointSolver`: compensation, observability, convergence, goodness of fit and the result are the
+same.
 """
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from scipy.sparse import hstack
-from threadpoolctl import threadpool_limits
 
-from estimators.accuracy_targets import PARAMETER_UNITS
-from estimators.block_solution import BlockSolution, eliminate
-from estimators.drift_terms import DriftTerms, search, shows_instability
-from estimators.elimination_steps import global_columns
-from estimators.initial_attitudes import initial_attitudes
-from estimators.joint_state import NO_ERRORS
-from estimators.linear_system import N_ERRORS, total
-from estimators.linearisation import linearise
-from estimators.residual_analysis import contradictions, unmodelled_noise
-from estimators.solution_analysis import (
-    FixedParameters,
-    analyse_solution,
-    goodness_of_fit,
-    make_calibration,
-    whole_solution,
-)
-from estimators.solver import IterationState, JointSolver
+from srt.estimation.convergence import CONVERGED_CORRECTION, CONVERGED_SIGMAS, MAX_STEP, PARAMETER_UNITS
 from srt.estimation.drift_model import MOST_TERMS
 from srt.estimation.fixed_parameters import (
     fixed_sigma,
@@ -41,31 +25,39 @@ from srt.estimation.fixed_parameters import (
     reason_on_request,
     seen_by_earth_rate_alone,
 )
-from srt.estimation.g_sensitivity_report import significant_g_sensitivity
-from srt.estimation.goodness_of_fit import contradicting_group, is_misfit, one_group_explains
-from srt.estimation.iteration import CONVERGED_CORRECTION, CONVERGED_SIGMAS
-from srt.estimation.move_checks import contradicting_move
-from srt.estimation.observability import OBSERVED_BELOW, admission_sigma, admit
-from srt.model.prior import Prior
+from srt.estimation.observability import OBSERVED_BELOW, admission_sigma, admit, default_prior
+from srt.joint.block_solution import eliminate
+from srt.joint.elimination_steps import global_columns
+from srt.joint.initial_attitudes import initial_attitudes, placed
+from srt.joint.linear_system import N_ERRORS, total
+from srt.joint.linearisation import linearise
+from srt.joint.model_selection import add_drift, add_g_sensitivity, add_instability, add_unmodelled_noise
+from srt.joint.move_checks import contradicting_move
+from srt.joint.residual_analysis import contradictions
+from srt.joint.solution_analysis import (
+    FixedParameters,
+    analyse_solution,
+    make_calibration,
+    whole_solution,
+)
+from srt.joint.solver import IterationState, JointSolver
 from srt.model.rotations import rotation_matrix, rotation_vector
 from srt.model.sensor_model import outside_model
-from srt.noise.drift_forms import WALK
+from srt.model.table1 import SEQUENCES
 from srt.sensor_errors import NAMES, SensorErrors
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+    from contextlib import AbstractContextManager
 
-    from estimators.joint_model import JointModel
-    from estimators.joint_state import CompensatedData, JointState
-    from estimators.linear_system import LinearSystem
-    from srt.estimation.drift_model import DriftTerm
     from srt.estimation.registry import Progress
+    from srt.joint.joint_model import JointModel
+    from srt.joint.joint_state import CompensatedData, JointState
+    from srt.joint.linear_system import LinearSystem
     from srt.result.calibration import Calibration
     from srt.types import Array, Mask
 
 
-_MAX_STEP: Final = 0.7
-"""Largest correction (dimensionless, rad, bias in g) per iteration. Only the direction of larger ones is meaningful."""
 _ROUNDS: Final = 6
 """Maximum number of rounds; a change of the noise model or of the free parameters starts a new round."""
 _SCATTER_UPDATES: Final = 2
@@ -74,8 +66,6 @@ _INDEPENDENT: Final = 1e-10
 """Columns are scaled to norm 1. A smaller diagonal element of R marks a linearly dependent column."""
 _NEAR: Final = 1e-2
 """The noise is assessed once the correction (dimensionless, rad, bias in g) is below this."""
-_SAME_NOISE: Final = (0.1, 1e-6)
-"""Relative and absolute (rad, m/s², rad/s) change of the unmodelled error that is negligible."""
 
 
 def apply_correction(state: JointState, system: LinearSystem, delta: Array) -> JointState:
@@ -123,7 +113,7 @@ def iterate(
     requested: Mask,
     progress: Progress | None = None,
     converged: tuple[float, float] = (CONVERGED_CORRECTION, CONVERGED_SIGMAS),
-    max_step: float = _MAX_STEP,
+    max_step: float = MAX_STEP,
 ) -> IterationState:
     """Compensate, linearise and solve until the correction is negligible.
 
@@ -159,8 +149,7 @@ def iterate(
         correction = _correct(joint, solver, iteration, (state, system), max_step, progress)
         if correction is None:
             break
-        assert iteration.covariance is not None
-        sigma = np.sqrt(np.maximum(np.diag(iteration.covariance), 0.0))
+        sigma = iteration.sigma
         if joint.tie_ends(sigma):
             continue
         negligible = np.maximum(converged[0] * PARAMETER_UNITS, converged[1] * sigma)
@@ -251,16 +240,13 @@ def _correct(
     iteration.state = apply_correction(state, system, delta)
     iteration.linearisation_point, iteration.system = state, system
     iteration.compensated, iteration.covariance = system.compensated, solved.covariance
+    if solved.whole is not None:
+        iteration.whole = system, solver.prior_in_use, solved.whole
     reason = outside_model(iteration.state.errors)
     if reason is not None:
         iteration.message = f"After iteration {len(iteration.corrections)} {reason}."
         return None
     return correction
-
-
-def default_prior() -> Prior:
-    """Wide prior with negligible information: 1-sigma of a third of full scale, 1 % asymmetry."""
-    return Prior.from_sigma(admission_sigma())
 
 
 def observable_parameters(system: LinearSystem, requested: Mask) -> Mask:
@@ -297,9 +283,19 @@ def run(joint: JointModel, solver: JointSolver, progress: Progress | None) -> Ca
     InputError
         If an option does not apply to joint estimation.
     """
-    joint.options.refuse(("step", "down", "measured_vertical"), "Joint estimation")
-    with threadpool_limits(limits=1, user_api="blas"):
+    joint.options.refuse(("step", "down", "measured_vertical", "window_attitude"), "Joint estimation")
+    with _one_thread():
         return _run(joint, solver, progress)
+
+
+def _one_thread() -> AbstractContextManager[object]:
+    """Keep linear algebra to one thread where threadpoolctl is installed."""
+    try:
+        from threadpoolctl import threadpool_limits
+    except ModuleNotFoundError:
+        return nullcontext()
+    limits: AbstractContextManager[object] = threadpool_limits(limits=1, user_api="blas")
+    return limits
 
 
 def _run(joint: JointModel, solver: JointSolver, progress: Progress | None) -> Calibration:
@@ -314,30 +310,59 @@ def _run(joint: JointModel, solver: JointSolver, progress: Progress | None) -> C
     diagnostics: dict[str, Any] = {}
     for _ in range(_ROUNDS * (1 + MOST_TERMS)):
         iteration = iterate(joint, solver, iteration, requested=requested, progress=progress)
-        if iteration.compensated is None or iteration.covariance is None or iteration.status == "outside_model":
-            break
-        # Motion in a window can prevent convergence, and would pass for noise or drift of the sensors.
-        moving_windows = joint.moving_windows(iteration.state, iteration.compensated)
-        if moving_windows.any():
-            diagnostics["held"] = {"sequences": list(analyse_solution(joint, solver, iteration, uncertain).table)}
-            diagnostics["held"] |= solver.diagnostics(joint)
-            joint.integrate_windows(moving_windows)
+        if _integrates_moving_windows(joint, solver, iteration, uncertain, diagnostics):
+            continue
+        if _relies_on_fixture(joint, iteration, uncertain):
+            solver.prior = joint.prior_of_fixture(uncertain)
             solver.restart()
+            iteration = IterationState(joint.start, ~requested)
             continue
         if iteration.status != "converged":
             break
         if any(
             add(joint, solver, iteration)
-            for add in (_add_g_sensitivity, _add_instability, _add_unmodelled_noise, _add_drift)
+            for add in (add_g_sensitivity, add_instability, add_unmodelled_noise, add_drift)
         ):
             continue
-        sigma = np.sqrt(np.maximum(np.diag(iteration.covariance), 0.0))
-        weak = iteration.free & (sigma > OBSERVED_BELOW * admission_sigma())
+        weak = iteration.free & (iteration.sigma > OBSERVED_BELOW * joint.admission)
         if not weak.any() or solver.prior is not None:
             break
         iteration.free = iteration.free & ~weak
         iteration.state = joint.with_initial_values(iteration.state, weak)
     return make_calibration(joint, solver, iteration, fixed, diagnostics)
+
+
+def _integrates_moving_windows(
+    joint: JointModel, solver: JointSolver, iteration: IterationState, uncertain: Array, diagnostics: dict[str, Any]
+) -> bool:
+    """Integrate the attitude in windows in which the unit moved; True if there are new ones.
+
+    Motion in a window can prevent convergence, and would pass for noise or drift of the sensors.
+    """
+    if iteration.compensated is None or iteration.status == "outside_model":
+        return False
+    moving_windows = joint.moving_windows(iteration.state, iteration.compensated)
+    if not moving_windows.any():
+        return False
+    diagnostics["held"] = {"sequences": list(analyse_solution(joint, solver, iteration, uncertain).table)}
+    diagnostics["held"] |= solver.diagnostics(joint)
+    joint.integrate_windows(moving_windows)
+    solver.restart()
+    return True
+
+
+def _relies_on_fixture(joint: JointModel, iteration: IterationState, uncertain: Array) -> bool:
+    """True if the nominal angles of the fixture give a parameter more accurately than the test, which lacks sequences.
+
+    ``uncertain`` is the sigma of the initial values. Poses alone measure the directions that the fixture states.
+    """
+    data = joint.data
+    if data.nominal is None or data.posed.all() or set(SEQUENCES) <= set(data.ids):
+        return False
+    if joint.options.prior is not None or joint.relies_on_fixture:
+        return False
+    vague = iteration.free & (uncertain > 0.0) & (iteration.sigma > uncertain)
+    return bool(vague.any()) or iteration.status != "converged"
 
 
 def _not_shown_by_poses(joint: JointModel, requested: Mapping[str, str]) -> dict[str, str]:
@@ -350,7 +375,7 @@ def _not_shown_by_poses(joint: JointModel, requested: Mapping[str, str]) -> dict
     if not by_earth_rate:
         return {}
     wanted = np.array([name not in by_earth_rate and name not in requested for name in NAMES])
-    system = linearise(joint, *joint.placed(joint.start), wanted)
+    system = linearise(joint, *placed(joint, joint.start), wanted)
     observable = observable_parameters(system, ~wanted)
     others = [name for name, lost in zip(NAMES, wanted & ~observable, strict=True) if lost]
     return by_earth_rate | {name: reason_not_observed(name) for name in others}
@@ -370,7 +395,7 @@ def _with_sound_moves(
         if iteration.status != "converged":
             solver.restart()
             break
-        if _add_g_sensitivity(joint, solver, iteration):
+        if add_g_sensitivity(joint, solver, iteration):
             joint.start = replace(joint.start, drift=iteration.state.drift)
             continue
         against = contradictions(joint, whole_solution(joint, solver, iteration))
@@ -381,109 +406,3 @@ def _with_sound_moves(
         joint = joint.without_moves(reasons)
         solver.restart()
     return joint, None
-
-
-def _add_g_sensitivity(joint: JointModel, solver: JointSolver, iteration: IterationState) -> bool:
-    """Model gyro g-sensitivity if the residuals exceed the noise and the rates at rest show it; True if so."""
-    if joint.options.gyro_bias != "auto" or joint.drift.force_axes is not None or solver.weights():
-        return False
-    solution = whole_solution(joint, solver, iteration)
-    if any(joint.unmodelled_sigma) or not is_misfit(*goodness_of_fit(joint, solver, solution, solution.system)):
-        return False
-    state, compensated = iteration.linearisation_point, iteration.compensated
-    assert state is not None
-    assert compensated is not None
-    rest = joint.rest_rate(state, compensated)
-    if significant_g_sensitivity(joint.data, compensated.force, rest, joint.integrated) is None:
-        return False
-    iteration.state = joint.with_g_sensitivity(iteration.state)
-    solver.restart()
-    return True
-
-
-def _add_instability(joint: JointModel, solver: JointSolver, iteration: IterationState) -> bool:
-    """Use a smooth drift, or the largest bias instability not excluded, if either explains the residuals."""
-    data, state = joint.data, iteration.linearisation_point
-    if solver.weights() or any(joint.unmodelled_sigma) or np.all(data.noise.accel_limit <= data.noise.accel_flicker):
-        return False
-    solution = whole_solution(joint, solver, iteration)
-    fit = goodness_of_fit(joint, solver, solution, solution.system)
-    if not is_misfit(*fit):
-        if not shows_instability(joint, iteration, solution, fit[1]):
-            return False
-        tests = [(test.chi_square, test.degrees_of_freedom) for test in contradictions(joint, solution)]
-        if contradicting_group(tests, *fit) is not None:
-            return False
-    assert state is not None
-    found = search(joint, iteration, solution, fit[1])
-    smooth = tuple(term for term in found.terms if term.sensor == "accel" and term.form != WALK)
-    drift = joint.drift
-    if smooth:
-        after = _with_drift(joint, iteration.state, smooth)[1]
-        joint.drift, before = _with_drift(joint, state, smooth)
-        if _explains(joint, solver, iteration, before):
-            iteration.state = after
-            return True
-        joint.drift = drift
-    joint.data = replace(data, noise_at_limit=True)
-    if _explains(joint, solver, iteration, state):
-        return True
-    joint.data = data
-    return False
-
-
-def _explains(joint: JointModel, solver: JointSolver, iteration: IterationState, state: JointState) -> bool:
-    """True if the model as it is now explains the residuals at a state, and no sequence contradicts the others."""
-    system = linearise(joint, state, joint.compensate(state), iteration.free, solver.prior)
-    solution = BlockSolution(system)
-    fit = goodness_of_fit(joint, solver, solution, system)
-    tests = [(test.chi_square, test.degrees_of_freedom) for test in contradictions(joint, solution)]
-    return not is_misfit(*fit) and contradicting_group(tests, *fit) is None
-
-
-def _with_drift(joint: JointModel, state: JointState, terms: tuple[DriftTerm, ...]) -> tuple[DriftTerms, JointState]:
-    """Terms of drift beside those of a model that lacks them, and a state with their coefficients, zero."""
-    drift = DriftTerms(joint.data, (*joint.drift.terms, *terms), joint.drift.force_axes)
-    return drift, replace(state, drift=np.append(state.drift, np.zeros(drift.size - len(state.drift))))
-
-
-def _add_unmodelled_noise(joint: JointModel, solver: JointSolver, iteration: IterationState) -> bool:
-    """Estimate unmodelled errors if the residuals of several sequences exceed their noise; True if the noise changed.
-
-    If one sequence explains the misfit, that sequence is faulty: a warning names it, and no noise is added. A robust
-    loss reduces the weight of such a sequence; this function then changes nothing.
-    """
-    if solver.weights():
-        return False
-    solution = whole_solution(joint, solver, iteration)
-    system = solution.system
-    statistic, freedom = goodness_of_fit(joint, solver, solution, system)
-    # Unmodelled noise from an earlier round is always estimated again: it may be too large now.
-    if not any(joint.unmodelled_sigma):
-        if not is_misfit(statistic, freedom):
-            return False
-        tests = [(test.chi_square, test.degrees_of_freedom) for test in contradictions(joint, solution)]
-        if one_group_explains(tests, statistic, freedom):
-            return False
-    new = unmodelled_noise(system)
-    if np.allclose(new, joint.unmodelled_sigma, *_SAME_NOISE):
-        return False
-    joint.unmodelled_sigma = new
-    return True
-
-
-def _add_drift(joint: JointModel, solver: JointSolver, iteration: IterationState) -> bool:
-    """Model the most significant form of drift of each triad that the residuals show; True if there is one.
-
-    The unmodelled noise is then estimated again. A robust loss reduces the weight of sequences instead.
-    """
-    if solver.weights() or len(joint.drift.terms) >= MOST_TERMS:
-        return False
-    solution = whole_solution(joint, solver, iteration)
-    system = solution.system
-    iteration.unmodelled_drift = search(joint, iteration, solution, goodness_of_fit(joint, solver, solution, system)[1])
-    if not iteration.unmodelled_drift.terms:
-        return False
-    joint.drift, iteration.state = _with_drift(joint, iteration.state, iteration.unmodelled_drift.terms)
-    joint.unmodelled_sigma = NO_ERRORS
-    return True

@@ -18,20 +18,23 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from estimators.accuracy_targets import PARAMETER_UNITS
-from estimators.drift_states import drift_chain, drift_states
-from estimators.drift_terms import DriftTerms
-from estimators.initial_attitudes import initial_attitudes, nominal_end, nominal_start
-from estimators.joint_state import NO_ERRORS, CompensatedData, JointState, LevelFrame
-from estimators.stated_rates import stated_rates
 from srt.constants import EARTH_RATE_RAD_S
 from srt.estimation import error_sources as sources
-from srt.estimation.g_sensitivity import LEAST_SCATTER, pose_regression
+from srt.estimation.convergence import PARAMETER_UNITS
+from srt.estimation.error_sources import NO_ERRORS
+from srt.estimation.g_sensitivity import LEAST_SCATTER, RestRates, pose_regression
 from srt.estimation.g_sensitivity import MODE as G_SENSITIVE
+from srt.estimation.observability import admission_sigma
 from srt.estimation.rest_rate_scatter import excess_variance
 from srt.estimation.srt_measurements import SrtProcessor
+from srt.joint.drift_states import drift_chain, drift_states
+from srt.joint.drift_terms import DriftTerms
+from srt.joint.joint_state import CompensatedData, JointState, LevelFrame
+from srt.joint.nominal_attitudes import nominal_end, nominal_start
+from srt.joint.stated_rates import SteadyReadings
 from srt.model import measurement_model as model
 from srt.model.analytic_platform import integrate_attitude, parts_per_rotation
+from srt.model.prior import Prior
 from srt.model.rotations import rotation_matrix, rotation_vector
 from srt.model.sensor_model import accel_triad, gyro_triad
 from srt.noise.drift_forms import WALK
@@ -43,12 +46,11 @@ from srt.sequences.stillness import moved_windows
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from estimators.drift_states import DriftChain, DriftStates
-    from estimators.linear_system import LinearSystem
     from srt.estimation.error_sources import Slopes, Source
     from srt.estimation.g_sensitivity import PoseRegression
     from srt.estimation.options import Options
-    from srt.estimation.srt_measurements import SrtMeasurements
+    from srt.joint.drift_states import DriftChain, DriftStates
+    from srt.joint.stated_rates import StatedRates
     from srt.model.rotation_integrals import RotationIntegrals
     from srt.model.sensor_model import Triad
     from srt.sequences.preparation import PreparedRecording
@@ -83,11 +85,13 @@ class JointModel:
     def __init__(self, data: PreparedRecording, options: Options, start: tuple[SensorErrors, Array]) -> None:
         self.data, self.options = data, options
         self.fixture_states = options.fixture_states and data.recording.fixture is not None
-        self.integrated = np.full(len(data.windows.duration_s), options.window_attitude == "integrated")
-        self.processor = SrtProcessor(data, options, self.integrated)
+        self.integrated = np.zeros(len(data.windows.duration_s), dtype=np.bool_)
+        self.processor, self.steady = SrtProcessor(data, options, self.integrated), SteadyReadings.of(data)
         self.nominal = [nominal_start(s) if data.recording.fixture is not None else None for s in data.catalogue]
         self.ends_tied = False
         """True if the angle between the fixture's axes is a measurement in end attitudes, too; see :meth:`tie_ends`."""
+        self.admission = admission_sigma()
+        """A parameter counts as observed if its sigma is below a third of this."""
         self.unmodelled_sigma = NO_ERRORS
         """Unmodelled errors that are added to the noise."""
         stated = np.zeros(3) if data.noise.gyro_wander is None else data.noise.gyro_wander
@@ -196,10 +200,7 @@ class JointModel:
 
     @property
     def start_sigma(self) -> Array:
-        """Standard deviation of inner angle, outer angle and axis non-orthogonality of a start, shape (3,), rad.
-
-        The non-orthogonality of all poses is one angle of the fixture, an unknown; it varies by the axis wobble.
-        """
+        """Standard deviation of inner angle, outer angle and axis wobble of a start, shape (3,), rad."""
         inner, outer, wobble = sources.start_sigma(self.data.recording).tolist()
         return np.array([inner, outer, math.hypot(_LEAST_WOBBLE * inner, wobble)])
 
@@ -212,12 +213,9 @@ class JointModel:
         self.ends_tied |= new
         return new
 
-    def nominal_end(self, k: int) -> Array | None:
-        """Nominal end attitude of sequence k, T to base; None if one of its rotations is not about a fixture axis."""
-        return self._nominal_ends[k]
-
     @cached_property
-    def _nominal_ends(self) -> list[Array | None]:
+    def nominal_ends(self) -> list[Array | None]:
+        """Nominal end attitude of every sequence, T to base; None if a rotation is not about an axis of the fixture."""
         return [nominal_end(C, s) for C, s in zip(self.nominal, self.data.catalogue, strict=True)]
 
     def without_moves(self, reasons: Mapping[int, str]) -> JointModel:
@@ -226,17 +224,6 @@ class JointModel:
         if self.drift.force_axes is not None and out.drift.force_axes is None:
             out.start = out.with_g_sensitivity(out.start)
         return out
-
-    def processed(self, state: JointState, deviation: Array) -> SrtMeasurements:
-        """SRT measurements at an estimate with their noise integrals; ``deviation`` is a bias by sequence, rad/s."""
-        return self.processor.process(
-            state.errors,
-            U=state.U,
-            bias_offset=deviation,
-            g_sensitivity=self.drift.g_sensitivity(state.drift),
-            earth_rate_offset=self._unknown_earth_rate(state),
-            with_noise=True,
-        )
 
     def with_g_sensitivity(self, state: JointState) -> JointState:
         """Model gyro g-sensitivity where the poses show it; return the state with Γ from the rates at rest."""
@@ -253,8 +240,28 @@ class JointModel:
 
     def _poses(self, state: JointState) -> PoseRegression:
         """Regression of the rates at rest on specific force."""
-        T, accel = self.data.windows.duration_s, accel_triad(state.errors)
-        return pose_regression(accel.compensate(self.data.windows.accel_mean), T / T.sum(), self.data.gravity)
+        return self.rest_rates(state, np.zeros((len(self.integrated), 3))).poses
+
+    def rest_rates(self, state: JointState, rate: Array) -> RestRates:
+        """Rates at rest, shape (W, 3), rad/s, with their regression on specific force."""
+        T = self.data.windows.duration_s
+        force, pool = accel_triad(state.errors).compensate(self.data.windows.accel_mean), T / T.sum()
+        poses = pose_regression(force, pool, self.data.gravity)
+        return RestRates(poses, force, rate, pool, self.window_sequence, gyro_triad(state.errors))
+
+    @property
+    def relies_on_fixture(self) -> bool:
+        """True if :meth:`prior_of_fixture` is in use."""
+        return bool(np.any(self.admission < admission_sigma()))
+
+    def prior_of_fixture(self, uncertain: Array) -> Prior:
+        """Prior about the initial estimate, which the nominal angles of the fixture give with sigma ``uncertain``.
+
+        A parameter is then observed if the measurements reduce this sigma to a third. The others have the value that
+        prior and measurements together give, so that sums that are known better stay right.
+        """
+        self.admission = np.where(uncertain > 0.0, np.minimum(self.admission, uncertain), self.admission)
+        return Prior.from_sigma(self.admission, self.start.errors)
 
     def with_initial_values(self, state: JointState, fixed: Mask) -> JointState:
         """Give fixed parameters the values of the initial estimate."""
@@ -295,7 +302,7 @@ class JointModel:
         integrals, rotation, force = self._integrate(state, deviation, force)
         by = sources.slopes(gyro, accel, raw_rate, raw_force, integrals)
         by_drift = self._drift_form(by, gyro)
-        stated = self.processor.stated
+        stated = self.steady
         along = stated.compensated_force(accel)
         self.drift.add_g_sensitivity(by_drift, by, raw_force, (stated.by_raw_rate(gyro), along))
         drift = self.drift.of_forms(state.drift)
@@ -316,15 +323,25 @@ class JointModel:
             duration_s=integrals.weight_s,
             edges=noise["gyro_quantization"],
             force_slope=by.force,
-            stated=stated_rates(self, state, gyro, along),
+            stated=self._stated_rates(state, gyro, along),
             drift_form=by_drift,
             drift=self._drift(by, gyro),
         )
 
+    def _stated_rates(self, state: JointState, gyro: Triad, force: Array) -> StatedRates:
+        """Runs at a stated rate; ``force`` is the mean specific force in the halves of their steady windows."""
+        rated, shares = self.steady.rated, self.steady.shares
+        drift = state.bias_deviation[rated, None] + shares @ self.drift.raw("gyro", state.drift, "parts")[rated]
+        windows, earth = self.data.start[rated], np.zeros((len(rated), 1, 3))
+        if state.attitude is not None:  # before the first iteration it is unknown
+            earth = self.earth_rate(state)[windows, None] @ state.attitude[windows]
+        raw_bias = drift + force @ self.drift.g_sensitivity(state.drift).T
+        return self.steady.compensate(gyro, raw_bias, earth, self.data.noise)
+
     def _drift_form(self, by: Slopes, gyro: Triad) -> dict[str, Array]:
         """Effect of the coefficients of the modelled drift on all measurements."""
         assert by.integrals.time_parts is not None
-        stated = self.processor.stated
+        stated = self.steady
         return {
             "stated_rate": self.drift.jacobian("gyro", "parts", stated.by_parts(gyro), stated.rated),
             "force": self.drift.jacobian("accel", "windows", by.force),
@@ -340,7 +357,7 @@ class JointModel:
 
     def _drift(self, by: Slopes, gyro: Triad) -> dict[str, DriftStates]:
         """Bias instability as specified, by sensor."""
-        noise, stated, out = self.data.noise, self.processor.stated, {}
+        noise, stated, out = self.data.noise, self.steady, {}
         parts = by.integrals.time_parts
         if self._gyro_chain is not None and noise.gyro_flicker is not None and parts is not None:
             rotations = {"turn": (np.arange(self.data.K), parts)}
@@ -381,7 +398,14 @@ class JointModel:
                 with_noise=True,
             )
             return integrals, integrals.C_end, force
-        processed = self.processed(state, deviation)
+        processed = self.processor.process(
+            state.errors,
+            U=state.U,
+            bias_offset=deviation,
+            g_sensitivity=self.drift.g_sensitivity(state.drift),
+            earth_rate_offset=self._unknown_earth_rate(state),
+            with_noise=True,
+        )
         integrals = processed.integrals
         assert integrals.C_turned is not None
         shared = self.integrated[data.end] & self.is_start[data.end]
@@ -416,12 +440,7 @@ class JointModel:
         for term, _ in self.drift.of("gyro"):
             if term.form == WALK:
                 out["gyro_drift"] = sources.walk_between_windows(self.data, by, term.sigma)
-        return out | sources.unmodelled(self.data, *self.unmodelled_sigma[:3])
-
-    def placed(self, state: JointState) -> tuple[JointState, CompensatedData]:
-        """State with attitudes from the data, and the data compensated with it."""
-        compensated = self.compensate(state)
-        return initial_attitudes(self, state, compensated), compensated
+        return out | sources.unmodelled(self.data, self.unmodelled_sigma)
 
     def rest_rate(self, state: JointState, compensated: CompensatedData) -> Array:
         """Compensated rates of the windows with the bias of their sequence, less the Earth's, shape (W, 3), rad/s."""
@@ -453,17 +472,6 @@ class JointModel:
         for which in (self.data.start, self.data.end):
             weights[np.arange(self.data.K), which] = T[which]
         return np.asarray(weights / weights.sum(axis=1, keepdims=True))
-
-    def instability_by_sequence(self, system: LinearSystem, delta: Array) -> Array:
-        """Bias instability of the raw gyros in the windows of each sequence, minus its mean, shape (K, 3), rad/s."""
-        compensated = system.compensated
-        drift = compensated.drift.get("gyro")
-        if drift is None:
-            return np.zeros((self.data.K, 3))
-        x, u = (delta[system.columns[name]].reshape(self.data.K, -1) for name in ("gyro_drift", "gyro_drift_noise"))
-        raw = np.linalg.solve(compensated.rate_slope, drift.effect("rate", x, u)[:, :, None])[:, :, 0]
-        own = self.rest_rate_weights @ raw
-        return np.asarray(own - own.mean(axis=0))
 
     def update_bias_scatter(self, state: JointState, compensated: CompensatedData) -> None:
         """Estimate the bias scatter between sequences from the rates at rest, if no instability is specified."""

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from estimators.joint_model import JointModel
 from srt.estimation.initial_estimates import initial_estimate
-from srt.estimation.move_checks import without_gross_moves
 from srt.exceptions import DataError
+from srt.joint.joint_model import JointModel
+from srt.joint.move_checks import without_gross_moves
 from srt.sequences.checked_preparation import prepare_checked
 from srt.sequences.moves import recorded_moves
 from srt.sequences.plausibility import gap_inside

@@ -5,16 +5,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from jacobian_cases import EPS, derivative, exp, numerical
 from scipy.spatial.transform import Rotation
 
 from srt.model import rotations
-
-pytest.importorskip("gtsam")
-from jacobian_cases import EPS, derivative, exp, numerical
 
 # --- rotations ------------------------------------------------------------------------------------------------------
 

@@ -8,14 +8,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from jacobian_cases import EPS, HEADING, MARS, G, away, derivative, exp, numerical
 from scipy.spatial.transform import Rotation
 
 import sims
 from sims.physics.fixture import FixtureDraw, FixtureGeometry, earth_rate_ned
 from srt.model import measurement_model as model
-
-pytest.importorskip("gtsam")
-from jacobian_cases import EPS, HEADING, MARS, G, away, derivative, exp, numerical
 
 EARTH_NED = earth_rate_ned(math.radians(50.0))
 DRAW = FixtureDraw(base=np.array([0.02, -0.03, 0.05]), mounting=np.array([-0.04, 0.01, 0.03]))

@@ -3,38 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from estimators.drift_states import DriftStates
-    from estimators.stated_rates import StatedRates
     from srt.estimation.error_sources import Source
+    from srt.joint.drift_states import DriftStates
+    from srt.joint.stated_rates import StatedRates
     from srt.sensor_errors import SensorErrors
     from srt.types import Array
-
-
-class UnmodelledErrors(NamedTuple):
-    """Standard deviations of errors that the residuals show beyond the noise.
-
-    Attributes
-    ----------
-    rotation : float, rad
-    force : float, m/s²
-        Mean specific force of a window.
-    rate : float, rad/s
-        Mean rate of a window.
-    wobble : float, rad
-        Wobble of the fixture's axes beyond the stated one, per pose.
-    """
-
-    rotation: float = 0.0
-    force: float = 0.0
-    rate: float = 0.0
-    wobble: float = 0.0
-
-
-NO_ERRORS: Final = UnmodelledErrors()
-"""Residuals that agree with the noise."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -2,21 +2,28 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.sparse import csr_array
+from scipy.sparse import csr_array, vstack
 
-from estimators.initial_attitudes import pose_nominal
-from estimators.linear_system import FIXTURE, N_ERRORS, LinearSystem, RowGroup, total, whiten
 from srt.estimation.error_sources import shared_edges
+from srt.joint.linear_system import FIXTURE, N_ERRORS, LinearSystem, RowGroup, total, whiten
+from srt.joint.measurement_kinds import (
+    fixed_headings,
+    fixture_attitudes,
+    rotation_kinds,
+    rotation_noise,
+    start_covariances,
+)
 from srt.model import measurement_model as model
 from srt.model.rotations import inverse_right_jacobian, rotation_vector
 from srt.sensor_errors import N_PARAMETERS
 
 if TYPE_CHECKING:
-    from estimators.joint_model import JointModel
-    from estimators.joint_state import CompensatedData, JointState
+    from srt.joint.joint_model import JointModel
+    from srt.joint.joint_state import CompensatedData, JointState
     from srt.model.prior import Prior
     from srt.types import Array, Indices, Mask
 
@@ -56,10 +63,8 @@ def linearise(
     builder.add_drift_forms()
     builder.add_bias_walk()
     builder.add_edges()
-    if prior is not None:
-        builder.add_prior(prior)
     active = _active_columns(joint, builder.columns, free)
-    return LinearSystem(
+    system = LinearSystem(
         A=builder.matrix(),
         b=np.concatenate(builder.b),
         columns=builder.columns,
@@ -70,74 +75,31 @@ def linearise(
         compensated=compensated,
         order=joint.order,
     )
+    return with_prior(system, joint, state, prior)
 
 
-def fixed_headings(joint: JointModel) -> Indices:
-    """Windows with a fixed heading: the first window of a free level frame; without fixture states, every start."""
-    data, fixed = joint.data, []
-    seen: set[int] = set()
-    for k in joint.order.tolist():
-        frame = int(joint.sequence_frame[k])
-        if joint.level_frames[frame].fixture:
-            if not joint.fixture_states:
-                fixed.append(int(data.start[k]))
-        elif frame not in seen:
-            seen.add(frame)
-            fixed.append(int(data.start[k]))
-    if not joint.fixture_states:
-        fixed += [w for _, w in data.poses]
-    return np.array(sorted(set(fixed)), dtype=np.intp)
+def with_prior(system: LinearSystem, joint: JointModel, state: JointState, prior: Prior | None) -> LinearSystem:
+    """System with the rows of a prior of the sensor errors; the same system without one.
 
-
-def rotation_kinds(joint: JointModel) -> list[tuple[str, Indices]]:
-    """Kinds of rows of the rotations, and their sequences.
-
-    "turn" are all three components. Of a run at a stated rate, many revolutions, only the component about the vertical
-    is used: the "heading" of the end attitude, which the specific force does not show.
+    Parameters
+    ----------
+    system : LinearSystem
+        Linearised about ``state`` without a prior.
+    joint : JointModel
+    state : JointState
+    prior : Prior or None
     """
-    rated = joint.processor.stated.rated
-    kinds = ("turn", np.setdiff1d(np.arange(joint.data.K), rated)), ("heading", rated)
-    return [kind for kind in kinds if kind[1].size]
-
-
-def rotation_noise(joint: JointModel, state: JointState, noise: dict[str, Array], kind: str) -> dict[str, Array]:
-    """Covariances by source, (n, d, d), of the rows of a kind of rotations from those of all rotations, (K, 3, 3)."""
-    assert state.attitude is not None
-    members = dict(rotation_kinds(joint))[kind]
-    if kind == "turn":
-        return {source: R[members] for source, R in noise.items()}
-    down = state.attitude[joint.data.start[members], 2:]
-    return {source: down @ R[members] @ np.swapaxes(down, 1, 2) for source, R in noise.items()}
-
-
-def fixture_attitudes(joint: JointModel) -> list[tuple[str, list[tuple[int, int, Array]], slice]]:
-    """Attitudes that the fixture determines.
-
-    Returns
-    -------
-    list of (str, list, slice)
-        Kind, "start" or "end"; sequence, window and nominal attitude of each; components of the residual. The angles of
-        an end are measured by the gyros alone, whatever rotation was executed, but its axes are those of the start.
-    """
-    data = joint.data
-    on_fixture = [k for k in joint.order.tolist() if joint.nominal[k] is not None]
-    starts = [(k, int(data.start[k]), nominal) for k in on_fixture if (nominal := joint.nominal[k]) is not None]
-    starts += [(int(joint.window_sequence[w]), w, pose_nominal(label)) for label, w in data.poses]
-    known = {window for _, window, _ in starts}
-    ends = [
-        (k, int(data.end[k]), nominal)
-        for k in on_fixture
-        if joint.ends_tied and int(data.end[k]) not in known and (nominal := joint.nominal_end(k)) is not None
-    ]
-    kinds = (("start", starts, slice(0, 3)), ("end", ends, slice(2, 3)))
-    return [(kind, poses, components) for kind, poses, components in kinds if poses]
-
-
-def start_covariances(joint: JointModel, components: slice) -> dict[str, Array]:
-    """Covariance of components of a start by source of error: as stated, and wobble that the residuals show."""
-    wobble = np.array([0.0, 0.0, joint.unmodelled_sigma.wobble])
-    sigmas = {"earth_rate_alignment": joint.start_sigma, "wobble_excess": wobble}
-    return {source: np.diag(sigma[components] ** 2) for source, sigma in sigmas.items()}
+    if prior is None:
+        return system
+    builder = _Builder(joint, state, system.compensated)
+    builder.add_prior(prior)
+    return replace(
+        system,
+        A=vstack([system.A, builder.matrix()], format="csr"),
+        b=np.concatenate([system.b, *builder.b]),
+        rows=(*system.rows, *(replace(rows, first=len(system.b)) for rows in builder.rows)),
+        whitening=system.whitening | builder.whitening,
+    )
 
 
 def _columns(joint: JointModel, compensated: CompensatedData) -> dict[str, slice]:
@@ -147,7 +109,7 @@ def _columns(joint: JointModel, compensated: CompensatedData) -> dict[str, slice
         "bias": 3 * (joint.data.K if joint.bias_walks else 1),
         **FIXTURE,
         "gravity": 1,
-        "table_rate": 1 if joint.processor.stated.rated.size else 0,
+        "table_rate": 1 if joint.steady.rated.size else 0,
         "earth_rate": 3 * len(joint.level_frames),
         "drift_form": joint.drift.size,
         "attitude": 3 * len(compensated.force),

@@ -13,26 +13,13 @@ import numpy as np
 
 from srt.estimation.drift_model import (
     DriftEstimate,
-    DriftSearch,
     DriftTerm,
-    Unmodelled,
-    candidates,
     change,
-    most_significant,
 )
-from srt.estimation.drift_search import gyro_courses, gyro_statistics
-from srt.estimation.error_sources import accel_drift, by_drift
-from srt.model.sensor_model import gyro_triad
-from srt.noise.drift_forms import LINEAR, WALK, Statistics, variance_component
-from srt.result.verdict import MISFIT_PROBABILITY
+from srt.estimation.error_sources import by_drift
+from srt.noise.drift_forms import LINEAR, WALK
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from estimators.block_solution import BlockSolution
-    from estimators.joint_model import JointModel
-    from estimators.solver import IterationState
-    from srt.estimation.drift_model import Sensor
     from srt.estimation.error_sources import Slopes
     from srt.sequences.preparation import PreparedRecording
     from srt.types import Array, Indices
@@ -144,55 +131,3 @@ class DriftTerms:
             )
             for t, s in zip(self.terms, self.slices, strict=True)
         )
-
-
-def search(joint: JointModel, iteration: IterationState, solution: BlockSolution, freedom: int) -> DriftSearch:
-    """Search the residuals of a joint solution for bias drift that it does not model."""
-    state, compensated, data = iteration.linearisation_point, iteration.compensated, joint.data
-    assert state is not None
-    assert compensated is not None
-    keys = candidates(data, joint.drift.terms)
-    # Rates at rest with their bias and with the drift that is modelled.
-    slope = np.asarray(np.linalg.inv(gyro_triad(state.errors).matrix), dtype=np.float64)
-    rest = joint.rest_rate(state, compensated) + joint.drift.raw("gyro", state.drift, "windows") @ slope.T
-
-    def of_accel(courses: Array) -> Statistics:
-        return _force_statistics(solution, by_drift(compensated.force_slope, courses), freedom)
-
-    def of_gyro(courses: Mapping[str, Array]) -> dict[str, Statistics]:
-        return gyro_statistics(data, slope, rest, joint.integrated, joint.drift.terms, courses)
-
-    def by_window(sensor: Sensor) -> Statistics:
-        if sensor == "gyro":
-            return of_gyro({"each": np.eye(len(rest))})["each"]
-        return _force_statistics(solution, np.eye(3 * len(rest)).reshape(len(rest), 3, -1), freedom)
-
-    found: dict[tuple[Sensor, str], Statistics] = {
-        (sensor, form): of_accel(data.drift_shapes[form].tested.windows) for sensor, form in keys if sensor == "accel"
-    }
-    found |= {("gyro", form): statistics for form, statistics in of_gyro(gyro_courses(data, keys)).items()}
-    present = Unmodelled(joint.unmodelled_sigma.rotation, joint.unmodelled_sigma.force, joint.drift.terms)
-    return most_significant(
-        found, len(keys), present, {form: shape.windows for form, shape in data.drift_shapes.items()}, by_window
-    )
-
-
-def shows_instability(joint: JointModel, iteration: IterationState, solution: BlockSolution, freedom: int) -> bool:
-    """True if the residuals show a bias instability of the accelerometers beyond that of the noise model.
-
-    Three quarters of the residuals are those of gyros and rotations. The chi-square of all therefore does not show an
-    instability that closed form and least squares notice.
-    """
-    assert iteration.compensated is not None
-    effect = accel_drift(joint.data, iteration.compensated.force_slope, joint.data.noise.accel_limit)
-    return variance_component(_force_statistics(solution, effect, freedom)).p_value < MISFIT_PROBABILITY
-
-
-def _force_statistics(solution: BlockSolution, effect: Array, freedom: int) -> Statistics:
-    """Statistics of coefficients with an ``effect`` on the specific forces of the windows, shape (W, 3, q)."""
-    system, residual = solution.system, solution.residual
-    rows = system.rows_of("force").index.ravel()
-    white = (-system.whitening["force"] @ effect).reshape(len(rows), -1)
-    by_columns = np.asarray(system.A[rows].T @ white)
-    information = white.T @ white - by_columns.T @ solution.with_columns(by_columns)
-    return Statistics(white.T @ residual[rows], information, float(residual @ residual), freedom)

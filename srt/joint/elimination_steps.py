@@ -1,7 +1,7 @@
 """Steps of the elimination of a linear system: one for each sequence, in the order of time.
 
 A step holds the rows of its sequence. Columns that no later step needs are local; the others are handed on. Both the
-least-squares solution (:mod:`estimators.block_solution`) and the filter (:mod:`estimators.nuisance_elimination`)
+least-squares solution (:mod:`srt.joint.block_solution`) and the filter (:mod:`estimators.nuisance_elimination`)
 eliminate step by step, so that their cost grows with the number of sequences and not with its cube.
 """
 
@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from estimators.linear_system import FIXTURE
+from srt.joint.linear_system import FIXTURE
 
 if TYPE_CHECKING:
-    from estimators.linear_system import LinearSystem
+    from srt.joint.linear_system import LinearSystem
     from srt.types import Array, Indices
 
 _GLOBAL = ("errors", "bias", *FIXTURE, "gravity", "table_rate", "earth_rate", "drift_form")

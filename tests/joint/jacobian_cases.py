@@ -16,17 +16,15 @@ import sims
 from sims.physics.free_motion import Placement, Turn, placed_motion
 from sims.physics.turn_profiles import trapezoid
 from srt.estimation.options import Options
+from srt.joint.initial_attitudes import initial_attitudes
+from srt.joint.linearisation import linearise
+from srt.joint.recording_opening import open_joint_model
 from srt.model.prior import Prior
 from srt.recording.recording import Fixture, ImuNoise, SequenceLabel, Site
 from srt.sensor_errors import N_PARAMETERS, SensorErrors
 
-pytest.importorskip("gtsam")
-from estimators.initial_attitudes import initial_attitudes
-from estimators.linearisation import linearise
-from estimators.recording_opening import open_joint_model
-
 if TYPE_CHECKING:
-    from estimators.joint_model import JointModel
+    from srt.joint.joint_model import JointModel
 
 EPS = np.finfo(float).eps
 G = 9.80665

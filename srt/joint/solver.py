@@ -6,13 +6,17 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from srt.estimation.drift_model import DriftSearch
+from srt.estimation.observability import default_prior
+from srt.sensor_errors import N_PARAMETERS
 
 if TYPE_CHECKING:
-    from estimators.block_solution import BlockSolution
-    from estimators.joint_model import JointModel
-    from estimators.joint_state import CompensatedData, JointState
-    from estimators.linear_system import LinearSystem
+    from srt.joint.block_solution import BlockSolution
+    from srt.joint.joint_model import JointModel
+    from srt.joint.joint_state import CompensatedData, JointState
+    from srt.joint.linear_system import LinearSystem
     from srt.model.prior import Prior
     from srt.types import Array, Mask
 
@@ -29,11 +33,14 @@ class LinearSolution:
         Correction of the reported parameters.
     covariance : ndarray, shape (27, 27)
         Covariance of the reported parameters.
+    whole : BlockSolution, optional
+        Solution of all columns, where the solver has it.
     """
 
     delta: Array
     correction: Array
     covariance: Array
+    whole: BlockSolution | None = None
 
 
 class JointSolver(ABC):
@@ -46,12 +53,17 @@ class JointSolver(ABC):
     prior : Prior or None
         Prior of the sensor errors; if given, every parameter can be estimated.
     observability_pending : bool
-        True while the observable parameters are not determined. A solver without a prior then uses the wide default.
+        True while the observable parameters are not determined.
     """
 
     name: str
     prior: Prior | None = None
     observability_pending = True
+
+    @property
+    def prior_in_use(self) -> Prior | None:
+        """Prior of the sensor errors; while the observable parameters are not determined, at least the wide one."""
+        return default_prior() if self.prior is None and self.observability_pending else self.prior
 
     @property
     def settled(self) -> bool:
@@ -107,3 +119,10 @@ class IterationState:
     message: str = ""
     whole: tuple[LinearSystem, Prior | None, BlockSolution] | None = None
     unmodelled_drift: DriftSearch = field(default_factory=DriftSearch)
+
+    @property
+    def sigma(self) -> Array:
+        """Standard deviations of the parameters, shape (27,); zero without a solution."""
+        if self.covariance is None:
+            return np.zeros(N_PARAMETERS)
+        return np.asarray(np.sqrt(np.maximum(np.diag(self.covariance), 0.0)))

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from scipy.sparse.linalg import splu
 
-from estimators.joint_state import UnmodelledErrors
+from srt.estimation.error_sources import UnmodelledErrors, shared_edges
 from srt.estimation.goodness_of_fit import chi_square_probability
 from srt.estimation.leave_one_out import (
     LEAST_PREDICTED_SHARE,
@@ -24,9 +24,9 @@ from srt.sensor_errors import N_PARAMETERS
 if TYPE_CHECKING:
     from collections.abc import Sequence as SequenceOf
 
-    from estimators.block_solution import BlockSolution
-    from estimators.joint_model import JointModel
-    from estimators.linear_system import LinearSystem
+    from srt.joint.block_solution import BlockSolution
+    from srt.joint.joint_model import JointModel
+    from srt.joint.linear_system import LinearSystem
     from srt.types import Indices
 
 
@@ -166,11 +166,15 @@ def _owned(system: LinearSystem) -> dict[int, Indices]:
 
 
 def _shared_rows(joint: JointModel, system: LinearSystem) -> Indices:
-    """Rows of windows shared by two sequences."""
+    """Rows of windows shared by two sequences, and the priors of the errors at their edges."""
     data = joint.data
     uses = np.bincount(np.concatenate([data.start, data.end]), minlength=len(data.windows.duration_s))
     windows = np.flatnonzero(uses > 1)
-    return np.concatenate([system.rows_of(kind).index[windows].ravel() for kind in ("force", "rate")])
+    members = {"force": windows, "rate": windows}
+    if system.compensated.edges.unknowns:
+        edges = shared_edges(data)[windows].ravel()
+        members["edge"] = edges[edges >= 0]
+    return np.concatenate([system.rows_of(kind).index[at].ravel() for kind, at in members.items()])
 
 
 def unmodelled_noise(system: LinearSystem) -> UnmodelledErrors:

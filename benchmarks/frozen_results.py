@@ -1,0 +1,193 @@
+"""Results of the estimators on 25 recordings, written to a folder, and compared with those of another version.
+
+Before a change that must not alter results, ``--write DIR`` stores the calibrations of every recording and estimator;
+afterwards ``--against DIR`` prints the largest difference of a value in sigmas, the largest relative difference of a
+sigma, and the statuses and verdicts if they differ. ``--same A B`` compares two estimators with each other instead.
+The exit code is 1 if a difference exceeds 1e-6.
+
+The recordings are simulated from fixed seeds: test on the fixture, recorded moves, turns by hand, biases that drift,
+missing sequences, g-sensitive gyros, protocols, stated rates, quantization, large errors, and nothing stated.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+import sys
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import accuracy_trials
+import hand_turns
+import numpy as np
+from foreign_motion import GRADES, drawn_errors, drifting
+from foreign_motion import hand_turns as turns_by_hand
+from foreign_motion import recording as foreign_recording
+
+import sims
+import srt
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from srt.recording.recording import Recording
+
+_NUMBER: Final = re.compile(r"[\d.]+(e[+-]?\d+)?")
+LARGEST: Final = 1e-6
+"""Largest difference, in sigmas, that counts as none."""
+
+
+def simulated(**tables: Any) -> Recording:
+    """Recording of a scenario given by its tables; latitude 45° and a fixture of 1 mrad unless given."""
+    base = {"imu": {"from": "tactical-fog"}, "site": {"from": "latitude-45"}}
+    fixture = {} if "free" in tables or tables.pop("unplaced", False) else {"fixture": {"from": "lab-1mrad"}}
+    return sims.simulate(sims.scenario_from_dict({**base, **fixture, **tables})).recording
+
+
+def shipped(name: str) -> Recording:
+    """Recording of a scenario of the library."""
+    return sims.simulate(sims.load_scenario(name)).recording
+
+
+def moving(seed: int, grade: str) -> Recording:
+    """Test on the fixture with the moves between its sequences."""
+    return accuracy_trials.fixture_recording(seed, grade, moves="recorded", sample_rate_hz=50.0)[0]
+
+
+def drifting_biases(seed: int, form: str, size: str) -> Recording:
+    """Industrial unit turned by hand, with biases that drift."""
+    rng = np.random.default_rng((hand_turns.SEED, 7, seed))
+    errors = drawn_errors(GRADES["industrial"], rng)
+    turns = turns_by_hand(rng, shortest_s=hand_turns.SHORTEST_S, longest_s=12.0, count=36, rest_s=5.0)
+    unit = foreign_recording(turns, 5.0, errors, GRADES["industrial"], rng, profile="quintic")
+    accel_mg, gyro_deg_h = hand_turns.DRIFTS[size]
+    return drifting(unit, turns, 5.0, rng, form=form, accel_mg=accel_mg, gyro_deg_h=gyro_deg_h)
+
+
+_QUICK: Final = {"dwell_s": 4.0, "rate_rad_s": 2.0, "acceleration_rad_s2": 20.0}
+_SLOW_SAMPLES: Final = {"sample_rate_hz": 50.0}
+_HALF: Final = ("1", "2", "3", "1a", "4", "5", "6", "7", "8", "9", "13")
+
+RECORDINGS: Final[dict[str, Callable[[], Recording]]] = {
+    **{
+        name: partial(shipped, name)
+        for name in (
+            "demo", "tactical-fog", "industrial-mems", "consumer-mems", "navigation-rlg", "noise-free", "robustness",
+            "free-mems",
+        )
+    },
+    "moves tactical": partial(moving, 21, "tactical"),
+    "moves navigation": partial(moving, 22, "navigation"),
+    "free tactical": partial(
+        simulated, seed=31, free={"turns": 24, "dwell_s": 6.0}, recording=_SLOW_SAMPLES
+    ),
+    "drift linear": partial(drifting_biases, 100, "linear", "middle"),
+    "drift warm-up": partial(drifting_biases, 101, "warm-up", "large"),
+    "drift random walk": partial(drifting_biases, 102, "random walk", "small"),
+    "half of Table 1": partial(
+        simulated, seed=32, schedule={**_QUICK, "sequences": list(_HALF)}, recording=_SLOW_SAMPLES
+    ),
+    "repeated": partial(simulated, seed=33, schedule={**_QUICK, "repeats": 2}, recording=_SLOW_SAMPLES),
+    "g-sensitive": partial(
+        simulated, seed=34, imu={"from": "consumer-mems", "noise": {"gyro_g_sensitivity_deg_per_h_per_g": 400.0}},
+        schedule=_QUICK, recording=_SLOW_SAMPLES,
+    ),
+    "two-axis table": partial(
+        simulated, seed=35, protocol={"from": "two-axis-table"}, recording=_SLOW_SAMPLES
+    ),
+    "19 positions, no fixture": partial(
+        simulated, seed=36, unplaced=True, protocol={"from": "19-positions"}, recording=_SLOW_SAMPLES
+    ),
+    "rate table": partial(simulated, seed=37, unplaced=True, protocol={"from": "rate-table"}, recording=_SLOW_SAMPLES),
+    "six faces": partial(
+        simulated, seed=38, unplaced=True, protocol={"from": "six-face-tumble"}, recording=_SLOW_SAMPLES
+    ),
+    "hand-turned protocol": partial(
+        simulated, seed=39, unplaced=True, imu={"from": "industrial-mems"}, protocol={"from": "hand-turned"},
+        recording=_SLOW_SAMPLES,
+    ),
+    "pulses": partial(
+        simulated, seed=40, imu={"from": "navigation-rlg", "noise": {"gyro_quantization_arcsec": 2.0}},
+        schedule=_QUICK, recording={"sample_rate_hz": 100.0, "kind": "increment"},
+    ),
+    "large errors": partial(
+        simulated, seed=41, errors={"draw": "uniform", "factor": 40.0}, schedule=_QUICK, recording=_SLOW_SAMPLES
+    ),
+    "nothing stated": partial(
+        simulated, seed=42, site={"from": "latitude-45", "state_latitude": False},
+        fixture={"from": "lab-1mrad", "state_heading": False}, schedule=_QUICK,
+        recording={**_SLOW_SAMPLES, "state_noise": False},
+    ),
+}  # fmt: skip
+"""Recordings by name."""
+
+
+def result(recording: Recording, estimator: str) -> dict[str, Any]:
+    """Calibration as JSON values with its verdict in one word; the message of a refusal."""
+    try:
+        found = srt.calibrate(recording, estimator, checks=False)
+    except srt.SrtError as error:
+        return {"refused": str(error)}
+    return {**found.to_dict(), "word": found.judgement.word, "reason": found.judgement.reason}
+
+
+def difference(new: dict[str, Any], old: dict[str, Any]) -> tuple[float, float, str]:
+    """Largest difference of a value in sigmas, largest relative difference of a sigma, and what else differs."""
+    if "refused" in new or "refused" in old:
+        messages = [one.get("refused", one.get("status")) for one in (old, new)]
+        return 0.0, 0.0, "" if messages[0] == messages[1] else " -> ".join(map(str, messages))
+    notes = [f"{key}: {old[key]} -> {new[key]}" for key in ("status", "word") if new[key] != old[key]]
+    # The figures of a reason follow from the values, which a wide prior changes by a thousandth of a sigma.
+    before, after = (_NUMBER.sub("#", one.get("reason", new["reason"])) for one in (old, new))
+    notes += [f"{before} -> {after}"] if before != after else []
+    values, sigmas = [0.0], [0.0]
+    for row, before in zip(new["parameters"], old["parameters"], strict=True):
+        if row["observed"] != before["observed"]:
+            notes.append(f"{row['name']} observed: {before['observed']} -> {row['observed']}")
+        elif row["observed"] and before["sigma"] > 0.0:
+            values.append(abs(row["value"] - before["value"]) / before["sigma"])
+            sigmas.append(abs(row["sigma"] / before["sigma"] - 1.0))
+    return max(values), max(sigmas), "; ".join(notes)
+
+
+def line(name: str, estimator: str, compared: tuple[float, float, str]) -> bool:
+    """Print one comparison; True if there is no difference."""
+    value, sigma, notes = compared
+    same = value <= LARGEST and sigma <= LARGEST and not notes
+    print(
+        f"{name:28s} {estimator:14s} {value:9.1e} sigma {sigma:9.1e}  {'' if same else 'DIFFERS '}{notes}", flush=True
+    )
+    return same
+
+
+def main() -> int:
+    """Write or compare the results."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--estimators", default="closed-form,ekf,graph", help="names, with commas")
+    parser.add_argument("--recordings", default=";".join(RECORDINGS), help="names, with semicolons")
+    parser.add_argument("--write", type=Path, metavar="DIR", help="folder for the results")
+    parser.add_argument("--against", type=Path, metavar="DIR", help="folder of results to compare with")
+    parser.add_argument("--same", nargs=2, metavar=("A", "B"), help="compare two estimators with each other")
+    arguments = parser.parse_args()
+    good = True
+    for name in arguments.recordings.split(";"):
+        recording = RECORDINGS[name]()
+        if arguments.same:
+            new, old = (result(recording, estimator) for estimator in arguments.same)
+            good &= line(name, " = ".join(arguments.same), difference(new, old))
+            continue
+        for estimator in arguments.estimators.split(","):
+            found, file = result(recording, estimator), f"{name.replace(' ', '-')}.{estimator}.json"
+            if arguments.write is not None:
+                arguments.write.mkdir(parents=True, exist_ok=True)
+                (arguments.write / file).write_text(json.dumps(found), encoding="utf-8")
+            if arguments.against is not None:
+                old = json.loads((arguments.against / file).read_text(encoding="utf-8"))
+                good &= line(name, estimator, difference(found, old))
+    return 0 if good else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

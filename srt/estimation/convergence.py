@@ -1,0 +1,20 @@
+"""Limits of the iterations: of the closed form, and of the joint model."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from srt.constants import STANDARD_GRAVITY_M_S2
+from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS
+
+PARAMETER_UNITS: Final = np.ones(N_PARAMETERS)
+"""SI value of the unit of each parameter in comparisons: accelerometer bias in g, all others in SI units."""
+PARAMETER_UNITS[GROUP_SLICES["accel_bias"]] = STANDARD_GRAVITY_M_S2
+CONVERGED_CORRECTION: Final = 1e-9
+"""Correction, in :data:`PARAMETER_UNITS`, that counts as negligible; noise-free data reach it."""
+CONVERGED_SIGMAS: Final = 0.01
+"""Correction, in sigma of the parameter, that counts as negligible: it changes an error by 1e-4 in quadrature."""
+MAX_STEP: Final = 0.7
+"""Largest correction of an iteration, in :data:`PARAMETER_UNITS`: of longer steps only the direction is reliable."""

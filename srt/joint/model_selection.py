@@ -1,0 +1,200 @@
+"""Selection of what a converged solution models besides: g-sensitivity, bias instability, unmodelled noise, drift."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from srt.estimation.drift_model import (
+    MOST_TERMS,
+    DriftSearch,
+    candidates,
+    gyro_courses,
+    gyro_statistics,
+    most_significant,
+)
+from srt.estimation.error_sources import NO_ERRORS, accel_drift, by_drift
+from srt.estimation.g_sensitivity_report import significant_g_sensitivity
+from srt.estimation.goodness_of_fit import contradicting_group, is_misfit, one_group_explains
+from srt.joint.block_solution import BlockSolution
+from srt.joint.drift_terms import DriftTerms
+from srt.joint.linearisation import linearise
+from srt.joint.residual_analysis import contradictions, unmodelled_noise
+from srt.joint.solution_analysis import goodness_of_fit, whole_solution
+from srt.model.sensor_model import gyro_triad
+from srt.noise.drift_forms import WALK, Statistics, variance_component
+from srt.result.verdict import MISFIT_PROBABILITY
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from srt.estimation.drift_model import DriftTerm, Sensor
+    from srt.joint.joint_model import JointModel
+    from srt.joint.joint_state import JointState
+    from srt.joint.solver import IterationState, JointSolver
+    from srt.types import Array
+
+
+_SAME_NOISE: Final = (0.1, 1e-6)
+"""Relative and absolute (rad, m/s², rad/s) change of the unmodelled error that is negligible."""
+
+
+def add_g_sensitivity(joint: JointModel, solver: JointSolver, iteration: IterationState) -> bool:
+    """Model gyro g-sensitivity if the residuals exceed the noise and the rates at rest show it; True if so."""
+    if joint.options.gyro_bias != "auto" or joint.drift.force_axes is not None or solver.weights():
+        return False
+    solution = whole_solution(joint, solver, iteration)
+    if any(joint.unmodelled_sigma) or not is_misfit(*goodness_of_fit(joint, solver, solution, solution.system)):
+        return False
+    state, compensated = iteration.linearisation_point, iteration.compensated
+    assert state is not None
+    assert compensated is not None
+    rest = joint.rest_rate(state, compensated)
+    if significant_g_sensitivity(joint.data, compensated.force, rest, joint.integrated) is None:
+        return False
+    iteration.state = joint.with_g_sensitivity(iteration.state)
+    solver.restart()
+    return True
+
+
+def add_instability(joint: JointModel, solver: JointSolver, iteration: IterationState) -> bool:
+    """Use a smooth drift, or the largest bias instability not excluded, if either explains the residuals."""
+    data, state = joint.data, iteration.linearisation_point
+    if solver.weights() or any(joint.unmodelled_sigma) or np.all(data.noise.accel_limit <= data.noise.accel_flicker):
+        return False
+    solution = whole_solution(joint, solver, iteration)
+    fit = goodness_of_fit(joint, solver, solution, solution.system)
+    if not is_misfit(*fit):
+        if not shows_instability(joint, iteration, solution, fit[1]):
+            return False
+        tests = [(test.chi_square, test.degrees_of_freedom) for test in contradictions(joint, solution)]
+        if contradicting_group(tests, *fit) is not None:
+            return False
+    assert state is not None
+    found = search(joint, iteration, solution, fit[1])
+    smooth = tuple(term for term in found.terms if term.sensor == "accel" and term.form != WALK)
+    drift = joint.drift
+    if smooth:
+        after = _with_drift(joint, iteration.state, smooth)[1]
+        joint.drift, before = _with_drift(joint, state, smooth)
+        if _explains(joint, solver, iteration, before):
+            iteration.state = after
+            return True
+        joint.drift = drift
+    joint.data = replace(data, noise_at_limit=True)
+    if _explains(joint, solver, iteration, state):
+        return True
+    joint.data = data
+    return False
+
+
+def _explains(joint: JointModel, solver: JointSolver, iteration: IterationState, state: JointState) -> bool:
+    """True if the model as it is now explains the residuals at a state, and no sequence contradicts the others."""
+    system = linearise(joint, state, joint.compensate(state), iteration.free, solver.prior)
+    solution = BlockSolution(system)
+    fit = goodness_of_fit(joint, solver, solution, system)
+    tests = [(test.chi_square, test.degrees_of_freedom) for test in contradictions(joint, solution)]
+    return not is_misfit(*fit) and contradicting_group(tests, *fit) is None
+
+
+def _with_drift(joint: JointModel, state: JointState, terms: tuple[DriftTerm, ...]) -> tuple[DriftTerms, JointState]:
+    """Terms of drift beside those of a model that lacks them, and a state with their coefficients, zero."""
+    drift = DriftTerms(joint.data, (*joint.drift.terms, *terms), joint.drift.force_axes)
+    return drift, replace(state, drift=np.append(state.drift, np.zeros(drift.size - len(state.drift))))
+
+
+def add_unmodelled_noise(joint: JointModel, solver: JointSolver, iteration: IterationState) -> bool:
+    """Estimate unmodelled errors if the residuals of several sequences exceed their noise; True if the noise changed.
+
+    If one sequence explains the misfit, that sequence is faulty: a warning names it, and no noise is added. A robust
+    loss reduces the weight of such a sequence; this function then changes nothing.
+    """
+    if solver.weights():
+        return False
+    solution = whole_solution(joint, solver, iteration)
+    system = solution.system
+    statistic, freedom = goodness_of_fit(joint, solver, solution, system)
+    # Unmodelled noise from an earlier round is always estimated again: it may be too large now.
+    if not any(joint.unmodelled_sigma):
+        if not is_misfit(statistic, freedom):
+            return False
+        tests = [(test.chi_square, test.degrees_of_freedom) for test in contradictions(joint, solution)]
+        if one_group_explains(tests, statistic, freedom):
+            return False
+    new = unmodelled_noise(system)
+    if np.allclose(new, joint.unmodelled_sigma, *_SAME_NOISE):
+        return False
+    joint.unmodelled_sigma = new
+    return True
+
+
+def add_drift(joint: JointModel, solver: JointSolver, iteration: IterationState) -> bool:
+    """Model the most significant form of drift of each triad that the residuals show; True if there is one.
+
+    The unmodelled noise is then estimated again. A robust loss reduces the weight of sequences instead.
+    """
+    if solver.weights() or len(joint.drift.terms) >= MOST_TERMS:
+        return False
+    solution = whole_solution(joint, solver, iteration)
+    system = solution.system
+    iteration.unmodelled_drift = search(joint, iteration, solution, goodness_of_fit(joint, solver, solution, system)[1])
+    if not iteration.unmodelled_drift.terms:
+        return False
+    joint.drift, iteration.state = _with_drift(joint, iteration.state, iteration.unmodelled_drift.terms)
+    joint.unmodelled_sigma = NO_ERRORS
+    return True
+
+
+def search(joint: JointModel, iteration: IterationState, solution: BlockSolution, freedom: int) -> DriftSearch:
+    """Search the residuals of a joint solution for bias drift that it does not model."""
+    state, compensated, data = iteration.linearisation_point, iteration.compensated, joint.data
+    assert state is not None
+    assert compensated is not None
+    keys = candidates(data, joint.drift.terms)
+    # Rates at rest with their bias and with the drift that is modelled.
+    slope = np.asarray(np.linalg.inv(gyro_triad(state.errors).matrix), dtype=np.float64)
+    rest = joint.rest_rate(state, compensated) + joint.drift.raw("gyro", state.drift, "windows") @ slope.T
+
+    def of_gyro(courses: Mapping[str, Array]) -> dict[str, Statistics]:
+        return gyro_statistics(data, slope, rest, joint.integrated, joint.drift.terms, courses)
+
+    def by_window(sensor: Sensor) -> Statistics:
+        if sensor == "gyro":
+            return of_gyro({"each": np.eye(len(rest))})["each"]
+        return _force_statistics(solution, [np.eye(3 * len(rest)).reshape(len(rest), 3, -1)], freedom)[0]
+
+    forms = [key for key in keys if key[0] == "accel"]
+    effects = [by_drift(compensated.force_slope, data.drift_shapes[form].tested.windows) for _, form in forms]
+    found = dict(zip(forms, _force_statistics(solution, effects, freedom), strict=True))
+    found |= {("gyro", form): statistics for form, statistics in of_gyro(gyro_courses(data, keys)).items()}
+    courses = {form: shape.windows for form, shape in data.drift_shapes.items()}
+    return most_significant(found, len(keys), joint.drift.terms, joint.unmodelled_sigma.force, courses, by_window)
+
+
+def shows_instability(joint: JointModel, iteration: IterationState, solution: BlockSolution, freedom: int) -> bool:
+    """True if the residuals show a bias instability of the accelerometers beyond that of the noise model.
+
+    Three quarters of the residuals are those of gyros and rotations. The chi-square of all therefore does not show an
+    instability that the windows show.
+    """
+    assert iteration.compensated is not None
+    effect = accel_drift(joint.data, iteration.compensated.force_slope, joint.data.noise.accel_limit)
+    return variance_component(_force_statistics(solution, [effect], freedom)[0]).p_value < MISFIT_PROBABILITY
+
+
+def _force_statistics(solution: BlockSolution, effects: list[Array], freedom: int) -> list[Statistics]:
+    """Statistics of groups of coefficients with ``effects`` on the specific forces of the windows, (W, 3, q) each."""
+    if not effects:
+        return []
+    system, residual = solution.system, solution.residual
+    rows = system.rows_of("force").index.ravel()
+    white = (-system.whitening["force"] @ np.concatenate(effects, axis=2)).reshape(len(rows), -1)
+    by_columns = np.asarray(system.A[rows].T @ white)
+    information = white.T @ white - by_columns.T @ solution.with_columns(by_columns)
+    gradient, square = white.T @ residual[rows], float(residual @ residual)
+    ends = np.cumsum([0, *(effect.shape[2] for effect in effects)]).tolist()
+    at = [slice(a, b) for a, b in pairwise(ends)]
+    return [Statistics(gradient[own], information[own, own], square, freedom) for own in at]
