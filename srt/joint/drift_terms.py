@@ -88,7 +88,7 @@ class DriftTerms:
         return [(t, s) for t, s in zip(self.terms, self.slices, strict=True) if t.sensor == sensor]
 
     def raw(self, sensor: str, coefficients: Array, of: str) -> Array:
-        """Drift of the raw channels of a sensor in all "windows" (W, 3) or "parts" of rotations (K, P, 3)."""
+        """Drift of the raw channels in "windows" (W, 3), their "halves" (W, 2, 3) or "parts" of rotations (K, P, 3)."""
         shapes = self.data.drift_shapes
         shape = (*getattr(shapes[LINEAR], of).shape[:-1], 3)
         parts = [getattr(shapes[t.form], of) @ coefficients[s].reshape(-1, 3) for t, s in self.of(sensor)]

@@ -456,7 +456,8 @@ class JointModel:
         rest, _, _ = model.angular_rate_residual(compensated.rate, state.attitude, self.earth_rate(state))
         wander = np.sqrt(np.linalg.inv(gyro.matrix) ** 2 @ self.bias_scatter**2)
         chance = STILLNESS_PROBABILITY / len(rest)
-        moving_windows = moved_windows(self.data, gyro, accel_triad(state.errors), rest, wander, chance)
+        drift = tuple(self.drift.raw(sensor, state.drift, "halves") for sensor in ("gyro", "accel"))
+        moving_windows = moved_windows(self.data, gyro, accel_triad(state.errors), rest, wander, chance, drift)
         return np.asarray(moving_windows & ~self.integrated)
 
     def integrate_windows(self, windows: Mask) -> None:

@@ -59,29 +59,32 @@ class DriftShape:
     windows : ndarray, shape (W, n)
     parts : ndarray, shape (K, P, n)
         Over the equal parts of every rotation.
+    halves : ndarray, shape (W, 2, n)
+        Over the halves of the windows.
     """
 
     windows: Array
     parts: Array
+    halves: Array
 
     @property
     def tested(self) -> DriftShape:
         """The functions that the test of the form uses."""
-        return DriftShape(self.windows[:, :TESTED_TERMS], self.parts[..., :TESTED_TERMS])
+        return DriftShape(*(means[..., :TESTED_TERMS] for means in (self.windows, self.parts, self.halves)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Intervals:
-    """Windows and parts of rotations.
+    """Windows, parts of rotations and halves of windows.
 
     Attributes
     ----------
-    start, end : ndarray, shape (W + K P,), s
-        Windows first.
+    start, end : ndarray, shape (W + K P + 2 W,), s
+        In this order.
     windows : int
     parts : (int, int)
         K and P.
-    temperature : ndarray, shape (W + K P,), °C, or None
+    temperature : ndarray, shape (W + K P + 2 W,), °C, or None
         Mean temperatures.
     """
 
@@ -107,7 +110,7 @@ def drift_shapes(intervals: Intervals) -> dict[str, DriftShape]:
 
 
 def _shares(intervals: Intervals) -> Array:
-    """Start and end of every interval as shares of the recording, shape (2, W + K P)."""
+    """Start and end of every interval as shares of the recording, shape (2, W + K P + 2 W)."""
     begin = float(intervals.start.min())
     return (np.stack([intervals.start, intervals.end]) - begin) / (float(intervals.end.max()) - begin)
 
@@ -151,7 +154,7 @@ def walk_between_windows(intervals: Intervals, walk: DriftShape) -> Array:
         For a walk of unit variance at the end. That of different rotations counts as independent: windows lie between.
     """
     times, W, weight = _shares(intervals), intervals.windows, _weight(intervals)
-    parts = times[:, W:].reshape(2, *intervals.parts)
+    parts = times[:, W:-2 * W].reshape(2, *intervals.parts)
     windows = times[:, :W]
     by_mean = _walk_covariance(parts, windows[:, None]) @ weight
     C = _walk_covariance(parts, parts) - by_mean[:, :, None] - by_mean[:, None, :]
@@ -183,8 +186,8 @@ def _weight(intervals: Intervals) -> Array:
 
 
 def _shape(values: Array, intervals: Intervals) -> DriftShape:
-    W = intervals.windows
-    return DriftShape(values[:W], values[W:].reshape(*intervals.parts, values.shape[1]))
+    W, n = intervals.windows, values.shape[1]
+    return DriftShape(values[:W], values[W : -2 * W].reshape(*intervals.parts, n), values[-2 * W :].reshape(W, 2, n))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

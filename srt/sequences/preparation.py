@@ -230,7 +230,10 @@ class PreparedRecording:
     def _drift_intervals(self) -> Intervals:
         samples, parts = self.windows.samples, parts_per_rotation(self.K)
         edges = equal_parts(self.rotation, parts)
-        spans = np.concatenate([samples, np.stack([edges[:, :-1].ravel(), edges[:, 1:].ravel()], axis=1)])
+        middle = samples.sum(axis=1) // 2
+        halves = np.column_stack([samples[:, 0], middle, middle, samples[:, 1]]).reshape(-1, 2)
+        parts_of_rotations = np.stack([edges[:, :-1].ravel(), edges[:, 1:].ravel()], axis=1)
+        spans = np.concatenate([samples, parts_of_rotations, halves])
         start, end = interval_times(spans, self.recording.time)
         temperature = None
         if self.recording.temperature is not None:

@@ -34,6 +34,7 @@ def moved_windows(
     rest_rate: Array,
     wander: Array,
     probability: float = PROBABILITY,
+    drift: tuple[Array | float, ...] = (0.0, 0.0),
 ) -> Mask:
     """Test every window for motion: angle turned, and tilt.
 
@@ -53,16 +54,19 @@ def moved_windows(
         One sigma of the bias between sequences, compensated.
     probability : float
         Probability that a still window is classified as moving.
+    drift : tuple of two ndarray, shape (W, 2, 3), rad/s and m/s²
+        Known drift of the raw readings in the halves of the windows, gyros and accelerometers.
 
     Returns
     -------
     ndarray of bool, shape (W,)
     """
     stated = np.ones((2, len(rest_rate), 3))
-    moved = _fails(data, gyro, accel, rest_rate, wander, probability=probability, ratio=stated)
+    halves = (data.windows.gyro_halves - drift[0], data.windows.accel_halves - drift[1])
+    moved = _fails(data, gyro, accel, halves, rest_rate, wander, probability=probability, ratio=stated)
     if moved.any():
         own = _own_noise(data, moved)
-        moved &= _fails(data, gyro, accel, rest_rate, wander, probability=probability, ratio=own)
+        moved &= _fails(data, gyro, accel, halves, rest_rate, wander, probability=probability, ratio=own)
     return moved
 
 
@@ -70,6 +74,7 @@ def _fails(
     data: PreparedRecording,
     gyro: Triad,
     accel: Triad,
+    halves: tuple[Array, Array],
     rest_rate: Array,
     wander: Array,
     *,
@@ -80,14 +85,14 @@ def _fails(
     noise = data.noise
     T = 0.5 * data.windows.duration_s[:, None]
     D2 = gyro.inverse**2
-    halves = gyro.compensate(data.windows.gyro_halves)
-    angle = (halves[:, 1] - halves[:, 0]) * T
+    rate = gyro.compensate(halves[0])
+    angle = (rate[:, 1] - rate[:, 0]) * T
     # Three readings of the angle make the difference of two adjoining halves: 1, -2, 1.
     variance = ((2.0 * noise.gyro_white**2 * T + 6.0 * noise.gyro_edge**2) * ratio[0] ** 2) @ D2.T
     variance = variance + 2.0 * (wander * T) ** 2
     turned = np.sum(angle**2 / variance, axis=1)
     A2 = accel.inverse**2
-    force = accel.compensate(data.windows.accel_halves)
+    force = accel.compensate(halves[1])
     mean = accel.compensate(data.windows.accel_mean)
     up = mean / np.linalg.norm(mean, axis=1, keepdims=True)
     change = force[:, 1] - force[:, 0]
