@@ -84,6 +84,8 @@ class Chain:
         self.recording = folder / "recording"
         self.truth = self.case.make(name, self.recording)
         self._runs: dict[str, Run] = {}
+        self._documents: dict[str, dict[str, Any]] = {}
+        self._calibrations: dict[str, srt.Calibration] = {}
 
     def calibrated(self, estimator: str) -> Run:
         """Result of ``srt calibrate -o``, run once."""
@@ -98,14 +100,19 @@ class Chain:
         return self.folder / f"{estimator}{ending}"
 
     def document(self, estimator: str) -> dict[str, Any]:
-        """Result as JSON, read strictly: NaN and infinity are no JSON."""
-        self.calibrated(estimator)
-        return json.loads(self.file(estimator).read_text(encoding="utf-8"), parse_constant=_no_number)
+        """Result as JSON, read strictly and once: NaN and infinity are no JSON."""
+        if estimator not in self._documents:
+            self.calibrated(estimator)
+            text = self.file(estimator).read_text(encoding="utf-8")
+            self._documents[estimator] = json.loads(text, parse_constant=_no_number)
+        return self._documents[estimator]
 
     def calibration(self, estimator: str) -> srt.Calibration:
-        """The saved result, loaded."""
-        self.calibrated(estimator)
-        return srt.load_calibration(self.file(estimator))
+        """The saved result, loaded once."""
+        if estimator not in self._calibrations:
+            self.calibrated(estimator)
+            self._calibrations[estimator] = srt.load_calibration(self.file(estimator))
+        return self._calibrations[estimator]
 
     @cached_property
     def findings(self) -> set[str]:
