@@ -194,10 +194,8 @@ def _prior_sigma(
 
 def change(form: str, coefficients: Array, windows: Array) -> Array:
     """Change of the bias of each channel over the recording, shape (3,), from coefficients (n, 3) of a form."""
-    if form == WALK:
-        return np.asarray(np.ptp(windows @ coefficients, axis=0))
-    course = windows[:, 0]
-    return np.asarray(coefficients[0] * np.sign(course[-1] - course[0]))
+    course = windows @ coefficients
+    return np.asarray(np.ptp(course, axis=0) * (1.0 if form == WALK else np.sign(course[-1] - course[0])))
 
 
 def gyro_courses(data: PreparedRecording, keys: Sequence[tuple[Sensor, str]]) -> dict[str, Array]:

@@ -83,10 +83,11 @@ def explaining_drift(
     found = search(data, options, solution, fixed).terms
     terms = tuple(t for t in found if t.sensor == "accel" and t.form != WALK)
     R = solution.measurement_covariance
-    for term, effect in zip(terms, _effects(data, options, solution, terms), strict=True):
+    effects = _effects(data, options, solution, terms)
+    for term, effect in zip(terms, effects, strict=True):
         R = R + term.sigma**2 * effect @ effect.T
     statistic, freedom = chi_square(solution, fixed, R)
-    return () if is_misfit(statistic, freedom - 3 * len(terms)) else terms
+    return () if is_misfit(statistic, freedom - sum(effect.shape[1] for effect in effects)) else terms
 
 
 def estimates(

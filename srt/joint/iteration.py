@@ -44,7 +44,7 @@ from srt.joint.solver import IterationState, JointSolver
 from srt.model.rotations import rotation_matrix, rotation_vector
 from srt.model.sensor_model import outside_model
 from srt.model.table1 import SEQUENCES
-from srt.sensor_errors import NAMES, SensorErrors
+from srt.sensor_errors import N_PARAMETERS, NAMES, SensorErrors
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -64,6 +64,8 @@ _SCATTER_UPDATES: Final = 2
 """Number of updates of the bias scatter. Further updates could alternate between zero and a small scatter."""
 _INDEPENDENT: Final = 1e-10
 """Columns are scaled to norm 1. A smaller diagonal element of R marks a linearly dependent column."""
+_REVERSED: Final = 0.5
+"""Share of a correction that the next one takes back, from which the two count as a cycle; converging ones shrink."""
 _NEAR: Final = 1e-2
 """The noise is assessed once the correction (dimensionless, rad, bias in g) is below this."""
 
@@ -134,6 +136,7 @@ def iterate(
     corrections: list[float] = [] if iteration.corrections is None else iteration.corrections
     iteration.corrections = corrections
     scatter_updates = 0
+    damping = _Damping()
     observability_known = not np.array_equal(iteration.free, ~requested)
     for _ in range(joint.options.max_playbacks):
         near = bool(corrections) and corrections[-1] < _NEAR
@@ -146,7 +149,7 @@ def iterate(
                 # A wide prior is added. Parameters whose sigma remains near that of the prior are fixed at the end.
                 solver.prior = default_prior()
         solver.observability_pending = not observability_known
-        correction = _correct(joint, solver, iteration, (state, system), max_step, progress)
+        correction = _correct(joint, solver, iteration, (state, system), max_step, damping, progress)
         if correction is None:
             break
         sigma = iteration.sigma
@@ -168,6 +171,24 @@ def iterate(
             "(largest component: ratios, rad; accelerometer bias in g)."
         )
     return iteration
+
+
+class _Damping:
+    """Share of a correction that is applied: it is halved whenever a correction reverses the one before.
+
+    Asymmetry makes the model continuous but not smooth: where a channel reads zero, the corrections of both sides can
+    point to each other for ever, although the minimum lies between them.
+    """
+
+    def __init__(self) -> None:
+        self._share, self._before = 1.0, np.zeros(N_PARAMETERS)
+
+    def share(self, correction: Array) -> float:
+        """Share of this correction, in :data:`PARAMETER_UNITS`."""
+        if correction @ self._before < -_REVERSED * (self._before @ self._before):
+            self._share *= 0.5
+        self._before = correction
+        return self._share
 
 
 def _neglected_tilt(before: JointState, after: JointState) -> float:
@@ -216,6 +237,7 @@ def _correct(
     iteration: IterationState,
     linearisation: tuple[JointState, LinearSystem],
     max_step: float,
+    damping: _Damping,
     progress: Progress | None,
 ) -> Array | None:
     """Solve the linearised model and correct the state; None if there is no valid correction, with the status set."""
@@ -233,6 +255,8 @@ def _correct(
     size = float(np.max(np.abs(correction) / PARAMETER_UNITS))
     if size > max_step:
         delta, correction = delta * (max_step / size), correction * (max_step / size)
+    share = damping.share(correction / PARAMETER_UNITS)
+    delta, correction = share * delta, share * correction
     assert iteration.corrections is not None
     iteration.corrections.append(size)
     if progress is not None:

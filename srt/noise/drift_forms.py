@@ -3,7 +3,8 @@
 A form is a function s(t) with a mean of zero over the stationary windows, scaled to a range of one:
 
 - linear in time;
-- warm-up: ``exp(−t / τ)``, with τ a twelfth, a sixth or two fifths of the recording;
+- warm-up: ``exp(−t / τ)``, with τ a twelfth, a sixth or two fifths of the recording, and its derivative by ln τ, with
+  which a sum of both describes the time constants between these;
 - linear in temperature;
 - random walk: the principal components of its means over the windows, with their conditional mean in the rotations.
 
@@ -100,7 +101,11 @@ def drift_shapes(intervals: Intervals) -> dict[str, DriftShape]:
     times = a, b = _shares(intervals)
     values = {LINEAR: 0.5 * (a + b)[:, None]}
     for name, share in _WARM_UP.items():
-        values[name] = _mean(-share * np.exp(-a / share), -share * np.exp(-b / share), b - a)[:, None]
+        decay = [np.exp(-x / share) for x in times]
+        first = _mean(*(-share * e for e in decay), b - a)
+        values[name] = np.column_stack(
+            [first, _mean(*(-(x + share) * e for x, e in zip(times, decay, strict=True)), b - a)]
+        )
     if intervals.temperature is not None:
         own = intervals.temperature
         if np.ptp(own[: intervals.windows]) > _LEAST_TEMPERATURE_RANGE:
@@ -154,7 +159,7 @@ def walk_between_windows(intervals: Intervals, walk: DriftShape) -> Array:
         For a walk of unit variance at the end. That of different rotations counts as independent: windows lie between.
     """
     times, W, weight = _shares(intervals), intervals.windows, _weight(intervals)
-    parts = times[:, W:-2 * W].reshape(2, *intervals.parts)
+    parts = times[:, W : -2 * W].reshape(2, *intervals.parts)
     windows = times[:, :W]
     by_mean = _walk_covariance(parts, windows[:, None]) @ weight
     C = _walk_covariance(parts, parts) - by_mean[:, :, None] - by_mean[:, None, :]

@@ -30,14 +30,24 @@ MG = 1e-3 * STANDARD_GRAVITY_M_S2
 START, END = np.array([0.0, 20.0, 60.0, 10.0, 40.0]), np.array([10.0, 30.0, 100.0, 20.0, 60.0])
 
 
+def intervals_of(start, end, windows, parts):
+    """Windows and parts, with the halves of the windows."""
+    middle = 0.5 * (start + end)[:windows]
+    halves = np.stack([start[:windows], middle, middle, end[:windows]], axis=1).reshape(-1, 2)
+    return Intervals(np.append(start, halves[:, 0]), np.append(end, halves[:, 1]), windows, parts, None)
+
+
 def test_shapes_are_means_over_the_intervals():
     """Against means of fine samples; each form has a mean of zero over the windows and, but for the walk, range one."""
-    intervals = Intervals(START, END, 3, (1, 2), None)
+    intervals = intervals_of(START, END, 3, (1, 2))
     t = np.linspace(0.0, 1.0, 200_001)
-    functions = {"linear": t[:, None], "warm-up": np.exp(-6.0 * t)[:, None], "fast warm-up": np.exp(-12.0 * t)[:, None]}
-    functions["slow warm-up"] = np.exp(-2.5 * t)[:, None]
+    functions = {"linear": t[:, None]}
+    for name, rate in {"warm-up": 6.0, "fast warm-up": 12.0, "slow warm-up": 2.5}.items():
+        functions[name] = np.stack([np.exp(-rate * t), rate * t * np.exp(-rate * t)], axis=1)
     shapes = drift_shapes(intervals)
     assert set(shapes) == {*functions, WALK}
+    for shape in shapes.values():
+        np.testing.assert_allclose(shape.halves.mean(axis=1), shape.windows, atol=1e-12)
     for name, values in functions.items():
         at = [(t >= a / 100.0) & (t <= b / 100.0) for a, b in zip(START, END, strict=True)]
         means = np.array([values[mask].mean(axis=0) for mask in at])
@@ -49,7 +59,7 @@ def test_shapes_are_means_over_the_intervals():
 
 def test_random_walk_has_its_covariance():
     """Sampled Wiener processes of unit variance at the end, about their mean over the windows, within 4.5 sigma."""
-    intervals, n = Intervals(START, END, 3, (1, 2), None), 20_000
+    intervals, n = intervals_of(START, END, 3, (1, 2)), 20_000
     shape = drift_shapes(intervals)[WALK]
     between = walk_between_windows(intervals, shape)
     rng = np.random.default_rng(20261127)
@@ -67,7 +77,7 @@ def test_random_walk_has_its_covariance():
     assert np.all(np.abs(found - expected) <= 4.5 * error + 2e-3)
     # Without the mean, three components have 83 % of the variance of many windows.
     even = np.linspace(0.0, 100.0, 201)
-    many = drift_shapes(Intervals(even[:-1], even[1:], 200, (0, 1), None))[WALK]
+    many = drift_shapes(intervals_of(even[:-1], even[1:], 200, (0, 1)))[WALK]
     assert np.sum(many.tested.windows**2) / np.sum(many.windows**2) == pytest.approx(0.83, abs=0.01)
 
 
@@ -77,7 +87,7 @@ def test_a_form_is_told_from_independent_errors_of_the_windows(form):
     rng = np.random.default_rng(20261128)
     W, scatter, walk = 15, 3.0, form == WALK
     even = np.linspace(0.0, 300.0, W + 1)
-    course = drift_shapes(Intervals(even[:-1], even[1:], W, (0, 1), None))[form].windows
+    course = drift_shapes(intervals_of(even[:-1], even[1:], W, (0, 1)))[form].windows
 
     def p_value(size):
         errors = scatter * rng.standard_normal((W, 3)) + size * course @ rng.standard_normal((course.shape[1], 3))
