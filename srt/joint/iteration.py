@@ -19,6 +19,7 @@ from scipy.sparse import hstack
 
 from srt.estimation.convergence import CONVERGED_CORRECTION, CONVERGED_SIGMAS, MAX_STEP, PARAMETER_UNITS
 from srt.estimation.drift_model import MOST_TERMS
+from srt.estimation.error_sources import NO_ERRORS
 from srt.estimation.fixed_parameters import (
     fixed_sigma,
     reason_not_observed,
@@ -33,7 +34,7 @@ from srt.joint.linear_system import N_ERRORS, total
 from srt.joint.linearisation import linearise
 from srt.joint.model_selection import add_drift, add_g_sensitivity, add_instability, add_unmodelled_noise
 from srt.joint.move_checks import contradicting_move
-from srt.joint.residual_analysis import contradictions
+from srt.joint.residual_analysis import contradicting_rests, contradictions
 from srt.joint.solution_analysis import (
     FixedParameters,
     analyse_solution,
@@ -334,8 +335,10 @@ def _run(joint: JointModel, solver: JointSolver, progress: Progress | None) -> C
     diagnostics: dict[str, Any] = {}
     for _ in range(_ROUNDS * (1 + MOST_TERMS)):
         iteration = iterate(joint, solver, iteration, requested=requested, progress=progress)
-        if _integrates_moving_windows(joint, solver, iteration, uncertain, diagnostics):
-            continue
+        if iteration.compensated is not None and iteration.status != "outside_model":
+            moving = joint.moving_windows(iteration.state, iteration.compensated)
+            if _integrates(joint, solver, iteration, moving, uncertain, diagnostics):
+                continue
         if _relies_on_fixture(joint, iteration, uncertain):
             solver.prior = joint.prior_of_fixture(uncertain)
             solver.restart()
@@ -348,6 +351,11 @@ def _run(joint: JointModel, solver: JointSolver, progress: Progress | None) -> C
             for add in (add_g_sensitivity, add_instability, add_unmodelled_noise, add_drift)
         ):
             continue
+        if joint.data.recording.fixture is None:  # on a fixture the unit rests, and such a rate is a step of the bias
+            moving = contradicting_rests(joint, whole_solution(joint, solver, iteration))
+            if _integrates(joint, solver, iteration, moving, uncertain, diagnostics):
+                joint.unmodelled_sigma = NO_ERRORS
+                continue
         weak = iteration.free & (iteration.sigma > OBSERVED_BELOW * joint.admission)
         if not weak.any() or solver.prior is not None:
             break
@@ -356,21 +364,23 @@ def _run(joint: JointModel, solver: JointSolver, progress: Progress | None) -> C
     return make_calibration(joint, solver, iteration, fixed, diagnostics)
 
 
-def _integrates_moving_windows(
-    joint: JointModel, solver: JointSolver, iteration: IterationState, uncertain: Array, diagnostics: dict[str, Any]
+def _integrates(
+    joint: JointModel,
+    solver: JointSolver,
+    iteration: IterationState,
+    windows: Mask,
+    uncertain: Array,
+    diagnostics: dict[str, Any],
 ) -> bool:
-    """Integrate the attitude in windows in which the unit moved; True if there are new ones.
+    """Integrate the attitude in windows in which the unit moved; True if there are any.
 
     Motion in a window can prevent convergence, and would pass for noise or drift of the sensors.
     """
-    if iteration.compensated is None or iteration.status == "outside_model":
-        return False
-    moving_windows = joint.moving_windows(iteration.state, iteration.compensated)
-    if not moving_windows.any():
+    if not windows.any():
         return False
     diagnostics["held"] = {"sequences": list(analyse_solution(joint, solver, iteration, uncertain).table)}
     diagnostics["held"] |= solver.diagnostics(joint)
-    joint.integrate_windows(moving_windows)
+    joint.integrate_windows(windows)
     solver.restart()
     return True
 

@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from scipy.sparse.linalg import splu
+from scipy.special import chdtrc
 
 from srt.estimation.error_sources import UnmodelledErrors, shared_edges
-from srt.estimation.goodness_of_fit import chi_square_probability
+from srt.estimation.goodness_of_fit import SUSPECT_PROBABILITY, chi_square_probability
 from srt.estimation.leave_one_out import (
     LEAST_PREDICTED_SHARE,
     ConsistencyTest,
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
     from srt.joint.block_solution import BlockSolution
     from srt.joint.joint_model import JointModel
     from srt.joint.linear_system import LinearSystem
-    from srt.types import Indices
+    from srt.types import Indices, Mask
 
 
 _AXES: Final = {"force": "xyz", "rate": "xyz", "turn": "xyz", "stated_rate": "12"}
@@ -89,6 +90,19 @@ def contradictions(joint: JointModel, solution: BlockSolution) -> list[Consisten
         unchecked = alone[:, effect > _SMALLEST_LEVERAGE]
         out.append(ConsistencyTest(statistic, int(seen.sum()), unchecked.shape[1], participating(unchecked)))
     return out
+
+
+def contradicting_rests(joint: JointModel, solution: BlockSolution) -> Mask:
+    """Windows whose mean rate contradicts all other measurements, shape (W,): the unit turned slowly in them."""
+    out = np.zeros(len(joint.integrated), dtype=np.bool_)
+    rows = solution.system.rows_of("rate")
+    for window, (owner, at) in enumerate(zip(rows.owner.tolist(), rows.index, strict=True)):
+        H = solution.predicted_root(int(joint.rank[owner]), at)
+        own, residual = np.eye(len(at)) - H @ H.T, solution.residual[at]
+        if np.linalg.eigvalsh(own)[0] > LEAST_PREDICTED_SHARE:
+            statistic = float(residual @ np.linalg.solve(own, residual))
+            out[window] = chdtrc(len(at), statistic) < SUSPECT_PROBABILITY / len(out)
+    return out & ~joint.integrated
 
 
 def deletion_table(

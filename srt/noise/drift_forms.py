@@ -101,11 +101,8 @@ def drift_shapes(intervals: Intervals) -> dict[str, DriftShape]:
     times = a, b = _shares(intervals)
     values = {LINEAR: 0.5 * (a + b)[:, None]}
     for name, share in _WARM_UP.items():
-        decay = [np.exp(-x / share) for x in times]
-        first = _mean(*(-share * e for e in decay), b - a)
-        values[name] = np.column_stack(
-            [first, _mean(*(-(x + share) * e for x, e in zip(times, decay, strict=True)), b - a)]
-        )
+        falls = [(-share * np.exp(-x / share), -(x + share) * np.exp(-x / share)) for x in (a, b)]
+        values[name] = np.column_stack([_mean(begin, end, b - a) for begin, end in zip(*falls, strict=True)])
     if intervals.temperature is not None:
         own = intervals.temperature
         if np.ptp(own[: intervals.windows]) > _LEAST_TEMPERATURE_RANGE:
