@@ -26,7 +26,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from srt.estimation.goodness_of_fit import chi_square_probability, contradicting_group
-from srt.estimation.observability import OBSERVED_BELOW, admission_sigma
+from srt.estimation.observability import observed_limit
 from srt.model.prior import prior_sigma
 from srt.sensor_errors import N_PARAMETERS, NAMES
 
@@ -189,7 +189,7 @@ def leave_one_out_estimate(information: Array, gradient: Array, estimated: Mask)
     variance = np.diag(np.linalg.inv(full * np.outer(size, size)))
     unit = size * np.sqrt(variance)  # 1-sigma of the full estimate
     # Imperfect rotations alone may keep a parameter below the admission limit; it counts as lost too.
-    limit = np.minimum(OBSERVED_BELOW * admission_sigma()[e] / unit, _LOST)
+    limit = np.minimum(observed_limit()[e] / unit, _LOST)
     N, g = rest * np.outer(unit, unit), gradient[e] * unit
     values, vectors = np.linalg.eigh(0.5 * (N + N.T))
     there = values > _INDEPENDENT * max(float(values[-1]), 1e-300)

@@ -21,8 +21,10 @@ _ADMISSION: Final = (
     + expand_names(["gyro_asymmetry"])
 )
 
-# A parameter counts as observed if the recording reduces its sigma to a third of the prior sigma.
-OBSERVED_BELOW: Final = 1.0 / 3.0
+_SHARE: Final = 1.0 / 3.0
+"""Share of the prior sigma below which the sigma of an observed parameter lies."""
+_LARGEST_ANGLE: Final = 0.03
+"""Largest sigma of an observed misalignment, rad: the covariance is linear, and squares of larger ones exceed 1e-3."""
 
 
 def admission_sigma() -> Array:
@@ -31,6 +33,14 @@ def admission_sigma() -> Array:
     for group in ("gyro_asymmetry", "accel_asymmetry"):
         sigma[GROUP_SLICES[group]] = 0.01
     return sigma
+
+
+def observed_limit(admission: Array | None = None) -> Array:
+    """Largest sigma of an observed parameter, shape (27,), if the prior has the sigma ``admission``."""
+    limit = _SHARE * (admission_sigma() if admission is None else admission)
+    for group in ("gyro_orthogonality", "accel_misalignment"):
+        limit[GROUP_SLICES[group]] = np.minimum(limit[GROUP_SLICES[group]], _LARGEST_ANGLE)
+    return limit
 
 
 def default_prior() -> Prior:
@@ -51,11 +61,11 @@ def admit(A: Array, wanted: Mask) -> Mask:
     Returns
     -------
     ndarray of bool, shape (27,)
-        A parameter is admitted if its sigma, estimated jointly with those admitted before, is below a third of the
-        prior sigma.
+        A parameter is admitted if its sigma, estimated jointly with those admitted before, is below observed_limit.
     """
     admitted = np.zeros(N_PARAMETERS, dtype=np.bool_)
     basis: list[Array] = []
+    least = admission_sigma() / observed_limit()
     for name in _ADMISSION:
         j = INDEX[name]
         if not wanted[j]:
@@ -65,7 +75,7 @@ def admit(A: Array, wanted: Mask) -> Mask:
             for q in basis:
                 column -= (q @ column) * q
         norm = float(np.linalg.norm(column))
-        if norm > 1.0 / OBSERVED_BELOW:
+        if norm > least[j]:
             admitted[j] = True
             basis.append(column / norm)
     return admitted

@@ -26,7 +26,7 @@ from srt.estimation.fixed_parameters import (
     reason_on_request,
     seen_by_earth_rate_alone,
 )
-from srt.estimation.observability import OBSERVED_BELOW, admission_sigma, admit, default_prior
+from srt.estimation.observability import admission_sigma, admit, default_prior, observed_limit
 from srt.joint.block_solution import eliminate
 from srt.joint.elimination_steps import global_columns
 from srt.joint.initial_attitudes import initial_attitudes, placed
@@ -65,8 +65,8 @@ _SCATTER_UPDATES: Final = 2
 """Number of updates of the bias scatter. Further updates could alternate between zero and a small scatter."""
 _INDEPENDENT: Final = 1e-10
 """Columns are scaled to norm 1. A smaller diagonal element of R marks a linearly dependent column."""
-_REVERSED: Final = 0.5
-"""Share of a correction that the next one takes back, from which the two count as a cycle; converging ones shrink."""
+_CYCLE: Final = 0.2
+"""Relative difference of a correction from the one before the last below which they are a cycle."""
 _NEAR: Final = 1e-2
 """The noise is assessed once the correction (dimensionless, rad, bias in g) is below this."""
 
@@ -175,20 +175,22 @@ def iterate(
 
 
 class _Damping:
-    """Share of a correction that is applied: it is halved whenever a correction reverses the one before.
+    """Share of a correction that is applied: in a cycle of two, it is halved whenever the correction reverses.
 
     Asymmetry makes the model continuous but not smooth: where a channel reads zero, the corrections of both sides can
     point to each other for ever, although the minimum lies between them.
     """
 
     def __init__(self) -> None:
-        self._share, self._before = 1.0, np.zeros(N_PARAMETERS)
+        self._share, self._before = 1.0, np.zeros((2, N_PARAMETERS))
 
     def share(self, correction: Array) -> float:
         """Share of this correction, in :data:`PARAMETER_UNITS`."""
-        if correction @ self._before < -_REVERSED * (self._before @ self._before):
+        last, earlier = self._before
+        cycle = np.linalg.norm(correction - earlier) < _CYCLE * np.linalg.norm(correction)
+        if correction @ last < 0.0 and (cycle or self._share < 1.0):
             self._share *= 0.5
-        self._before = correction
+        self._before = np.stack([correction, last])
         return self._share
 
 
@@ -335,10 +337,8 @@ def _run(joint: JointModel, solver: JointSolver, progress: Progress | None) -> C
     diagnostics: dict[str, Any] = {}
     for _ in range(_ROUNDS * (1 + MOST_TERMS)):
         iteration = iterate(joint, solver, iteration, requested=requested, progress=progress)
-        if iteration.compensated is not None and iteration.status != "outside_model":
-            moving = joint.moving_windows(iteration.state, iteration.compensated)
-            if _integrates(joint, solver, iteration, moving, uncertain, diagnostics):
-                continue
+        if _integrates_moving_windows(joint, solver, iteration, uncertain, diagnostics):
+            continue
         if _relies_on_fixture(joint, iteration, uncertain):
             solver.prior = joint.prior_of_fixture(uncertain)
             solver.restart()
@@ -351,12 +351,11 @@ def _run(joint: JointModel, solver: JointSolver, progress: Progress | None) -> C
             for add in (add_g_sensitivity, add_instability, add_unmodelled_noise, add_drift)
         ):
             continue
-        if joint.data.recording.fixture is None:  # on a fixture the unit rests, and such a rate is a step of the bias
-            moving = contradicting_rests(joint, whole_solution(joint, solver, iteration))
-            if _integrates(joint, solver, iteration, moving, uncertain, diagnostics):
-                joint.unmodelled_sigma = NO_ERRORS
-                continue
-        weak = iteration.free & (iteration.sigma > OBSERVED_BELOW * joint.admission)
+        suspect = contradicting_rests(joint, whole_solution(joint, solver, iteration))
+        if _integrates_moving_windows(joint, solver, iteration, uncertain, diagnostics, suspect):
+            joint.unmodelled_sigma = NO_ERRORS
+            continue
+        weak = iteration.free & (iteration.sigma > observed_limit(joint.admission))
         if not weak.any() or solver.prior is not None:
             break
         iteration.free = iteration.free & ~weak
@@ -364,23 +363,26 @@ def _run(joint: JointModel, solver: JointSolver, progress: Progress | None) -> C
     return make_calibration(joint, solver, iteration, fixed, diagnostics)
 
 
-def _integrates(
+def _integrates_moving_windows(
     joint: JointModel,
     solver: JointSolver,
     iteration: IterationState,
-    windows: Mask,
     uncertain: Array,
     diagnostics: dict[str, Any],
+    suspect: Mask | None = None,
 ) -> bool:
-    """Integrate the attitude in windows in which the unit moved; True if there are any.
+    """Integrate the attitude in windows in which the unit moved; True if there are new ones.
 
     Motion in a window can prevent convergence, and would pass for noise or drift of the sensors.
     """
-    if not windows.any():
+    if iteration.compensated is None or iteration.status == "outside_model":
+        return False
+    moving_windows = joint.moving_windows(iteration.state, iteration.compensated, suspect)
+    if not moving_windows.any():
         return False
     diagnostics["held"] = {"sequences": list(analyse_solution(joint, solver, iteration, uncertain).table)}
     diagnostics["held"] |= solver.diagnostics(joint)
-    joint.integrate_windows(windows)
+    joint.integrate_windows(moving_windows)
     solver.restart()
     return True
 

@@ -4,9 +4,8 @@ Unknowns besides the sensor errors: the bias instability as specified, levelling
 orientation U of MARS on the table, non-orthogonality of the fixture's axes, gravity, the unknown part of the Earth's
 rate, the error of a rate table, and the attitude of every stationary window. If no bias instability is specified and
 the rates at rest scatter, every sequence has its own gyro bias.
-Measurements: mean specific force and mean rate of every window; the rotation between the windows of a sequence,
-integrated from the gyros; the mean rate of runs at a stated rate. The equations are in
-:mod:`srt.model.measurement_model`.
+Measurements (equations in :mod:`srt.model.measurement_model`): mean specific force and mean rate of every window, the
+integrated rotation between the windows of a sequence, and the mean rate of runs at a stated rate.
 """
 
 from __future__ import annotations
@@ -449,16 +448,16 @@ class JointModel:
         own = state.bias_deviation @ np.linalg.inv(gyro_triad(state.errors).matrix).T
         return np.asarray(rest + own[self.window_sequence])
 
-    def moving_windows(self, state: JointState, compensated: CompensatedData) -> Mask:
-        """Windows, assumed stationary so far, in which the unit moved, shape (W,)."""
+    def moving_windows(self, state: JointState, compensated: CompensatedData, suspect: Mask | None = None) -> Mask:
+        """Windows, assumed stationary so far, in which the unit moved, shape (W,); see :func:`moved_windows`."""
         assert state.attitude is not None
         gyro = gyro_triad(state.errors)
-        rest, _, _ = model.angular_rate_residual(compensated.rate, state.attitude, self.earth_rate(state))
+        rest = model.angular_rate_residual(compensated.rate, state.attitude, self.earth_rate(state))[0]
         wander = np.sqrt(np.linalg.inv(gyro.matrix) ** 2 @ self.bias_scatter**2)
-        chance = STILLNESS_PROBABILITY / len(rest)
-        drift = tuple(self.drift.raw(sensor, state.drift, "halves") for sensor in ("gyro", "accel"))
-        moving_windows = moved_windows(self.data, gyro, accel_triad(state.errors), rest, wander, chance, drift)
-        return np.asarray(moving_windows & ~self.integrated)
+        chance, accel = STILLNESS_PROBABILITY / len(rest), accel_triad(state.errors)
+        drift = [self.drift.raw(sensor, state.drift, "halves") for sensor in ("gyro", "accel")]
+        moved = moved_windows(self.data, gyro, accel, rest, wander, chance, drift=drift, suspect=suspect)
+        return np.asarray(moved & ~self.integrated)
 
     def integrate_windows(self, windows: Mask) -> None:
         """Integrate the attitude over windows instead of taking it as constant."""

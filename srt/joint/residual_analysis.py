@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from scipy.sparse.linalg import splu
-from scipy.special import chdtrc
+from scipy.special import chdtri
 
 from srt.estimation.error_sources import UnmodelledErrors, shared_edges
 from srt.estimation.goodness_of_fit import SUSPECT_PROBABILITY, chi_square_probability
@@ -93,16 +93,15 @@ def contradictions(joint: JointModel, solution: BlockSolution) -> list[Consisten
 
 
 def contradicting_rests(joint: JointModel, solution: BlockSolution) -> Mask:
-    """Windows whose mean rate contradicts all other measurements, shape (W,): the unit turned slowly in them."""
-    out = np.zeros(len(joint.integrated), dtype=np.bool_)
+    """Windows whose mean rate contradicts all other measurements, shape (W,)."""
     rows = solution.system.rows_of("rate")
+    statistic = np.zeros(len(joint.integrated))
     for window, (owner, at) in enumerate(zip(rows.owner.tolist(), rows.index, strict=True)):
         H = solution.predicted_root(int(joint.rank[owner]), at)
         own, residual = np.eye(len(at)) - H @ H.T, solution.residual[at]
         if np.linalg.eigvalsh(own)[0] > LEAST_PREDICTED_SHARE:
-            statistic = float(residual @ np.linalg.solve(own, residual))
-            out[window] = chdtrc(len(at), statistic) < SUSPECT_PROBABILITY / len(out)
-    return out & ~joint.integrated
+            statistic[window] = residual @ np.linalg.solve(own, residual)
+    return np.asarray(statistic > chdtri(3, SUSPECT_PROBABILITY / len(statistic)))
 
 
 def deletion_table(

@@ -13,7 +13,7 @@ from srt.estimation.calibration_builder import build_calibration
 from srt.estimation.error_sources import NO_ERRORS, accel_drift, by_drift, latitude_error
 from srt.estimation.fixed_parameters import reason_not_observed
 from srt.estimation.g_sensitivity import MODE as G_SENSITIVE
-from srt.estimation.observability import OBSERVED_BELOW
+from srt.estimation.observability import observed_limit
 from srt.estimation.solver_result import SolverResult
 from srt.joint.block_solution import BlockSolution, apply_weights, covariance_by_source
 from srt.joint.linear_system import N_ERRORS
@@ -64,7 +64,7 @@ def make_calibration(
     data, reasons = joint.data, dict(fixed.reasons)
     warnings = [joint.U_note] if joint.U_note and joint.fixture_states else []
     if iteration.system is not None and iteration.covariance is not None:
-        weak = ~iteration.free | (iteration.sigma > OBSERVED_BELOW * joint.admission)
+        weak = ~iteration.free | (iteration.sigma > observed_limit(joint.admission))
         for i in np.flatnonzero(weak):
             reasons.setdefault(NAMES[i], reason_not_observed(NAMES[i]))
     analysis = analyse_solution(joint, solver, iteration, fixed.sigma)

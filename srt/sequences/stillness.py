@@ -13,6 +13,8 @@ import numpy as np
 from scipy.special import chdtri
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from srt.model.sensor_model import Triad
     from srt.sequences.preparation import PreparedRecording
     from srt.types import Array, Mask
@@ -34,7 +36,9 @@ def moved_windows(
     rest_rate: Array,
     wander: Array,
     probability: float = PROBABILITY,
-    drift: tuple[Array | float, ...] = (0.0, 0.0),
+    *,
+    drift: Sequence[Array | float] = (0.0, 0.0),
+    suspect: Mask | None = None,
 ) -> Mask:
     """Test every window for motion: angle turned, and tilt.
 
@@ -54,8 +58,11 @@ def moved_windows(
         One sigma of the bias between sequences, compensated.
     probability : float
         Probability that a still window is classified as moving.
-    drift : tuple of two ndarray, shape (W, 2, 3), rad/s and m/s²
+    drift : sequence of two ndarray, shape (W, 2, 3), rad/s and m/s²
         Known drift of the raw readings in the halves of the windows, gyros and accelerometers.
+    suspect : ndarray of bool, shape (W,), optional
+        Windows whose mean rate contradicts the other windows. They moved if their tilt is closer to the one that this
+        rate makes than to none, however small it is.
 
     Returns
     -------
@@ -63,11 +70,11 @@ def moved_windows(
     """
     stated = np.ones((2, len(rest_rate), 3))
     halves = (data.windows.gyro_halves - drift[0], data.windows.accel_halves - drift[1])
-    moved = _fails(data, gyro, accel, halves, rest_rate, wander, probability=probability, ratio=stated)
+    moved, alike = _fails(data, gyro, accel, halves, rest_rate, wander, probability=probability, ratio=stated)
     if moved.any():
         own = _own_noise(data, moved)
-        moved &= _fails(data, gyro, accel, halves, rest_rate, wander, probability=probability, ratio=own)
-    return moved
+        moved &= _fails(data, gyro, accel, halves, rest_rate, wander, probability=probability, ratio=own)[0]
+    return moved if suspect is None else moved | suspect & alike
 
 
 def _fails(
@@ -80,8 +87,11 @@ def _fails(
     *,
     probability: float,
     ratio: Array,
-) -> Mask:
-    """Both tests, the stated noise of gyros and accelerometers multiplied by ``ratio``, shape (2, W, 3)."""
+) -> tuple[Mask, Mask]:
+    """Windows that fail either test, and windows whose tilt is closer to that of the mean rate than to none.
+
+    The stated noise of gyros and accelerometers is multiplied by ``ratio``, shape (2, W, 3).
+    """
     noise = data.noise
     T = 0.5 * data.windows.duration_s[:, None]
     D2 = gyro.inverse**2
@@ -101,8 +111,8 @@ def _fails(
     variance = variance + 2.0 * noise.accel_wander**2
     tilted = np.sum(change**2 / variance, axis=1) > chdtri(2, 0.5 * probability)
     by_gyros = np.cross(mean, rest_rate) * T
-    tilted &= np.linalg.norm(change - by_gyros, axis=1) < 0.5 * np.linalg.norm(change, axis=1)
-    return np.asarray(tilted | (turned > chdtri(3, 0.5 * probability)))
+    left, tilt = np.linalg.norm(change - by_gyros, axis=1), np.linalg.norm(change, axis=1)
+    return (turned > chdtri(3, 0.5 * probability)) | tilted & (left < 0.5 * tilt), left < tilt
 
 
 def _own_noise(data: PreparedRecording, which: Mask) -> Array:

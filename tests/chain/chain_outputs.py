@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from chain_readers import Rows, html_rows, pdf_rows, text_rows
-from chain_recordings import CASES, JOINT, Case
+from chain_recordings import CASES, Case
 from exporter_formulas import FORMULAS, SINGLE, TARGETS, biases_of, mm, motion
 from scipy.stats import chi2
 from test_loaders import HELD, LOADERS
@@ -322,15 +322,6 @@ def applies(name: str, output: str) -> bool:
 
 PRODUCT = [(name, each, output) for name, each in PAIRS for output in (*CHEAP, *OUTPUTS) if applies(name, output)]
 """Every recording, estimator and output."""
-
-
-WRONG = {
-    # Least squares fixes four parameters, with the others' effect on accel_scale_x left out of the expected difference.
-    **{("joined-missing", each, "compare"): "5.3 expected sigmas apart" for each in JOINT},
-    # Sigmas of 0.05 to 0.1 rad count as observed: the errors are beyond what a linear covariance describes.
-    **{("protocol-ferraris", each, "json"): "NEES 300 times its expectation" for each in ("ekf", "graph")},
-}
-"""Members of the product that are known to be wrong; a test that passes all the same says so."""
 
 
 @lru_cache

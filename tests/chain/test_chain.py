@@ -10,7 +10,7 @@ from functools import cache
 from itertools import combinations
 
 import pytest
-from chain_outputs import CHEAP, OUTPUTS, PRODUCT, WRONG, Chain, covering
+from chain_outputs import CHEAP, OUTPUTS, PRODUCT, Chain, covering
 
 for package in ("filterpy", "gtsam", "matplotlib", "pandas", "fpdf", "jinja2"):
     pytest.importorskip(package)
@@ -26,8 +26,7 @@ def chains(tmp_path_factory):
 
 def marks(member):
     """Marks of a member of the product."""
-    slow = [] if member in covering() else [pytest.mark.slow]
-    return [*slow, pytest.mark.xfail(reason=WRONG[member])] if member in WRONG else slow
+    return [] if member in covering() else [pytest.mark.slow]
 
 
 @pytest.mark.parametrize(
