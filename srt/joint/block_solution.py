@@ -129,17 +129,23 @@ class BlockSolution:
             out.append((columns, root))
         return out[::-1]
 
+    @cached_property
+    def _predicted_roots(self) -> list[Array]:
+        """For each step, the square root H of the covariance H Hᵀ of the predicted rows A δ of the step."""
+        return [
+            self.system.A[step.rows].toarray()[:, columns] @ root
+            for step, (columns, root) in zip(self.steps, self._roots, strict=True)
+        ]
+
     def predicted_root(self, step: int, rows: Indices) -> Array:
-        """Square root H of the covariance H Hᵀ of the predicted rows A δ of one step."""
-        columns, root = self._roots[step]
-        return np.asarray(self.system.A[rows].toarray()[:, columns] @ root)
+        """Square root H of the covariance H Hᵀ of predicted rows A δ of one step."""
+        return np.asarray(self._predicted_roots[step][np.searchsorted(self.steps[step].rows, rows)])
 
     @cached_property
     def leverage(self) -> Array:
         """Variance of the predicted rows A δ of all sequences, shape (m,); zero for rows that belong to no step."""
         out = np.zeros(len(self.system.b))
-        for i, step in enumerate(self.steps):
-            H = self.predicted_root(i, step.rows)
+        for step, H in zip(self.steps, self._predicted_roots, strict=True):
             out[step.rows] = np.einsum("ij,ij->i", H, H)
         return out
 
