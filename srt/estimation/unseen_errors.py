@@ -143,5 +143,5 @@ def _row(source: str, error: tuple[str, float | None], effect: _Effect) -> dict[
         "coefficient": effect.coefficient,
         "group_unit": effect.unit,
         "largest": effect.largest,
-        "sentence": f"An error of 1 {unit} in {origin} changes {where} by {size}; its 1-sigma is {known}.",
+        "sentence": f"An error of 1 {unit} in {origin} changes {where} by {size}. The 1-sigma of {origin} is {known}.",
     }

@@ -361,10 +361,9 @@ def residual_table(calibration: Calibration) -> CertificateTable | None:
             ]
         rows.append(tuple(cells))
     note = (
-        "The residuals of some components are zero, as the parameters were computed from them. The others are "
-        "redundant: about 1 sigma is expected for each. Component: the one with the largest residual; start and end "
-        "down: specific force along the vertical before and after the rotations; horizontal: its change across the "
-        "vertical."
+        "About 1 sigma is expected for each residual that is not zero. Component: the one with the largest residual. "
+        "Start down and end down: the vertical specific force before and after the rotations. Horizontal: the change "
+        "of the horizontal specific force by the rotations."
     ) + (
         " Chi-square tests the sequence against its prediction from all others; p is the probability that noise alone "
         "gives a larger value." * bool(judged)
@@ -421,7 +420,11 @@ def _residual_notes(calibration: Calibration) -> Iterator[str]:
     left = _left(known)
     if left:
         rms = math.sqrt(sum((r.value / r.sigma) ** 2 for r in left) / len(left))
-        yield f"Root mean square of the {len(left)} residuals that are not solved exactly: {rms:.2f} sigma."
+        solved = len(known) - len(left)
+        yield (
+            f"Of {len(known)} residuals {solved} are zero, as the parameters were computed from them. " * (solved > 0)
+            + f"The root mean square of {'the other ' * (solved > 0)}{len(left)} residuals is {rms:.2f} sigma."
+        )
     elif known:
         yield f"All {len(known)} components are solved exactly."
     elif not calibration.residuals:

@@ -237,8 +237,8 @@ _FIGURES: Final = (
     CertificateFigure(
         "test",
         "Attitude and acceleration over the test",
-        "For a correct calibration the lines (gyros) end on the marks (accelerometers), and the specific force in the "
-        "stationary windows equals gravity.",
+        "Lines: attitude from the gyros. Marks: attitude from the accelerometers. For a correct calibration each line "
+        "ends on its mark, and the specific force in the stationary windows equals gravity.",
         (7.0, 6.0),
         _test,
     ),

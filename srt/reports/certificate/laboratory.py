@@ -39,7 +39,11 @@ SECTIONS: Final[dict[str, tuple[tuple[str, str], ...]]] = {
     ),
 }  # fmt: skip
 """Sections of the file with their keys and labels, in the order of the certificate."""
-_WHOLE: Final = {section: section for section in SECTIONS} | {"certificate": "certificate number and date of issue"}
+_WHOLE: Final = {section: section for section in SECTIONS} | {
+    "certificate": "certificate number and date of issue",
+    "unit": "make and model of the unit",
+    "conditions": "conditions of the laboratory",
+}
 """Names of sections of which nothing is stated."""
 _EQUIPMENT: Final = ("name", "serial", "calibrated", "traceability")
 _REFERENCES: Final = {

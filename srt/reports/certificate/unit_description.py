@@ -186,9 +186,9 @@ def _sentences(calibration: Calibration, course: RecordingHistory | None) -> Ite
     yield (
         "Orientation of the MARS axes in the housing: "
         + (
-            "C relates them to the axes of the table only, to the accuracy of the mounting."
+            "not measured. C relates them to the axes of the fixture only, as accurately as the unit was mounted on it."
             if calibration.U is not None
-            else "there is no reference for it in this test."
+            else "not measured; this test has no reference for it."
         )
     )
     if calibration.site.get("latitude_deg") is None:
@@ -247,14 +247,16 @@ def application_section(calibration: Calibration) -> Application:
         )
     if calibration.U is not None:
         sigma = calibration.U_sigma_rad
-        known = "" if sigma is None else f", to {1e3 * sigma:.2g} mrad (1-sigma) about each axis"
+        known = "" if sigma is None else f"It is accurate to {1e3 * sigma:.2g} mrad (1-sigma) about each axis. "
         sentences.append(
-            f"C takes components in the axes of the table to components in MARS axes{known}; it is frame.U of the "
-            "calibration file. In the axes of the table, v is transpose(C) v."
+            f"C transforms components in the axes of the fixture into components in MARS axes. {known}In the "
+            "calibration file it is frame.U. In the axes of the fixture, v is transpose(C) v."
         )
         rows = tuple(tuple(CertificateCell(f"{x:+.9f}", x) for x in row) for row in calibration.U.tolist())
-        tables.append(CertificateTable("C, table to MARS axes", ("", "", ""), rows, "rrr"))
-    sentences.append("'srt apply' does this to a recording, 'srt apply --c-header' writes it as C.")
+        tables.append(CertificateTable("C, fixture to MARS axes", ("", "", ""), rows, "rrr"))
+    sentences.append(
+        "'srt apply' compensates a recording; 'srt apply --c-header' writes the compensation in the C language."
+    )
     return Application(FORMULAS, tuple(sentences), tuple(tables))
 
 
