@@ -29,7 +29,7 @@ from srt.estimation.srt_measurements import SrtProcessor
 from srt.joint.drift_states import drift_chain, drift_states
 from srt.joint.drift_terms import DriftTerms
 from srt.joint.joint_state import CompensatedData, JointState, LevelFrame
-from srt.joint.nominal_attitudes import nominal_end, nominal_start
+from srt.joint.nominal_attitudes import mounting_limit, mounting_prior, nominal_end, nominal_start
 from srt.joint.stated_rates import SteadyReadings
 from srt.model import measurement_model as model
 from srt.model.analytic_platform import integrate_attitude, parts_per_rotation
@@ -56,8 +56,6 @@ if TYPE_CHECKING:
     from srt.types import Array, Mask
 
 
-_MOUNTING_LIMIT: Final = 5.0
-"""If MARS is rotated from its stated mounting by more sigmas of the fixture than this, the prior follows the data."""
 _UNCONSTRAINED_BIAS: Final = 1e-2
 """Bias scatter between sequences, rad/s (about 2000 °/h): larger than that of any unit, so that biases are free."""
 _RELEVANT_EDGE_NOISE: Final = 1e-3
@@ -101,7 +99,7 @@ class JointModel:
         self.drift = DriftTerms(data)
         """Drift within the recording that is modelled, and gyro g-sensitivity."""
         self._lay_out()
-        self.U_prior, self.U_note = self._mounting(start[1])
+        self.U_prior, self.U_note = mounting_prior(data.recording.fixture, start[1])
         self.start = JointState(
             start[0],
             np.zeros((data.K, 3)),
@@ -166,25 +164,12 @@ class JointModel:
 
     def update_mounting_prior(self, state: JointState) -> None:
         """Update the prior of the mounting near the solution, so that it does not depend on the initial estimate."""
-        if self.data.nominal is not None:
-            gamma = self.drift.g_sensitivity(state.drift)
-            measured = self.processor.process(state.errors, U=state.U, g_sensitivity=gamma)
-            self.U_prior, self.U_note = self._mounting(measured.U)
-
-    def _mounting(self, U: Array) -> tuple[Array, str]:
-        """Prior mean of U (nominal, or the estimate if MARS is clearly rotated from the mounting), and a warning."""
-        fixture = self.data.recording.fixture
-        if fixture is None:
-            return U, ""
-        rotation = float(np.linalg.norm(rotation_vector(U[None])))
-        # U was estimated from the fixture's axes and verticals and has their errors.
-        limit = _MOUNTING_LIMIT * math.hypot(fixture.alignment_sigma_rad, fixture.rotation_sigma_rad)
-        if rotation <= limit:
-            return np.eye(3), ""
-        return U, (
-            f"The gyro axes are rotated by {rotation * 1e3:.3g} mrad from the stated mounting: the prior of the "
-            "mounting was centred on the orientation estimated from the rotations."
-        )
+        U, fixture = state.U, self.data.recording.fixture
+        if self.data.nominal is not None and fixture is not None:
+            if np.linalg.norm(rotation_vector(U[None])) > 0.5 * mounting_limit(fixture):
+                gamma = self.drift.g_sensitivity(state.drift)
+                U = self.processor.process(state.errors, U=U, g_sensitivity=gamma).U
+            self.U_prior, self.U_note = mounting_prior(fixture, U)
 
     @property
     def heading_rad(self) -> float:

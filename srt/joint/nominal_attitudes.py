@@ -1,21 +1,24 @@
-"""Nominal attitudes of sequences on the fixture."""
+"""Nominal attitudes of sequences on the fixture, and the prior of the mounting."""
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.model.rotations import rotation_matrix
+from srt.model.rotations import rotation_matrix, rotation_vector
 from srt.sequences.preparation import nominal_attitude, sequence_of_label
 
 if TYPE_CHECKING:
     from srt.model.table1 import RotationSequence
-    from srt.recording.recording import SequenceLabel
+    from srt.recording.recording import Fixture, SequenceLabel
     from srt.types import Array
 
 _ALONG: Final = 1e-9
 """Largest component of a nominal rotation axis across an axis of the fixture: rounding of products of rotations."""
+_MOUNTING_LIMIT: Final = 5.0
+"""If MARS is rotated from its stated mounting by more sigmas of the fixture than this, the prior follows the data."""
 
 
 def pose_nominal(label: SequenceLabel) -> Array:
@@ -42,3 +45,21 @@ def nominal_end(C: Array | None, sequence: RotationSequence | None) -> Array | N
             return None
         C = C @ rotation_matrix(axis * angle)
     return C
+
+
+def mounting_limit(fixture: Fixture) -> float:
+    """Largest rotation of U by the errors of the fixture's axes and verticals, rad."""
+    return _MOUNTING_LIMIT * math.hypot(fixture.alignment_sigma_rad, fixture.rotation_sigma_rad)
+
+
+def mounting_prior(fixture: Fixture | None, U: Array) -> tuple[Array, str]:
+    """Prior mean of U (nominal, or the estimate if MARS is clearly rotated from the mounting), and a warning."""
+    if fixture is None:
+        return U, ""
+    rotation = float(np.linalg.norm(rotation_vector(U[None])))
+    if rotation <= mounting_limit(fixture):
+        return np.eye(3), ""
+    return U, (
+        f"The gyro axes are rotated by {rotation * 1e3:.3g} mrad from the stated mounting: the prior of the "
+        "mounting was centred on the orientation estimated from the rotations."
+    )

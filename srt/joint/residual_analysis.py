@@ -95,13 +95,12 @@ def contradictions(joint: JointModel, solution: BlockSolution) -> list[Consisten
 def contradicting_rests(joint: JointModel, solution: BlockSolution) -> Mask:
     """Windows whose mean rate contradicts all other measurements, shape (W,)."""
     rows = solution.system.rows_of("rate")
-    statistic = np.zeros(len(joint.integrated))
-    for window, (owner, at) in enumerate(zip(rows.owner.tolist(), rows.index, strict=True)):
-        H = solution.predicted_root(int(joint.rank[owner]), at)
-        own, residual = np.eye(len(at)) - H @ H.T, solution.residual[at]
-        if np.linalg.eigvalsh(own)[0] > LEAST_PREDICTED_SHARE:
-            statistic[window] = residual @ np.linalg.solve(own, residual)
-    return np.asarray(statistic > chdtri(3, SUSPECT_PROBABILITY / len(statistic)))
+    H = [solution.predicted_root(int(joint.rank[k]), at) for k, at in zip(rows.owner, rows.index, strict=True)]
+    own, residual = np.eye(3) - np.stack([root @ root.T for root in H]), solution.residual[rows.index]
+    tested = np.linalg.eigvalsh(own)[:, 0] > LEAST_PREDICTED_SHARE
+    own[~tested] = np.eye(3)
+    statistic = np.einsum("wa,wa->w", residual, np.linalg.solve(own, residual[:, :, None])[:, :, 0])
+    return np.asarray(tested & (statistic > chdtri(3, SUSPECT_PROBABILITY / len(own))))
 
 
 def deletion_table(
