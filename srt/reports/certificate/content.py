@@ -416,18 +416,16 @@ def _held(calibration: Calibration) -> Iterator[str]:
 
 
 def _residual_notes(calibration: Calibration) -> Iterator[str]:
-    known = [r for r in calibration.residuals if r.sigma > 0.0]
-    left = _left(known)
+    left, count = _left(calibration.residuals), len(calibration.residuals)
+    solved = count - len(left)
+    if left and solved:
+        yield f"{solved} of the {count} residuals are zero, as the parameters were computed from them."
     if left:
         rms = math.sqrt(sum((r.value / r.sigma) ** 2 for r in left) / len(left))
-        solved = len(known) - len(left)
-        yield (
-            f"Of {len(known)} residuals {solved} are zero, as the parameters were computed from them. " * (solved > 0)
-            + f"The root mean square of {'the other ' * (solved > 0)}{len(left)} residuals is {rms:.2f} sigma."
-        )
-    elif known:
-        yield f"All {len(known)} components are solved exactly."
-    elif not calibration.residuals:
+        yield f"The root mean square of {'the other ' * (solved > 0)}{len(left)} residuals is {rms:.2f} sigma."
+    elif solved:
+        yield f"All {solved} residuals are zero, as the parameters were computed from them."
+    else:
         yield "The calibration file contains no residuals."
 
 
