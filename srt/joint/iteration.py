@@ -65,8 +65,8 @@ _SCATTER_UPDATES: Final = 2
 """Number of updates of the bias scatter. Further updates could alternate between zero and a small scatter."""
 _INDEPENDENT: Final = 1e-10
 """Columns are scaled to norm 1. A smaller diagonal element of R marks a linearly dependent column."""
-_CYCLE: Final = 0.2
-"""Relative difference of a correction from the one before the last below which they are a cycle."""
+_REVERSED: Final = 0.5
+"""Share of a correction that the next one takes back, and of that the next, from which the three alternate."""
 _NEAR: Final = 1e-2
 """The noise is assessed once the correction (dimensionless, rad, bias in g) is below this."""
 
@@ -175,22 +175,22 @@ def iterate(
 
 
 class _Damping:
-    """Share of a correction that is applied: in a cycle of two, it is halved whenever the correction reverses.
+    """Share of a correction that is applied: while corrections alternate, it is halved whenever one reverses the last.
 
     Asymmetry makes the model continuous but not smooth: where a channel reads zero, the corrections of both sides can
-    point to each other for ever, although the minimum lies between them.
+    point to each other for ever, although the minimum lies between them. Weights of robust losses alternate, too.
     """
 
     def __init__(self) -> None:
-        self._share, self._before = 1.0, np.zeros((2, N_PARAMETERS))
+        self._share, self._last, self._reversed = 1.0, np.zeros(N_PARAMETERS), False
 
     def share(self, correction: Array) -> float:
         """Share of this correction, in :data:`PARAMETER_UNITS`."""
-        last, earlier = self._before
-        cycle = np.linalg.norm(correction - earlier) < _CYCLE * np.linalg.norm(correction)
-        if correction @ last < 0.0 and (cycle or self._share < 1.0):
+        along, size = float(correction @ self._last), float(self._last @ self._last)
+        taken_back = _REVERSED * size < -along < size / _REVERSED
+        if along < 0.0 and ((taken_back and self._reversed) or self._share < 1.0):
             self._share *= 0.5
-        self._before = np.stack([correction, last])
+        self._last, self._reversed = correction, taken_back
         return self._share
 
 
