@@ -68,7 +68,7 @@ _INDEPENDENT: Final = 1e-10
 _REVERSED: Final = 0.5
 """Share of a correction that the next one takes back, and of that the next, from which the three alternate."""
 _NEAR: Final = 1e-2
-"""The noise is assessed once the correction (dimensionless, rad, bias in g) is below this."""
+"""The noise is assessed, and alternating corrections are halved, below this correction (dimensionless, rad, g)."""
 
 
 def apply_correction(state: JointState, system: LinearSystem, delta: Array) -> JointState:
@@ -188,6 +188,8 @@ class _Damping:
         """Share of this correction, in :data:`PARAMETER_UNITS`."""
         along, size = float(correction @ self._last), float(self._last @ self._last)
         taken_back = _REVERSED * size < -along < size / _REVERSED
+        if np.max(np.abs(correction)) > _NEAR:  # far from the solution, linearisation alone can reverse corrections
+            taken_back, self._share = False, 1.0
         if along < 0.0 and ((taken_back and self._reversed) or self._share < 1.0):
             self._share *= 0.5
         self._last, self._reversed = correction, taken_back
