@@ -58,7 +58,7 @@ def is_misfit(chi_square: float, degrees_of_freedom: int) -> bool:
 
 
 def contradicting_group(
-    tests: Sequence[tuple[float, int]], chi_square: float, degrees_of_freedom: int
+    tests: Sequence[tuple[float, int]], chi_square: float, degrees_of_freedom: int, limit: float = SUSPECT_PROBABILITY
 ) -> tuple[int, float] | None:
     """Group of measurements that contradicts all others, and the p-value; None if none does.
 
@@ -71,6 +71,8 @@ def contradicting_group(
         Chi-square of each group against the prediction by the others, and its degrees of freedom.
     chi_square, degrees_of_freedom : float, int
         Of all residuals.
+    limit : float
+        Largest p-value of a contradiction.
     """
     worst: tuple[int, float] | None = None
     for number, (own, freedom) in enumerate(tests):
@@ -81,7 +83,7 @@ def contradicting_group(
             p = float(fdtrc(freedom, others, own / freedom / (rest / others)))
         else:
             p = float(chdtrc(freedom, own))
-        if p <= SUSPECT_PROBABILITY and (worst is None or p < worst[1]):
+        if p <= limit and (worst is None or p < worst[1]):
             worst = number, p
     return worst
 
