@@ -9,7 +9,7 @@ import numpy as np
 
 from srt.estimation.asymmetry_choice import asymmetry_choice
 from srt.estimation.error_sources import start_sigma
-from srt.estimation.goodness_of_fit import SUSPECT_PROBABILITY, chi_square_probability, is_misfit
+from srt.estimation.goodness_of_fit import chi_square_probability, is_misfit
 from srt.estimation.leave_one_out import verdict
 from srt.estimation.unseen_errors import clock_effect, unseen_errors
 from srt.model.rotations import rotation_vector
@@ -63,14 +63,11 @@ def build_calibration(
     covariance = 0.5 * (covariance + covariance.T)
     fixture = data.recording.fixture
     chi_square, freedom = result.chi_square, result.degrees_of_freedom
-    # In hand no label and no fixture can be wrong: chance over all turns is that of all checks of a recording.
-    limit = SUSPECT_PROBABILITY / (1 if fixture is not None else max(len(result.sequences), 1))
-    evidence = verdict(result.sequences, covariance, observed, chi_square, freedom, limit) if observed.any() else {}
+    free = fixture is None
+    evidence = verdict(result.sequences, covariance, observed, chi_square, freedom, free=free) if observed.any() else {}
     if evidence:
         evidence |= _agreement(data, result, covariance, observed, inflation)
-    status, message = _status(
-        result, fixed, evidence, free=fixture is None, rated=any(label.rate for label in data.labels)
-    )
+    status, message = _status(result, fixed, evidence, free=free, rated=any(label.rate for label in data.labels))
     return Calibration(
         estimator=estimator,
         status=status,

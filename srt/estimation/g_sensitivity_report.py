@@ -52,7 +52,7 @@ def diagnostics(
         With Γ f subtracted.
     matrix : ndarray, shape (3, 3), rad/s per m/s²
     covariance : ndarray, shape (9, 9)
-        Of the elements of the matrix by rows.
+        Covariance of the elements of the matrix by rows.
     wander : ndarray, shape (3,), rad/s
         1-sigma of a sequence's gyro bias about the mean of the test (sensor axes), if no instability is stated.
     """

@@ -17,7 +17,9 @@ if TYPE_CHECKING:
 
 
 SUSPECT_PROBABILITY: Final = 1e-4
-"""p-value below which a sequence contradicts the others: over 17 sequences, one false alarm in about 600 recordings."""
+"""p-value below which a sequence contradicts the others: over 17 sequences, one false alarm in about 600 recordings.
+
+In hand no label and no fixture can be wrong, and it is that of all turns together."""
 _ONE_FAULT: Final = 0.05
 """A group explains the misfit if the other measurements have a smaller share of chi-square than this.
 
@@ -58,7 +60,7 @@ def is_misfit(chi_square: float, degrees_of_freedom: int) -> bool:
 
 
 def contradicting_group(
-    tests: Sequence[tuple[float, int]], chi_square: float, degrees_of_freedom: int, limit: float = SUSPECT_PROBABILITY
+    tests: Sequence[tuple[float, int]], chi_square: float, degrees_of_freedom: int, *, free: bool = False
 ) -> tuple[int, float] | None:
     """Group of measurements that contradicts all others, and the p-value; None if none does.
 
@@ -71,9 +73,10 @@ def contradicting_group(
         Chi-square of each group against the prediction by the others, and its degrees of freedom.
     chi_square, degrees_of_freedom : float, int
         Of all residuals.
-    limit : float
-        Largest p-value of a contradiction.
+    free : bool
+        The unit was turned by hand.
     """
+    limit = SUSPECT_PROBABILITY / (len(tests) if free and tests else 1)
     worst: tuple[int, float] | None = None
     for number, (own, freedom) in enumerate(tests):
         rest, others = max(chi_square - own, 0.0), degrees_of_freedom - freedom
@@ -88,12 +91,14 @@ def contradicting_group(
     return worst
 
 
-def one_group_explains(tests: Sequence[tuple[float, int]], chi_square: float, degrees_of_freedom: int) -> bool:
+def one_group_explains(
+    tests: Sequence[tuple[float, int]], chi_square: float, degrees_of_freedom: int, *, free: bool = False
+) -> bool:
     """Return True if one group contradicts the other measurements, and these agree with each other.
 
     Parameters are those of :func:`contradicting_group`.
     """
-    worst = contradicting_group(tests, chi_square, degrees_of_freedom)
+    worst = contradicting_group(tests, chi_square, degrees_of_freedom, free=free)
     if worst is None:
         return False
     own, freedom = tests[worst[0]]

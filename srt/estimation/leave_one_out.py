@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any, Final, Protocol
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from srt.estimation.goodness_of_fit import SUSPECT_PROBABILITY, chi_square_probability, contradicting_group
+from srt.estimation.goodness_of_fit import chi_square_probability, contradicting_group
 from srt.estimation.observability import observed_limit
 from srt.model.prior import prior_sigma
 from srt.sensor_errors import N_PARAMETERS, NAMES
@@ -258,7 +258,8 @@ def verdict(
     observed: Mask,
     statistic: float,
     freedom: int,
-    limit: float = SUSPECT_PROBABILITY,
+    *,
+    free: bool = False,
 ) -> dict[str, Any]:
     """Verdict of the measurements on the result, as JSON values.
 
@@ -272,8 +273,8 @@ def verdict(
     statistic : float
         Chi-square of all residuals.
     freedom : int
-    limit : float
-        Largest p-value of a sequence that contradicts all others.
+    free : bool
+        The unit was turned by hand.
 
     Returns
     -------
@@ -291,7 +292,7 @@ def verdict(
         "chi_square": statistic,
         "degrees_of_freedom": freedom,
         "probability": chi_square_probability(statistic, freedom),
-        "contradicting": _contradicting(rows, statistic, freedom, limit),
+        "contradicting": _contradicting(rows, statistic, freedom, free=free),
         "sequences": [_sequence(row, sigma, observed) for row in rows],
         "parameters": _parameters(rows, covariance, seen),
         "weakest_combination": _weakest(covariance, seen),
@@ -299,10 +300,10 @@ def verdict(
 
 
 def _contradicting(
-    rows: Sequence[SequenceDiagnostics], statistic: float, freedom: int, limit: float
+    rows: Sequence[SequenceDiagnostics], statistic: float, freedom: int, *, free: bool
 ) -> dict[str, Any] | None:
     tests = [(row.consistency.chi_square, row.consistency.degrees_of_freedom) for row in rows]
-    worst = contradicting_group(tests, statistic, freedom, limit)
+    worst = contradicting_group(tests, statistic, freedom, free=free)
     if worst is None:
         return None
     row = rows[worst[0]]

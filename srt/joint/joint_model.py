@@ -1,4 +1,4 @@
-"""Joint model of a recording: unknowns, priors, measurements and their noise, shared by Kalman filter and factor graph.
+"""Joint model of a recording: unknowns, priors, measurements and their noise, shared by all joint solvers.
 
 Unknowns besides the sensor errors: the bias instability as specified, levelling and north of the fixture's base,
 orientation U of MARS on the table, non-orthogonality of the fixture's axes, gravity, the unknown part of the Earth's
@@ -170,6 +170,11 @@ class JointModel:
                 gamma = self.drift.g_sensitivity(state.drift)
                 U = self.processor.process(state.errors, U=U, g_sensitivity=gamma).U
             self.U_prior, self.U_note = mounting_prior(fixture, U)
+
+    @property
+    def turned_by_hand(self) -> bool:
+        """True without a fixture."""
+        return self.data.recording.fixture is None
 
     @property
     def heading_rad(self) -> float:

@@ -71,7 +71,7 @@ def add_instability(joint: JointModel, solver: JointSolver, iteration: Iteration
         if not shows_instability(joint, iteration, solution, fit[1]):
             return False
         tests = [(test.chi_square, test.degrees_of_freedom) for test in contradictions(joint, solution)]
-        if contradicting_group(tests, *fit) is not None:
+        if contradicting_group(tests, *fit, free=joint.turned_by_hand) is not None:
             return False
     assert state is not None
     found = search(joint, iteration, solution, fit[1])
@@ -97,7 +97,7 @@ def _explains(joint: JointModel, solver: JointSolver, iteration: IterationState,
     solution = BlockSolution(system)
     fit = goodness_of_fit(joint, solver, solution, system)
     tests = [(test.chi_square, test.degrees_of_freedom) for test in contradictions(joint, solution)]
-    return not is_misfit(*fit) and contradicting_group(tests, *fit) is None
+    return not is_misfit(*fit) and contradicting_group(tests, *fit, free=joint.turned_by_hand) is None
 
 
 def _with_drift(joint: JointModel, state: JointState, terms: tuple[DriftTerm, ...]) -> tuple[DriftTerms, JointState]:
@@ -122,7 +122,7 @@ def add_unmodelled_noise(joint: JointModel, solver: JointSolver, iteration: Iter
         if not is_misfit(statistic, freedom):
             return False
         tests = [(test.chi_square, test.degrees_of_freedom) for test in contradictions(joint, solution)]
-        if one_group_explains(tests, statistic, freedom):
+        if one_group_explains(tests, statistic, freedom, free=joint.turned_by_hand):
             return False
     new = unmodelled_noise(system)
     if np.allclose(new, joint.unmodelled_sigma, *_SAME_NOISE):

@@ -122,7 +122,7 @@ class SolutionAnalysis:
     instability : ndarray, shape (K, 3), rad/s
         Bias instability of the gyros by sequence, minus its mean.
     g_sensitivity_covariance : ndarray, shape (9, 9), or None
-        Of the elements of Γ by rows; None if it is not estimated.
+        Covariance of the elements of Γ by rows; None if it is not estimated.
     """
 
     covariance: dict[str, Array]
