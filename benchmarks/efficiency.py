@@ -39,10 +39,10 @@ from sims.accuracy.bound import bayesian_bound
 from sims.physics.imu import read_out
 from sims.physics.sequences import TABLE_1, table_sequences
 from sims.physics.table_motion import Schedule, table1_motion
+from srt.closed_form.formulas import SelectedFormulas
+from srt.closed_form.iteration import iterate
 from srt.constants import DEG_PER_H
-from srt.estimation.closed_form_solver import ClosedFormSolver
 from srt.estimation.initial_estimates import initial_estimate
-from srt.estimation.iteration import iterate
 from srt.estimation.options import Options
 from srt.model.prior import Prior
 from srt.recording.recording import Fixture
@@ -352,7 +352,7 @@ def component_table(grade: str) -> Table:
     recording = read_out(motion, SensorErrors(), GRADES[grade], np.random.default_rng(FIRST_SEED[grade]))
     options = Options()
     data = prepare_checked(recording, recording.sequences, options.average)
-    solution = iterate(data, options, ClosedFormSolver(data, options), *initial_estimate(data, options))
+    solution = iterate(data, options, SelectedFormulas(data, options), *initial_estimate(data, options))
     H, R = solution.measurements.H, solution.measurement_covariance
 
     def sigma(read: np.ndarray) -> np.ndarray:
@@ -363,7 +363,7 @@ def component_table(grade: str) -> Table:
     # Two horizontal components of every sequence, Down of every window, and the pooled rest rate, which all have.
     place = np.arange(len(R))
     horizontal, rest = place < 2 * data.K, place >= len(R) - 3
-    own = ClosedFormSolver(data, options).selection.any(axis=0)
+    own = SelectedFormulas(data, options).selection.any(axis=0)
     columns = {
         "closed form's 24": own,
         "and all Down": own | ~horizontal,

@@ -135,9 +135,9 @@ SUBJECTS = (
     ),
     Subject(
         "noise projected",
-        "srt/estimation/measurement_covariance.py",
+        "srt/closed_form/measurement_covariance.py",
         ("tests/estimation/test_noise_sources.py",),
-        ("project", "_earth_rate_error", "_attitude_errors"),
+        ("projection", "effect", "_earth_rate_error", "_attitude_errors"),
         (
             ("* sources.alignment_sigma(data.recording)", "* 0.0 * sources.alignment_sigma(data.recording)"),
             ("* sources.start_sigma(data.recording)", "* 0.0 * sources.start_sigma(data.recording)"),
@@ -236,7 +236,7 @@ SUBJECTS = (
     ),
     Subject(
         "projected sources",
-        "srt/estimation/measurement_covariance.py",
+        "srt/closed_form/measurement_covariance.py",
         ("tests/estimation/test_noise_sources.py",),
         (),
         (
@@ -246,14 +246,14 @@ SUBJECTS = (
                 "axis=2) * 0.9 * sources.alignment_sigma(data.recording)",
             ),
             ("(data.recording.site.gravity_sigma_m_s2 * -up)", "(0.9 * data.recording.site.gravity_sigma_m_s2 * -up)"),
-            ("by.force * size, windows", "0.9 * by.force * size, windows"),
-            ("by.integrals.time_parts * size", "0.9 * by.integrals.time_parts * size"),
-            ("by.rate * size, windows", "0.9 * by.rate * size, windows"),
+            (".force * size, course", ".force * 0.9 * size, course"),
+            ("parts * floor", "0.9 * parts * floor"),
+            ("by.rate * floor", "0.9 * by.rate * floor"),
         ),
     ),
     Subject(
         "fixed values",
-        "srt/estimation/iteration.py",
+        "srt/closed_form/iteration.py",
         ("tests/estimation/test_noise_sources.py",),
         (),
         (("by_fixed = measurements.H * np", "by_fixed = 0.9 * measurements.H * np"),),

@@ -123,10 +123,13 @@ def _drifted_bias(data: PreparedRecording, result: SolverResult) -> Array:
 
 
 def _birge_ratio(result: SolverResult) -> float:
-    """Factor √(χ² / degrees of freedom) on all sigmas if the residuals exceed the noise, else 1."""
-    chi_square, freedom = result.chi_square, result.degrees_of_freedom
-    misfit = result.status == "converged" and is_misfit(chi_square, freedom)
-    return float(np.sqrt(chi_square / freedom)) if misfit else 1.0
+    """Factor √(χ² / degrees of freedom) on all sigmas if the residuals exceed the noise, else 1.
+
+    It is that of the specific forces if theirs is larger: gyros without excess noise must not hide that of the others.
+    """
+    fits = ((result.chi_square, result.degrees_of_freedom), result.force_fit)
+    misfit = result.status == "converged" and is_misfit(*fits[0])
+    return float(np.sqrt(max(chi_square / max(freedom, 1) for chi_square, freedom in fits))) if misfit else 1.0
 
 
 def _status(

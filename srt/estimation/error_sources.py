@@ -4,7 +4,7 @@ A source acts on the compensated mean specific force ("force") and mean rate ("r
 attitude error φ of every rotation ("turn"), in two ways: errors of single windows and rotations, which are independent,
 with their covariance; and errors that several of them share, as unit-variance unknowns with their derivatives. The
 joint model whitens with the first and estimates the second; the closed form projects both onto the SRT measurements
- (:mod:`srt.estimation.measurement_covariance`).
+(:mod:`srt.closed_form.measurement_covariance`).
 """
 
 from __future__ import annotations

@@ -11,16 +11,14 @@ by the other sequences, in units of sigma. Only D determines the directions in w
 every parameter and its variance. A parameter is *lost* if its sigma grows a hundredfold, or so much that an estimator
 would fix it; it then keeps its value and the others are estimated with it fixed.
 
-The rows of a sequence are its two horizontal components and the down components of windows that no other sequence uses.
-Its windows are also removed from the pooled rest rate; where each sequence has its own bias, this changes the biases of
-the others. The noise figures are those found with all sequences. So is the accuracy of a known heading, although a gap
+The noise figures are those found with all sequences. So is the accuracy of a known heading, although a gap
 in a chain of free rotations would reduce it.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -33,12 +31,7 @@ from srt.sensor_errors import N_PARAMETERS, NAMES
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from srt.estimation.iteration import Solution
-    from srt.estimation.options import Options
-    from srt.sequences.preparation import PreparedRecording
     from srt.types import Array, Indices, Mask
-
-    SequenceRows = tuple[Indices, Indices]
 
 _LOST: Final = 100.0
 """Growth of a sigma above which a parameter counts as lost without a sequence."""
@@ -387,79 +380,3 @@ def _weakest(covariance: Array, seen: Indices) -> dict[str, Any] | None:
 
 def _names(mask: Mask) -> list[str]:
     return [NAMES[i] for i in np.flatnonzero(mask)]
-
-
-class LeaveOneOutEstimator(Protocol):
-    """Leave-one-out estimator of a solver."""
-
-    def __call__(
-        self, data: PreparedRecording, options: Options, solution: Solution, rows_by_sequence: list[SequenceRows]
-    ) -> list[LeaveOneOutEstimate]:
-        """Estimates without each sequence; ``rows_by_sequence`` from :func:`rows_of_sequences`."""
-
-
-def sequence_diagnostics(
-    leave_one_out: LeaveOneOutEstimator, data: PreparedRecording, options: Options, solution: Solution, fixed: Mask
-) -> tuple[SequenceDiagnostics, ...]:
-    """Leave-one-out diagnostics of every sequence of a solution.
-
-    Parameters
-    ----------
-    leave_one_out : LeaveOneOutEstimator
-        Leave-one-out estimator of the solver.
-    data : PreparedRecording
-    options : Options
-    solution : Solution
-    fixed : ndarray of bool, shape (27,)
-
-    Returns
-    -------
-    tuple of SequenceDiagnostics
-        In the order of the sequences; empty where the linear model is singular.
-    """
-    if fixed.all():
-        return ()
-    H, rows_by_sequence = np.where(fixed, 0.0, solution.measurements.H), rows_of_sequences(data)
-    try:
-        R = solution.measurement_covariance + np.diag(second_order_variance(data, len(solution.measurements.z)))
-        against = consistency_tests(solution.measurements.z, H, R, [rows for rows, _ in rows_by_sequence])
-        without = leave_one_out(data, options, solution, rows_by_sequence)
-    except np.linalg.LinAlgError:
-        return ()
-    return tuple(SequenceDiagnostics(*row) for row in zip(data.ids, data.occurrences, against, without, strict=True))
-
-
-def second_order_variance(data: PreparedRecording, rows: int) -> Array:
-    """Variance of the neglected squares of the fixture's errors in each of the measurements, (m/s²)².
-
-    The measurement covariance has their first order. With 1 mrad, squares tilt gravity by 1 µrad: nothing beside the
-    noise of most gyros, but beyond the covariance of a sequence that the others predict almost exactly. The magnitude
-    of specific force does not depend on a tilt.
-    """
-    out = np.zeros(rows)
-    fixture = data.recording.fixture
-    if fixture is not None:
-        square = 0.5 * (fixture.alignment_sigma_rad**2 + fixture.rotation_sigma_rad**2)
-        out[: 2 * data.K] = (data.recording.site.gravity_m_s2 * square) ** 2
-    return out
-
-
-def rows_of_sequences(data: PreparedRecording) -> list[SequenceRows]:
-    """Rows of z that belong to one sequence alone, and its windows that no other one uses, for every sequence."""
-    used = np.bincount(data.start, minlength=len(data.windows.duration_s))
-    used += np.bincount(data.end, minlength=len(used))
-    out = []
-    for k in range(data.K):
-        own = np.array([w for w in (int(data.start[k]), int(data.end[k])) if used[w] == 1], dtype=np.intp)
-        out.append((np.concatenate([[2 * k, 2 * k + 1], 2 * data.K + own]).astype(np.intp), own))
-    return out
-
-
-def pooling_weights_without(data: PreparedRecording, solution: Solution, rows_by_sequence: list[SequenceRows]) -> Array:
-    """Weights of the windows in the pooled rest rate without each sequence, shape (K, W); zero if none remains."""
-    pools = np.tile(solution.measurements.pool, (data.K, 1))
-    for pool, (_, windows) in zip(pools, rows_by_sequence, strict=True):
-        pool[windows] = 0.0
-    total = pools.sum(axis=1, keepdims=True)
-    left = total > 1e-9
-    return np.asarray(np.where(left, pools / np.where(left, total, 1.0), 0.0))

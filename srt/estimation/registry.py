@@ -33,10 +33,10 @@ GROUP: Final = "srt.estimators"
 OWN_PACKAGE: Final = "estimators"
 """Package with the other estimators of this distribution; the extras that they need have their names."""
 BUILT_IN: Final = {
-    "closed-form": "srt.estimation.closed_form_solver:estimate",
+    "closed-form": "srt.closed_form.estimator:estimate",
     "least-squares": "srt.joint.least_squares:estimate",
 }
-"""Estimators of ``srt``; the residuals of both are those of :func:`srt.estimation.iteration.iterate`."""
+"""Estimators of ``srt``; the residuals of both are those of :func:`srt.closed_form.iteration.iterate`."""
 ESTIMATORS: Final = (*BUILT_IN, "ekf", "graph")
 """Estimators of this distribution, the least efficient first: compared by default, with fixed colours in figures."""
 

@@ -1,7 +1,7 @@
 """Gauss-Newton iteration of the joint model, and the calibration from its solution.
 
 It solves for the attitudes of the windows together with the sensor errors. The iteration of the closed form, which
-solves for the sensor errors alone, is :mod:`srt.estimation.iteration`.
+solves for the sensor errors alone, is :mod:`srt.closed_form.iteration`.
 
 Each iteration re-processes (plays back, Savage 2020, §8) the recorded data. Solvers differ only in their
 :class:`~srt.joint.solver.JointSolver`: compensation, observability, convergence, goodness of fit and the result are the

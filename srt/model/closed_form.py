@@ -4,7 +4,7 @@ Every sensor error is a linear combination of one or two measured components and
 differs from the printed eq. 13: the accelerometer asymmetry is ``λ_iii = −(End − Strt + 2 λ_i) / 2g``. Eqs. 4-5 and
 [N] eqs. 53-55 give the plus; eq. 13 prints a minus.
 
-The estimator ``closed-form``, which applies them to a recording, is :mod:`srt.estimation.closed_form_solver`.
+The estimator ``closed-form``, which applies them to a recording, is :mod:`srt.closed_form.estimator`.
 """
 
 from __future__ import annotations

@@ -17,10 +17,10 @@ from sims.faults.injection import Case
 from sims.physics.fixture import FixtureDraw
 from sims.physics.imu import ImuModel, read_out
 from sims.physics.table_motion import table1_motion
+from srt.closed_form import measurement_covariance
 from srt.constants import ARCSEC, DEG_PER_H, DEG_PER_SQRT_H, EARTH_RATE_RAD_S, MICRO_G
-from srt.estimation import error_sources, measurement_covariance
+from srt.estimation import error_sources
 from srt.estimation.error_sources import shared_edges
-from srt.estimation.measurement_covariance import Disturbance
 from srt.estimation.options import Options
 from srt.estimation.srt_measurements import SrtProcessor
 from srt.model import analytic_platform
@@ -77,7 +77,7 @@ def quiet():
 def effects(data, measurements, name):
     """Effect of all unit draws of a source on the measurements, shape (n_z, S)."""
     source = measurement_covariance.disturbances(measurements, data, np.zeros(3))[name]
-    return measurement_covariance.project(measurements, data, source, np.zeros(3))
+    return measurement_covariance.effect(measurement_covariance.projection(measurements, data, np.zeros(3)), source)
 
 
 @cache
@@ -181,9 +181,7 @@ def test_biases_of_sequences_carry_errors_of_rates_into_rotations():
 
     data, measurements = noise_free()
     for w, (a, b) in enumerate(data.windows.samples.tolist()):
-        rate = np.zeros((len(data.windows.samples), 3, 3))
-        rate[w] = np.eye(3)
-        expected = measurement_covariance.project(measurements, data, Disturbance(rate=rate), gain)
+        expected = measurement_covariance.projection(measurements, data, gain)["rate"][:, w]
         for axis in range(3):
             plus, minus = recording.gyro.copy(), recording.gyro.copy()
             plus[a:b, axis] += step
@@ -330,7 +328,7 @@ def test_earth_rate_over_a_sequence_is_integrated_to_the_second_order():
     """An Earth that turns a hundred times faster: 0.2 rad in a sequence, of which the third power over 24 is left."""
     _, measurements = noise_free()
     fast = replace(measurements, earth_rate=100.0 * measurements.earth_rate)
-    found = measurement_covariance._of_earth_rate(fast, np.broadcast_to(np.eye(3), (K, 3, 3))).phi
+    found = measurement_covariance._of_earth_rate(fast, np.broadcast_to(np.eye(3), (K, 3, 3)))["turn"]
     for k, T in enumerate(measurements.integrals.weight_s.tolist()):
         times = (np.arange(2000) + 0.5) * T / 2000
         expected = rotation_matrix(-times[:, None] * fast.earth_rate[k]).mean(axis=0) * T
@@ -377,7 +375,7 @@ def test_earth_rate_of_unknown_direction():
 
 
 FIXED_SIGMA_OF = {
-    "closed-form": "srt.estimation.closed_form_solver",
+    "closed-form": "srt.closed_form.estimator",
     "least-squares": "srt.joint.iteration",
     "graph": "srt.joint.iteration",
     "ekf": "srt.joint.iteration",

@@ -11,8 +11,7 @@ from accuracy_trials import GRADES, INSTABILITY, SITE, noisy_recording
 from sims.physics.imu import read_out
 from sims.physics.sequences import TABLE_1
 from sims.physics.table_motion import table1_motion
-from srt.estimation.error_sources import slopes
-from srt.estimation.measurement_covariance import bias_drift
+from srt.estimation.error_sources import by_drift, slopes
 from srt.estimation.options import Options
 from srt.model import measurement_model as model
 from srt.model.analytic_platform import integrate_attitude
@@ -46,12 +45,16 @@ def dense_sigma(joint, state, system):
     )
     triads = gyro_triad(state.errors), accel_triad(state.errors)
     by = slopes(*triads, compensated.rate, compensated.force, integrals)
-    gyro, accel = bias_drift(data, by, "gyro"), bias_drift(data, by, "accel")
+    gyro, accel, drift = data.noise.gyro_flicker, data.noise.accel_flicker, data.drift
     start, end = state.attitude[data.start], state.attitude[data.end]
     by_rotation = model.rotation_residual(
         compensated.rotation, start, end, joint.earth_rate(state)[data.start], compensated.duration_s
     )[3]
-    effects = {"rate": -gyro.rate, "turn": by_rotation @ gyro.phi, "force": -accel.force}
+    effects = {
+        "rate": -by_drift(by.rate * gyro, drift.windows),
+        "turn": by_rotation @ by_drift(integrals.time_parts * gyro, drift.parts),
+        "force": -by_drift(by.force * accel, data.window_drift),
+    }
     R = np.eye(len(system.b))
     for sources in (("rate", "turn"), ("force",)):
         Y = np.zeros((len(system.b), effects[sources[0]].shape[2]))

@@ -22,8 +22,8 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2, norm
 
 import sims
-from srt.estimation import iteration
-from srt.estimation.closed_form_solver import ClosedFormSolver
+from srt.closed_form import iteration
+from srt.closed_form.formulas import SelectedFormulas
 from srt.estimation.initial_estimates import initial_estimate
 from srt.estimation.options import Options
 from srt.model.prior import Prior
@@ -108,7 +108,7 @@ def by_play_back(data, solver):
 
 def used_components(data):
     """Horizontal and Down components that the closed form uses, shapes (K, 2) and (W,)."""
-    used = np.abs(ClosedFormSolver(data, OPTIONS).selection).sum(axis=0) > 0.0
+    used = np.abs(SelectedFormulas(data, OPTIONS).selection).sum(axis=0) > 0.0
     K = data.K
     return used[: 2 * K].reshape(K, 2), used[2 * K : -3]
 
@@ -315,7 +315,7 @@ def test_estimators_agree_on_the_components_of_the_closed_form(linear, monkeypat
     data = linear.data
     horizontal, down = used_components(data)
     assert horizontal.sum() + down.sum() == 24
-    closed = by_play_back(data, ClosedFormSolver(data, OPTIONS))
+    closed = by_play_back(data, SelectedFormulas(data, OPTIONS))
     blind(monkeypatch, data, horizontal, down, big=1e6 * SMALL * G)
     found = linear.by_joint_estimation(closed.sigma)
     brute, sampling = linear.by_brute_force(
@@ -333,7 +333,7 @@ def test_estimators_agree_on_all_components(linear):
     found = linear.by_joint_estimation(least.sigma)
     brute, sampling = linear.by_brute_force(slice(None))
     check_agreement(found, least, brute, sampling, linear.truth)
-    closed = by_play_back(data, ClosedFormSolver(data, OPTIONS))
+    closed = by_play_back(data, SelectedFormulas(data, OPTIONS))
     scaled = (closed.P - least.P) / np.outer(least.sigma, least.sigma)
     assert np.linalg.eigvalsh(scaled)[0] >= -N_PARAMETERS * AGREE
     # Its price is seen: up to twice the sigma and more.
@@ -350,7 +350,7 @@ def test_closed_form_differs_as_its_covariance_allows(still_planet, monkeypatch,
     recording, _ = record(0, noise=SMALL, share=SHARE, sample_rate_hz=50.0)
     data = prepare_checked(recording, recording.sequences, OPTIONS.average)
     closed, best = (
-        by_play_back(data, ClosedFormSolver(data, OPTIONS)),
+        by_play_back(data, SelectedFormulas(data, OPTIONS)),
         jointly(JointModel(data, OPTIONS, initial_estimate(data, OPTIONS)), SolveStep()),
     )
     variance = np.diag(closed.P - best.P) / best.sigma**2
@@ -362,7 +362,7 @@ def test_closed_form_differs_as_its_covariance_allows(still_planet, monkeypatch,
         recording, _ = record(seed, noise=1e-7, share=1.0, sample_rate_hz=50.0)
         data = prepare_checked(recording, recording.sequences, OPTIONS.average)
         first = initial_estimate(data, OPTIONS)
-        closed = iteration.iterate(data, OPTIONS, ClosedFormSolver(data, OPTIONS), *first)
+        closed = iteration.iterate(data, OPTIONS, SelectedFormulas(data, OPTIONS), *first)
         if closed.integrated:  # one still window in a thousand is taken for moving, and what it says is used otherwise
             continue
         best = jointly(JointModel(data, OPTIONS, first), SolveStep(), (1e-18, 1e-6))

@@ -11,8 +11,8 @@ import pytest
 from accuracy_trials import noisy_recording
 from threadpoolctl import threadpool_limits
 
+from srt.closed_form import iteration
 from srt.constants import EARTH_RATE_RAD_S
-from srt.estimation import iteration
 from srt.estimation.options import Options
 
 pytest.importorskip("filterpy")

@@ -8,7 +8,7 @@ from conftest import SAMPLE_RATE_HZ, Simulated, component_rows
 from test_equations_signatures import G, ideal_jacobian
 
 import sims
-from srt.estimation.closed_form_solver import ClosedFormSolver
+from srt.closed_form.formulas import SelectedFormulas
 from srt.estimation.options import Options
 from srt.estimation.srt_measurements import SrtProcessor
 from srt.model import closed_form
@@ -191,7 +191,7 @@ def test_a_repeated_sequence_is_averaged():
     recording = sims.read_out(motion, SensorErrors())
     options = Options()
     data = prepare(recording, recording.sequences, options.average)
-    solver = ClosedFormSolver(data, options)
+    solver = SelectedFormulas(data, options)
     once = closed_form.inversion_matrix(solver.formulas, data.gravity)
     order = {c: j for j, c in enumerate(solver.components)}
     rows = component_rows(data)  # of the last occurrence
@@ -206,7 +206,7 @@ def test_a_repeated_sequence_is_averaged():
     recording = sims.read_out(motion, SensorErrors(truth))
     data = prepare(recording, recording.sequences, options.average)
     playback = SrtProcessor(data, options).process(SensorErrors())
-    solver = ClosedFormSolver(data, options)
+    solver = SelectedFormulas(data, options)
     by_coefficients = (solver.coefficients @ playback.z)[solver.kept]
     S = solver.selection
     by_jacobian = np.linalg.solve(S @ playback.H[:, solver.kept], S @ playback.z)

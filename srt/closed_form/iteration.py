@@ -1,6 +1,4 @@
-"""Iteration of the solution until the corrections are negligible (Savage 2020 [P], §8).
-
-The closed form uses it; the joint model has that of :mod:`srt.joint.iteration`.
+"""Iteration of the closed form until the corrections are negligible (Savage 2020 [P], §8).
 
 Each iteration re-processes (plays back, [P] §8) the recorded data with the corrected compensation, and solves for a
 correction δ = G z. Two steps are available:
@@ -14,13 +12,13 @@ correction δ = G z. Two steps are available:
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.estimation import measurement_covariance
+from srt.closed_form import measurement_covariance
 from srt.estimation.convergence import CONVERGED_CORRECTION, CONVERGED_SIGMAS, MAX_STEP, PARAMETER_UNITS
-from srt.estimation.error_sources import NO_ERRORS, UnmodelledErrors, earth_rate_sigma
+from srt.estimation.error_sources import earth_rate_sigma
 from srt.estimation.g_sensitivity import LEAST_SCATTER
 from srt.estimation.g_sensitivity import MODE as G_SENSITIVE
 from srt.estimation.rest_rate_scatter import bias_gain, excess_variance, rest_rate_variance
@@ -33,32 +31,15 @@ from srt.sequences.stillness import moved_windows
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from srt.closed_form.formulas import SelectedFormulas
     from srt.estimation.options import Options
     from srt.estimation.srt_measurements import SrtMeasurements
     from srt.sequences.preparation import PreparedRecording
-    from srt.types import Array, Mask
+    from srt.types import Array
 
 
 _NEAR: Final = 1e-3
-"""Correction, in ``PARAMETER_UNITS``, below which the full covariance of the measurements is used as weights."""
-
-
-class Solver(Protocol):
-    """Linear solution for the corrections."""
-
-    def gain(self, measurements: SrtMeasurements, covariance: Array, *, near: bool) -> Array:
-        """Matrix G of the correction δ = G z, shape (27, n_z); rows of fixed parameters are zero.
-
-        ``covariance`` is that of z; it is approximate until the iteration is ``near`` the solution.
-        """
-
-    @property
-    def coefficients(self) -> Array | None:
-        """Inversion at zero error for the composed step ([P] eq. 13), shape (27, n_z); None if the solver has none."""
-
-    @property
-    def fixed(self) -> Mask:
-        """Parameters that keep their initial value, shape (27,)."""
+"""Correction, in ``PARAMETER_UNITS``, below which the covariance is computed: it changes with the estimate by 1e-3."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,6 +55,8 @@ class Solution:
     measurement_covariance, residual_covariance : ndarray, shape (n_z, n_z)
         Covariance of z, and of the residuals after the estimate.
     gain : ndarray, shape (27, n_z)
+    projection : dict of str to ndarray
+        Effect of errors of rotations and windows on z; see :mod:`srt.closed_form.measurement_covariance`.
     measurements : SrtMeasurements
         Measurements of the last iteration.
     corrections : tuple of float
@@ -87,8 +70,6 @@ class Solution:
         Bias of each sequence less the common one, as used.
     g_sensitivity : ndarray, shape (3, 3), rad/s per m/s²
         Γ as used (rows: gyro axes before compensation; columns: axes of B); zero if it is not estimated.
-    excess : UnmodelledErrors
-        Errors beyond the noise of the sensors.
     """
 
     errors: SensorErrors
@@ -97,6 +78,7 @@ class Solution:
     measurement_covariance: Array
     residual_covariance: Array
     gain: Array
+    projection: dict[str, Array]
     measurements: SrtMeasurements
     corrections: tuple[float, ...]
     status: str
@@ -105,89 +87,76 @@ class Solution:
     wander: Array
     bias_by_sequence: Array
     g_sensitivity: Array
-    excess: UnmodelledErrors
 
 
 class _DivergenceError(Exception):
     """The iteration cannot continue; the message gives the reason."""
 
 
-class Iteration:
+class _Iteration:
     """State of an iteration; :func:`iterate` runs it."""
 
     def __init__(
         self,
         data: PreparedRecording,
         options: Options,
-        solver: Solver,
-        *,
+        formulas: SelectedFormulas,
         start: SensorErrors,
-        excess: UnmodelledErrors,
-        resume: Solution | None,
         fixed_sigma: Array,
     ) -> None:
-        self.data, self.options, self.solver, self.start, self.excess = data, options, solver, start, excess
+        self.data, self.options, self.formulas, self.start = data, options, formulas, start
         self.fixed_sigma = fixed_sigma
-        self.noise: tuple[Array | None, Array | None] = None, None
         self.offset, self.g_sensitivity = np.zeros((data.K, 3)), np.zeros((3, 3))
         self.wander = np.zeros(3) if data.noise.gyro_wander is None else data.noise.gyro_wander
         self.integrated = np.full(len(data.windows.duration_s), options.window_attitude == "integrated")
-        if resume is not None:
-            self.integrated, self.offset = resume.measurements.integrated, resume.bias_by_sequence
-            self.wander, self.g_sensitivity = resume.wander, resume.g_sensitivity
-        self.first = start if resume is None else resume.errors
-        self.resumed = resume is not None
-        self.before = () if resume is None else resume.corrections
         self.processor = SrtProcessor(data, options, self.integrated)
 
     def run(self, U: Array, progress: Callable[[int, float], None] | None) -> Solution:
         """Iterate until the corrections are negligible, or the largest number of iterations is reached."""
-        errors = self.first
+        errors = self.start
         corrections: list[float] = []
-        sigma = np.zeros(N_PARAMETERS)
-        weights: Array | None = None
-        near = self.resumed
+        sigma: Array | None = None
+        noise: tuple[Array | None, Array | None] = None, None
         status, message = "not_converged", ""
         final: SrtMeasurements | None = None
         inside = errors, U
         for i in range(self.options.max_playbacks):
-            nominal = (i == 0 and not self.resumed) or not self.options.measured_vertical
-            # Near the solution the full weights are computed once: they change with the estimate by about 1e-3.
-            near = near or bool(corrections and corrections[-1] < _NEAR)
-            fresh = near and weights is None
+            fresh = sigma is None and bool(corrections) and corrections[-1] < _NEAR
+            nominal = i == 0 or not self.options.measured_vertical
             measurements = self._process(errors, U, nominal=nominal, with_noise=fresh)
             if fresh and self._release_moving(measurements):
                 continue
             try:
-                weights = self._weights(measurements) if fresh else weights
-                gain = self._gain(measurements, self._rough(measurements) if weights is None else weights, near=near)
-                if weights is not None:
-                    sigma = np.sqrt(np.maximum(np.diag(gain @ weights @ gain.T), 0.0))
+                gain = self._gain(measurements)
+                if fresh:
+                    noise = measurements.integrals.noise, measurements.integrals.time_parts
+                    R = sum(self._by_source(measurements, self._projection(measurements)).values())
+                    sigma = np.sqrt(np.maximum(np.diag(gain @ R @ gain.T), 0.0))
                 errors, U, correction = self._correct(errors, measurements, gain)
                 size = float(np.max(np.abs(correction) / PARAMETER_UNITS))
                 corrections.append(size)
                 if progress is not None:
-                    progress(len(self.before) + len(corrections), size)
+                    progress(len(corrections), size)
                 _require_inside(errors)
                 inside = errors, U
             except _DivergenceError as reason:
-                status, message = "outside_model", f"After iteration {len(self.before) + len(corrections)} {reason}."
+                status, message = "outside_model", f"After iteration {len(corrections)} {reason}."
                 break
-            settled = self._update_offsets(measurements, sigma)
+            settled = self._update_offsets(measurements, np.zeros(N_PARAMETERS) if sigma is None else sigma)
+            if sigma is None:
+                continue
             tolerance = np.maximum(CONVERGED_CORRECTION * PARAMETER_UNITS, CONVERGED_SIGMAS * sigma)
-            settled &= near and bool(np.all(np.abs(correction) <= tolerance))
-            if settled and not self._release_moving(measurements):
-                status = "converged"
-                message = f"Converged after {len(self.before) + len(corrections)} iterations."
+            if settled and bool(np.all(np.abs(correction) <= tolerance)) and not self._release_moving(measurements):
+                status, message = "converged", f"Converged after {len(corrections)} iterations."
                 # The last correction is below 0.01 sigma: linear prediction gives z without another iteration.
-                integrals = replace(measurements.integrals, noise=self.noise[0], time_parts=self.noise[1])
+                integrals = replace(measurements.integrals, noise=noise[0], time_parts=noise[1])
                 final = replace(measurements, z=measurements.z - measurements.H @ correction, integrals=integrals)
                 break
             if self.processor.integrated is not measurements.integrated:
-                weights = None
+                sigma = None
         else:
             message = (
-                f"Not converged after {len(self.before) + len(corrections)} iterations: the last correction was "
+                f"Not converged after {len(corrections)} iterations: the last correction was "
                 f"{corrections[-1] if corrections else np.inf:.2e} "
                 "(largest component: ratios, rad; accelerometer biases in g)."
             )
@@ -207,10 +176,10 @@ class Iteration:
             with_noise=with_noise,
         )
 
-    def _gain(self, measurements: SrtMeasurements, covariance: Array, *, near: bool) -> Array:
+    def _gain(self, measurements: SrtMeasurements) -> Array:
         try:
-            gain = self.solver.gain(measurements, covariance, near=near)
-        except (np.linalg.LinAlgError, ValueError):
+            gain = self.formulas.gain(measurements)
+        except np.linalg.LinAlgError:
             gain = np.full((N_PARAMETERS, len(measurements.z)), np.nan)
         if not np.all(np.isfinite(gain)):
             raise _DivergenceError("the equations could not be solved (wrong label, or a sequence without rotation?)")
@@ -221,9 +190,8 @@ class Iteration:
     ) -> tuple[SensorErrors, Array, Array]:
         # U is estimated from the data (axes and verticals), so that the nominal attitudes hold no mounting error.
         U = measurements.U
-        composed = self.options.step == "coefficients" and self.solver.coefficients is not None
-        coefficients = self.solver.coefficients
-        delta = (coefficients if composed and coefficients is not None else gain) @ measurements.z
+        composed = self.options.step == "coefficients"
+        delta = (self.formulas.coefficients if composed else gain) @ measurements.z
         if not np.all(np.isfinite(delta)):
             raise _DivergenceError("the correction is not finite")
         largest = float(np.max(np.abs(delta) / PARAMETER_UNITS))
@@ -237,7 +205,7 @@ class Iteration:
             vector, U = corrected.vector.copy(), turn @ U
         else:
             vector = errors.vector + delta
-        vector[self.solver.fixed] = self.start.vector[self.solver.fixed]
+        vector[self.formulas.fixed] = self.start.vector[self.formulas.fixed]
         return SensorErrors(vector), U, vector - errors.vector
 
     def _update_offsets(self, measurements: SrtMeasurements, sigma: Array) -> bool:
@@ -289,23 +257,11 @@ class Iteration:
         self.processor = SrtProcessor(self.data, self.options, self.integrated)
         return True
 
-    def _weights(self, measurements: SrtMeasurements) -> Array:
-        """Covariance of z; the noise integrals that belong to it are stored."""
-        self.noise = measurements.integrals.noise, measurements.integrals.time_parts
-        return self._total(measurements)
+    def _projection(self, measurements: SrtMeasurements) -> dict[str, Array]:
+        return measurement_covariance.projection(measurements, self.data, self._bias_gain(measurements))
 
-    def _total(self, measurements: SrtMeasurements) -> Array:
-        return np.asarray(sum(self._by_source(measurements).values()))
-
-    def _rough(self, measurements: SrtMeasurements) -> Array:
-        """Approximate covariance for the first iterations: 1e-2 m/s² and 1e-6 rad/s, orders of magnitude only."""
-        K, W = self.data.K, len(measurements.pool)
-        return np.diag(np.concatenate([np.full(2 * K + W, 1e-4), np.full(3, 1e-12)]))
-
-    def _by_source(self, measurements: SrtMeasurements) -> dict[str, Array]:
-        return measurement_covariance.covariances(
-            measurements, self.data, self.wander, self._bias_gain(measurements), self.excess
-        )
+    def _by_source(self, measurements: SrtMeasurements, projection: dict[str, Array]) -> dict[str, Array]:
+        return measurement_covariance.covariances(projection, measurements, self.data, self.wander)
 
     def _finish(
         self,
@@ -316,17 +272,19 @@ class Iteration:
         status: str,
         message: str,
     ) -> Solution:
-        by_source = self._by_source(measurements)
+        projection = self._projection(measurements)
+        by_source = self._by_source(measurements, projection)
         total = np.asarray(sum(by_source.values()))
         try:
-            gain = self._gain(measurements, total, near=True)
+            gain = self._gain(measurements)
         except _DivergenceError:
             gain, status = np.zeros((N_PARAMETERS, len(measurements.z))), "outside_model"
         covariance = {name: gain @ R @ gain.T for name, R in by_source.items()}
-        unseen = gain @ measurement_covariance.accel_drift(measurements, self.data, self.data.noise.accel_unseen)
+        beyond = measurement_covariance.accel_drift(measurements, self.data.noise.accel_unseen, self.data.window_drift)
+        unseen = gain @ measurement_covariance.effect(projection, beyond)
         covariance["accel_bias_instability"] += unseen @ unseen.T
         # The errors of the fixed values propagate into the estimated parameters.
-        by_fixed = measurements.H * np.where(self.solver.fixed, self.fixed_sigma, 0.0)
+        by_fixed = measurements.H * np.where(self.formulas.fixed, self.fixed_sigma, 0.0)
         covariance["held_values"] = gain @ by_fixed @ by_fixed.T @ gain.T
         total = total + by_fixed @ by_fixed.T
         if self.data.noise.gyro_flicker is None:
@@ -342,15 +300,15 @@ class Iteration:
             measurement_covariance=total,
             residual_covariance=left @ total @ left.T,
             gain=gain,
+            projection=projection,
             measurements=measurements,
-            corrections=(*self.before, *corrections),
+            corrections=tuple(corrections),
             status=status,
             message=message,
             integrated=tuple(np.flatnonzero(self.integrated).tolist()),
             wander=self.wander,
             bias_by_sequence=self.offset,
             g_sensitivity=self.g_sensitivity,
-            excess=self.excess,
         )
 
 
@@ -364,13 +322,11 @@ def _require_inside(errors: SensorErrors) -> None:
 def iterate(
     data: PreparedRecording,
     options: Options,
-    solver: Solver,
+    formulas: SelectedFormulas,
     errors: SensorErrors,
     U: Array,
     progress: Callable[[int, float], None] | None = None,
     *,
-    excess: UnmodelledErrors = NO_ERRORS,
-    resume: Solution | None = None,
     fixed_sigma: Array | None = None,
 ) -> Solution:
     """Iterate from an initial estimate until the corrections are negligible.
@@ -379,21 +335,15 @@ def iterate(
     ----------
     data : PreparedRecording
     options : Options
-    solver : Solver
+    formulas : SelectedFormulas
     errors : SensorErrors
         Initial estimate; fixed parameters keep these values.
     U : ndarray, shape (3, 3)
         T to MARS components.
     progress : callable, optional
-        Called with the number of the iteration, counted on from ``resume``, and the largest correction.
-    excess : UnmodelledErrors
-        Errors beyond the noise of the sensors.
-    resume : Solution, optional
-        Solution on the same data to continue from (its errors, windows and biases).
+        Called with the number of the iteration and the largest correction.
     fixed_sigma : ndarray, shape (27,), optional
         1-sigma of each parameter's initial value, used for fixed parameters; zero means exact.
     """
     uncertain = np.zeros(N_PARAMETERS) if fixed_sigma is None else fixed_sigma
-    return Iteration(data, options, solver, start=errors, excess=excess, resume=resume, fixed_sigma=uncertain).run(
-        U, progress
-    )
+    return _Iteration(data, options, formulas, errors, uncertain).run(U, progress)

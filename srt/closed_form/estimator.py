@@ -1,0 +1,215 @@
+"""Estimator ``closed-form``: the iterated closed-form SRT (Savage 2020 [P], §§6-9), and its result.
+
+What it does not model it tests: the residuals by chi-square, whose Birge ratio enlarges all sigmas where noise does not
+explain them, and drift of the biases by one chi-square for each triad. ``least-squares`` models both.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from srt.closed_form.formulas import SelectedFormulas
+from srt.closed_form.iteration import iterate
+from srt.closed_form.leave_one_out import contradictions, second_order_variance, sequence_diagnostics
+from srt.closed_form.measurement_covariance import accel_drift, disturbances, effect
+from srt.estimation import g_sensitivity_report
+from srt.estimation.calibration_builder import build_calibration
+from srt.estimation.drift_model import POSSIBLE, SLOW, DriftEstimate, DriftSearch, gyro_statistics
+from srt.estimation.fixed_parameters import fixed_sigma, reason_on_request
+from srt.estimation.g_sensitivity import MODE as G_SENSITIVE
+from srt.estimation.g_sensitivity import RestRates
+from srt.estimation.goodness_of_fit import chi_square, contradicting_group, is_misfit, residual_statistics
+from srt.estimation.initial_estimates import initial_estimate
+from srt.estimation.solver_result import SolverResult
+from srt.exceptions import DataError
+from srt.model import closed_form
+from srt.model.table1 import SEQUENCES
+from srt.noise.drift_forms import FALSE_ALARM, LINEAR, WALK, drift_test, variance_component
+from srt.result.calibration import Residual
+from srt.sensor_errors import NAMES
+from srt.sequences.checked_preparation import prepare_checked
+from srt.sequences.moves import recorded_moves
+
+if TYPE_CHECKING:
+    from srt.closed_form.iteration import Solution
+    from srt.estimation.options import Options
+    from srt.estimation.registry import Progress
+    from srt.recording.recording import Recording
+    from srt.result.calibration import Calibration
+    from srt.sequences.preparation import PreparedRecording
+    from srt.types import Array, Mask
+
+_SOLVED_EXACTLY: Final = 1e-6
+"""Residual sigma over measurement sigma below which a component is solved exactly and its residual sigma is zero."""
+
+
+def estimate(recording: Recording, options: Options, progress: Progress | None = None) -> Calibration:
+    """Calibrate by the iterated closed-form SRT.
+
+    Raises
+    ------
+    DataError
+        If the recording has no fixture, or its sequences are not those of Table 1.
+    """
+    options.refuse(("loss", "filter", "prior", "fixture_states", "live", "targets"), "The closed form")
+    labels = tuple(s for s in recording.sequences if s.id in SEQUENCES)
+    if recording.fixture is None or not labels:
+        raise DataError(
+            "The closed form needs labelled sequences of Table 1 on a fixture, and this recording has none; "
+            "use the least-squares estimator."
+        )
+    data = prepare_checked(recording, labels, options.average)
+    uncertain = fixed_sigma(data, options)
+    formulas = SelectedFormulas(data, options)
+    first = initial_estimate(data, options)
+    solution = iterate(data, options, formulas, *first, progress, fixed_sigma=uncertain)
+    if options.gyro_bias == "auto" and _shows_g_sensitivity(data, solution, formulas.fixed):
+        following = replace(options, gyro_bias=G_SENSITIVE)
+        solution = iterate(data, following, formulas, *first, progress, fixed_sigma=uncertain)
+    data, solution = _at_limit(data, options, formulas, solution, uncertain)
+    fixed = {name: reason_on_request(name, uncertain, data) for name in options.fixed_names}
+    for name in formulas.missing:
+        absent = [s for s in closed_form.sequences_needed(name) if s not in data.ids]
+        source = "estimated from the fixture's nominal angles" if options.start == "auto" else "that of the given start"
+        fixed[name] = f"sequence {', '.join(absent)} is missing or void; the value is {source}"
+    unused = [s.title for s in recording.sequences if s.id not in SEQUENCES]
+    warnings = (f"Not of Table 1 and not used by the closed form: {', '.join(unused)}.",) if unused else ()
+    result = _result(data, options, solution, np.array([name in fixed for name in NAMES]))
+    if not options.ignore_moves:
+        moves = len(recorded_moves(recording, labels))
+        result = replace(result, diagnostics={**result.diagnostics, "unused_moves": moves})
+    return build_calibration("closed-form", data, options, result, fixed, warnings=warnings)
+
+
+def _shows_g_sensitivity(data: PreparedRecording, solution: Solution, fixed: Mask) -> bool:
+    """True if the residuals exceed the noise, and the rest rates show a g-sensitivity of the gyros."""
+    m = solution.measurements
+    if solution.status != "converged" or not is_misfit(*_chi_square(solution, fixed)):
+        return False
+    return g_sensitivity_report.significant_g_sensitivity(data, m.force, m.rest_rate, m.integrated) is not None
+
+
+def _at_limit(
+    data: PreparedRecording, options: Options, formulas: SelectedFormulas, solution: Solution, uncertain: Array
+) -> tuple[PreparedRecording, Solution]:
+    """Solution with the largest bias instability that the windows cannot exclude, if that alone explains a misfit."""
+    larger = replace(data, noise_at_limit=True)
+    grown = np.any(data.noise.accel_limit > data.noise.accel_flicker)
+    if not grown or solution.status != "converged" or not is_misfit(*_chi_square(solution, formulas.fixed)):
+        return data, solution
+    found = iterate(larger, options, formulas, solution.errors, solution.U, fixed_sigma=uncertain)
+    fit = _chi_square(found, formulas.fixed)
+    tests = [(t.chi_square, t.degrees_of_freedom) for t in contradictions(larger, found, formulas.fixed)]
+    if found.status != "converged" or is_misfit(*fit) or contradicting_group(tests, *fit) is not None:
+        return data, solution
+    corrections = (*solution.corrections, *found.corrections)
+    return larger, replace(found, corrections=corrections, message=f"Converged after {len(corrections)} iterations.")
+
+
+def _chi_square(
+    solution: Solution, fixed: Mask, rows: slice = slice(None), *, extra: Array | float = 0.0
+) -> tuple[float, int]:
+    """Chi-square of residuals and its degrees of freedom, with ``extra`` variance of the measurements."""
+    m, R = solution.measurements, solution.measurement_covariance
+    return chi_square(m.z[rows], m.H[rows, ~fixed], (R + np.diag(np.full(len(R), extra)))[rows, rows])
+
+
+def _result(data: PreparedRecording, options: Options, solution: Solution, fixed: Mask) -> SolverResult:
+    """Solver result of a solution whose ``fixed`` parameters are not estimated."""
+    statistic, freedom = _chi_square(solution, fixed)
+    if is_misfit(statistic, freedom):
+        squares = second_order_variance(data, len(solution.measurements.z))
+        with_squares = _chi_square(solution, fixed, extra=squares)[0]
+        statistic = statistic if is_misfit(with_squares, freedom) else with_squares
+    covariance = dict(solution.covariance)
+    diagnostics, notes = _g_sensitivity(data, solution, automatic=options.gyro_bias != G_SENSITIVE)
+    drift: tuple[DriftEstimate, ...] = ()
+    if solution.status == "converged" and not fixed.all():
+        drift, search, possible = _drift(data, solution, fixed)
+        covariance["accel_bias_instability"] = covariance["accel_bias_instability"] + possible
+        diagnostics = {**diagnostics, **search.diagnostics()}
+    if drift:
+        diagnostics = {**diagnostics, "drift": [term.as_dict() for term in drift]}
+    return SolverResult(
+        errors=solution.errors,
+        U=solution.U,
+        covariance=covariance,
+        corrections=solution.corrections,
+        status=solution.status,
+        message=solution.message,
+        residuals=_residuals(data, solution),
+        chi_square=statistic,
+        degrees_of_freedom=freedom,
+        sensor_noise_fit=(statistic, freedom),
+        force_fit=_chi_square(solution, fixed, slice(2 * data.K, -3)),
+        integrated=solution.integrated,
+        wander=solution.wander,
+        bias_by_sequence=solution.bias_by_sequence,
+        end_attitude=solution.measurements.integrals.C_end,
+        diagnostics=diagnostics,
+        drift=drift,
+        sequences=() if solution.status == "outside_model" else sequence_diagnostics(data, options, solution, fixed),
+        notes=notes,
+    )
+
+
+def _drift(
+    data: PreparedRecording, solution: Solution, fixed: Mask
+) -> tuple[tuple[DriftEstimate, ...], DriftSearch, Array]:
+    """Significant drift of each triad; a possible linear one of the accelerometers, and its covariance.
+
+    The test has one chi-square for each triad, of the first components of a random walk: they describe any slow drift.
+    """
+    m, R = solution.measurements, solution.measurement_covariance
+    walk, linear = data.drift_shapes[WALK].tested.windows, data.drift_shapes[LINEAR].windows
+    effects = [effect(solution.projection, accel_drift(m, 1.0, course)) for course in (walk, linear)]
+    accel, steady = residual_statistics(m.z, m.H[:, ~fixed], R, *effects)
+    gyro = gyro_statistics(data, m.gyro.inverse, m.rest_rate, m.integrated, (), {WALK: walk})[WALK]
+    found = []
+    for sensor, test in (("accel", drift_test(accel)), ("gyro", drift_test(gyro))):
+        if test is not None and test.p_value < FALSE_ALARM / 2:
+            size = np.asarray(np.ptp(walk @ test.amplitude.reshape(-1, 3), axis=0))
+            found.append(DriftEstimate(sensor, SLOW, size, modelled=False))
+    test = drift_test(steady)
+    possible = 0.0 if test is None or test.p_value >= POSSIBLE else variance_component(steady).sigma
+    root = possible * solution.gain @ effects[1]
+    return tuple(found), DriftSearch(possible=possible), root @ root.T
+
+
+def _g_sensitivity(
+    data: PreparedRecording, solution: Solution, *, automatic: bool
+) -> tuple[dict[str, Any], tuple[str, ...]]:
+    """Diagnostics of the g-sensitivity of the gyros, and warnings."""
+    m = solution.measurements
+    if m.poses is None:
+        size = g_sensitivity_report.significant_g_sensitivity(data, m.force, m.rest_rate, m.integrated)
+        return {}, g_sensitivity_report.warnings(None, size, automatic=automatic)
+    rest = RestRates(m.poses, m.force, m.rest_rate, m.pool, m.window_sequence, m.gyro)
+    # Γ is linear in the rates of the windows.
+    W = len(m.pool)
+    of_rates = np.einsum("ab,bcs->acs", m.gyro.matrix, m.poses.fit(np.eye(3 * W).reshape(W, 3, 3 * W)))
+    projection = {kind: np.zeros((9, *part.shape[1:])) for kind, part in solution.projection.items()}
+    projection["rate"] = of_rates.reshape(9, W, 3)
+    by_source = disturbances(m, data, solution.wander).values()
+    by_draw = np.concatenate([effect(projection, source) for source in by_source], axis=1)
+    found = g_sensitivity_report.diagnostics(data, rest, solution.g_sensitivity, by_draw @ by_draw.T, solution.wander)
+    return found, g_sensitivity_report.warnings(m.poses.unobserved, None, automatic=automatic)
+
+
+def _residuals(data: PreparedRecording, solution: Solution) -> tuple[Residual, ...]:
+    """Residuals after the last iteration with their predicted sigma, zero where a component is solved exactly."""
+    z, sigma = solution.measurements.z, np.sqrt(np.maximum(np.diag(solution.residual_covariance), 0.0))
+    measurement_sigma = np.sqrt(np.diag(solution.measurement_covariance))
+    sigma[sigma < _SOLVED_EXACTLY * measurement_sigma] = 0.0
+    rows = []
+    for k, name in enumerate(data.ids):
+        sequence = data.catalogue[k]
+        horizontal = ("1", "2") if sequence is None else sequence.horizontal
+        for j, axis in enumerate(horizontal):
+            rows.append((name, data.occurrences[k], f"horizontal_{axis}", 2 * k + j))
+        for label, w in (("start_down", data.start[k]), ("end_down", data.end[k])):
+            rows.append((name, data.occurrences[k], label, 2 * data.K + int(w)))
+    return tuple(Residual(n, o, c, float(z[i]), float(sigma[i])) for n, o, c, i in rows)
