@@ -39,6 +39,12 @@ MOST_TERMS: Final = 4
 """Largest number of forms that are modelled: searching ends when as many, or more, have been selected."""
 SLOW: Final = "slow change"
 """Form of a drift of which no form is selected: its change is the largest range."""
+_COURSES: Final = {
+    LINEAR: "linearly with time",
+    "temperature": "with temperature",
+    WALK: "as a random walk",
+    SLOW: "slowly",
+}
 _UNITS: Final = {"gyro": (DEG_PER_H, "°/h"), "accel": (1e3 * MICRO_G, "mg")}
 _NAMES: Final = {"gyro": "gyro", "accel": "accelerometer"}
 
