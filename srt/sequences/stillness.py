@@ -99,7 +99,8 @@ def _fails(
     angle = (rate[:, 1] - rate[:, 0]) * T
     # Three readings of the angle make the difference of two adjoining halves: 1, -2, 1.
     variance = ((2.0 * noise.gyro_white**2 * T + 6.0 * noise.gyro_edge**2) * ratio[0] ** 2) @ D2.T
-    variance = variance + 2.0 * (wander * T) ** 2
+    # The gyros of a unit are alike: where one bias wanders, the others may, although the Earth's rate hides it.
+    variance = variance + 2.0 * (wander.max() * T) ** 2
     turned = np.sum(angle**2 / variance, axis=1)
     A2 = accel.inverse**2
     force = accel.compensate(halves[1])
