@@ -17,7 +17,7 @@ from srt.closed_form.leave_one_out import contradictions, second_order_variance,
 from srt.closed_form.measurement_covariance import accel_drift, disturbances, effect
 from srt.estimation import g_sensitivity_report
 from srt.estimation.calibration_builder import build_calibration
-from srt.estimation.drift_model import POSSIBLE, SLOW, DriftEstimate, DriftSearch, gyro_statistics
+from srt.estimation.drift_model import DriftEstimate, DriftSearch, change, gyro_statistics, possible_sigma
 from srt.estimation.fixed_parameters import fixed_sigma, reason_on_request
 from srt.estimation.g_sensitivity import MODE as G_SENSITIVE
 from srt.estimation.g_sensitivity import RestRates
@@ -27,7 +27,7 @@ from srt.estimation.solver_result import SolverResult
 from srt.exceptions import DataError
 from srt.model import closed_form
 from srt.model.table1 import SEQUENCES
-from srt.noise.drift_forms import FALSE_ALARM, LINEAR, WALK, drift_test, variance_component
+from srt.noise.drift_forms import FALSE_ALARM, LINEAR, drift_test
 from srt.result.calibration import Residual
 from srt.sensor_errors import NAMES
 from srt.sequences.checked_preparation import prepare_checked
@@ -35,8 +35,10 @@ from srt.sequences.moves import recorded_moves
 
 if TYPE_CHECKING:
     from srt.closed_form.iteration import Solution
+    from srt.estimation.drift_model import Sensor
     from srt.estimation.options import Options
     from srt.estimation.registry import Progress
+    from srt.noise.drift_forms import DriftTest
     from srt.recording.recording import Recording
     from srt.result.calibration import Calibration
     from srt.sequences.preparation import PreparedRecording
@@ -95,10 +97,12 @@ def _shows_g_sensitivity(data: PreparedRecording, solution: Solution, fixed: Mas
 def _at_limit(
     data: PreparedRecording, options: Options, formulas: SelectedFormulas, solution: Solution, uncertain: Array
 ) -> tuple[PreparedRecording, Solution]:
-    """Solution with the largest bias instability that the windows cannot exclude, if that alone explains a misfit."""
+    """Solution with the largest bias instability that the windows cannot exclude, if it and no drift explains a misfit."""
     larger = replace(data, noise_at_limit=True)
     grown = np.any(data.noise.accel_limit > data.noise.accel_flicker)
     if not grown or solution.status != "converged" or not is_misfit(*_chi_square(solution, formulas.fixed)):
+        return data, solution
+    if _drift(data, solution, formulas.fixed)[0]:
         return data, solution
     found = iterate(larger, options, formulas, solution.errors, solution.U, fixed_sigma=uncertain)
     fit = _chi_square(found, formulas.fixed)
@@ -159,24 +163,23 @@ def _result(data: PreparedRecording, options: Options, solution: Solution, fixed
 def _drift(
     data: PreparedRecording, solution: Solution, fixed: Mask
 ) -> tuple[tuple[DriftEstimate, ...], DriftSearch, Array]:
-    """Significant drift of each triad; a possible linear one of the accelerometers, and its covariance.
+    """Significant drift of each triad; a possible one of the accelerometers, and its covariance.
 
-    The test has one chi-square for each triad, of the first components of a random walk: they describe any slow drift.
+    The test has one chi-square for each triad, that of a linear drift.
     """
-    m, R = solution.measurements, solution.measurement_covariance
-    walk, linear = data.drift_shapes[WALK].tested.windows, data.drift_shapes[LINEAR].windows
-    effects = [effect(solution.projection, accel_drift(m, 1.0, course)) for course in (walk, linear)]
-    accel, steady = residual_statistics(m.z, m.H[:, ~fixed], R, *effects)
-    gyro = gyro_statistics(data, m.gyro.inverse, m.rest_rate, m.integrated, (), {WALK: walk})[WALK]
-    found = []
-    for sensor, test in (("accel", drift_test(accel)), ("gyro", drift_test(gyro))):
-        if test is not None and test.p_value < FALSE_ALARM / 2:
-            size = np.asarray(np.ptp(walk @ test.amplitude.reshape(-1, 3), axis=0))
-            found.append(DriftEstimate(sensor, SLOW, size, modelled=False))
-    test = drift_test(steady)
-    possible = 0.0 if test is None or test.p_value >= POSSIBLE else variance_component(steady).sigma
-    root = possible * solution.gain @ effects[1]
-    return tuple(found), DriftSearch(possible=possible), root @ root.T
+    m, R, course = solution.measurements, solution.measurement_covariance, data.drift_shapes[LINEAR].windows
+    linear = effect(solution.projection, accel_drift(m, 1.0, course))
+    (accel,) = residual_statistics(m.z, m.H[:, ~fixed], R, linear)
+    gyro = gyro_statistics(data, m.gyro.inverse, m.rest_rate, m.integrated, (), {LINEAR: course})[LINEAR]
+    tests: dict[Sensor, DriftTest | None] = {"accel": drift_test(accel), "gyro": drift_test(gyro)}
+    found = tuple(
+        DriftEstimate(sensor, LINEAR, change(LINEAR, test.amplitude[None], course), modelled=False)
+        for sensor, test in tests.items()
+        if test is not None and test.p_value < FALSE_ALARM / len(tests)
+    )
+    possible = 0.0 if tests["accel"] is None else possible_sigma(accel, tests["accel"].p_value)
+    root = possible * solution.gain @ linear
+    return found, DriftSearch(possible=possible), root @ root.T
 
 
 def _g_sensitivity(

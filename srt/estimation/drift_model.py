@@ -33,18 +33,11 @@ if TYPE_CHECKING:
 
 _WIDE: Final = 100.0
 """Prior sigma of the coefficients of a form, in units of their estimate: the prior takes 1e-4 of the estimate."""
-POSSIBLE: Final = 0.05
+_POSSIBLE: Final = 0.05
 """p-value of a linear accelerometer drift below which the covariance includes it, although it is not selected."""
 MOST_TERMS: Final = 4
 """Largest number of forms that are modelled: searching ends when as many, or more, have been selected."""
-SLOW: Final = "slow change"
-"""Form of a drift of which no form is selected: its change is the largest range."""
-_COURSES: Final = {
-    LINEAR: "linearly with time",
-    "temperature": "with temperature",
-    WALK: "as a random walk",
-    SLOW: "slowly",
-}
+_COURSES: Final = {LINEAR: "linearly with time", "temperature": "with temperature", WALK: "as a random walk"}
 _UNITS: Final = {"gyro": (DEG_PER_H, "°/h"), "accel": (1e3 * MICRO_G, "mg")}
 _NAMES: Final = {"gyro": "gyro", "accel": "accelerometer"}
 
@@ -120,12 +113,7 @@ class DriftEstimate:
         """Warning that names the drift and its size."""
         factor, unit = _UNITS[self.sensor]
         sizes = ", ".join(f"{value / factor:+.3g}" for value in self.change.tolist())
-        forms = {
-            LINEAR: "linearly with time",
-            "temperature": "with temperature",
-            WALK: "as a random walk",
-            SLOW: "slowly",
-        }
+        forms = {LINEAR: "linearly with time", "temperature": "with temperature", WALK: "as a random walk"}
         form = forms.get(self.form, "as in a warm-up")
         end = (
             "the estimate includes this drift, and the sigmas allow for it."
@@ -187,8 +175,12 @@ def most_significant(
             out.append(DriftTerm(*key, _prior_sigma(key, found, courses[WALK], by_window)))
     linear: tuple[Sensor, str] = ("accel", LINEAR)
     drifting = any(term.sensor == "accel" for term in (*present, *out))
-    possible = not drifting and p_values.get(linear, 1.0) < POSSIBLE
-    return DriftSearch(tuple(out), variance_component(found[linear]).sigma if possible else 0.0)
+    return DriftSearch(tuple(out), 0.0 if drifting else possible_sigma(found[linear], p_values.get(linear, 1.0)))
+
+
+def possible_sigma(linear: Statistics, p_value: float) -> float:
+    """Standard deviation of a linear drift with a p-value that does not exclude it, m/s²; else zero."""
+    return variance_component(linear).sigma if p_value < _POSSIBLE else 0.0
 
 
 def _prior_sigma(
