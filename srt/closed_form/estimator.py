@@ -97,7 +97,7 @@ def _shows_g_sensitivity(data: PreparedRecording, solution: Solution, fixed: Mas
 def _at_limit(
     data: PreparedRecording, options: Options, formulas: SelectedFormulas, solution: Solution, uncertain: Array
 ) -> tuple[PreparedRecording, Solution]:
-    """Solution with the largest bias instability that the windows cannot exclude, if it and no drift explains a misfit."""
+    """Solution with the largest bias instability that the windows cannot exclude, if that alone explains a misfit."""
     larger = replace(data, noise_at_limit=True)
     grown = np.any(data.noise.accel_limit > data.noise.accel_flicker)
     if not grown or solution.status != "converged" or not is_misfit(*_chi_square(solution, formulas.fixed)):

@@ -67,6 +67,8 @@ _INDEPENDENT: Final = 1e-10
 """Columns are scaled to norm 1. A smaller diagonal element of R marks a linearly dependent column."""
 _REVERSED: Final = 0.5
 """Share of a correction that the next one takes back, and of that the next, from which the three alternate."""
+_ALIGNED, _ALIKE, _LONGEST = 0.9, 2, 20.0
+"""Cosine between corrections along one line, how many of these in turn show their ratio, and the largest sum."""
 _NEAR: Final = 1e-2
 """The noise is assessed, and alternating corrections are halved, below this correction (dimensionless, rad, g)."""
 
@@ -179,10 +181,13 @@ class _Damping:
 
     Asymmetry makes the model continuous but not smooth: where a channel reads zero, the corrections of both sides can
     point to each other for ever, although the minimum lies between them. Weights of robust losses alternate, too.
+
+    Corrections that shrink slowly along one line are those of a direction that is hardly determined beside the accuracy
+    of the Jacobian: their geometric series is summed (Aitken's method).
     """
 
     def __init__(self) -> None:
-        self._share, self._last, self._reversed = 1.0, np.zeros(N_PARAMETERS), False
+        self._share, self._last, self._reversed, self._alike = 1.0, np.zeros(N_PARAMETERS), False, 0
 
     def share(self, correction: Array) -> float:
         """Share of this correction, in :data:`PARAMETER_UNITS`."""
@@ -192,8 +197,14 @@ class _Damping:
             taken_back, self._share = False, 1.0
         if along < 0.0 and ((taken_back and self._reversed) or self._share < 1.0):
             self._share *= 0.5
+        aligned = self._share == 1.0 and np.max(np.abs(correction)) <= _NEAR and along < size
+        aligned &= along > _ALIGNED * np.sqrt(size * float(correction @ correction))
+        self._alike = self._alike + 1 if aligned else 0
         self._last, self._reversed = correction, taken_back
-        return self._share
+        if self._alike < _ALIKE:
+            return self._share
+        self._alike = 0
+        return min(size / (size - along), _LONGEST)
 
 
 def _neglected_tilt(before: JointState, after: JointState) -> float:
