@@ -79,7 +79,7 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
         fixed[name] = f"sequence {', '.join(absent)} is missing or void; the value is {source}"
     unused = [s.title for s in recording.sequences if s.id not in SEQUENCES]
     warnings = (f"Not of Table 1 and not used by the closed form: {', '.join(unused)}.",) if unused else ()
-    result = _result(data, options, solution, np.array([name in fixed for name in NAMES]))
+    result = _result(data, options, formulas, solution, np.array([name in fixed for name in NAMES]))
     if not options.ignore_moves:
         moves = len(recorded_moves(recording, labels))
         result = replace(result, diagnostics={**result.diagnostics, "unused_moves": moves})
@@ -121,7 +121,9 @@ def _chi_square(
     return chi_square(m.z[rows], m.H[rows, ~fixed], (R + np.diag(np.full(len(R), extra)))[rows, rows])
 
 
-def _result(data: PreparedRecording, options: Options, solution: Solution, fixed: Mask) -> SolverResult:
+def _result(
+    data: PreparedRecording, options: Options, formulas: SelectedFormulas, solution: Solution, fixed: Mask
+) -> SolverResult:
     """Solver result of a solution whose ``fixed`` parameters are not estimated."""
     statistic, freedom = _chi_square(solution, fixed)
     if is_misfit(statistic, freedom):
@@ -155,7 +157,7 @@ def _result(data: PreparedRecording, options: Options, solution: Solution, fixed
         end_attitude=solution.measurements.integrals.C_end,
         diagnostics=diagnostics,
         drift=drift,
-        sequences=() if solution.status == "outside_model" else sequence_diagnostics(data, options, solution, fixed),
+        sequences=() if solution.status == "outside_model" else sequence_diagnostics(data, formulas, solution, fixed),
         notes=notes,
     )
 

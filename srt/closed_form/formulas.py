@@ -17,6 +17,8 @@ from srt.model.table1 import AXES, SEQUENCES
 from srt.sensor_errors import GROUP_SLICES, INDEX, N_PARAMETERS, NAMES
 
 if TYPE_CHECKING:
+    from collections.abc import Collection
+
     from srt.estimation.options import Options
     from srt.estimation.srt_measurements import SrtMeasurements
     from srt.model.closed_form import Component, Formula
@@ -65,8 +67,6 @@ class SelectedFormulas:
     data : PreparedRecording
         Sequences of Table 1; those that occur more than once are averaged.
     options : Options
-    without : int
-        Number of a sequence that is left out; −1 for none.
 
     Raises
     ------
@@ -74,19 +74,35 @@ class SelectedFormulas:
         If the sequences support no formula at all.
     """
 
-    def __init__(self, data: PreparedRecording, options: Options, without: int = -1) -> None:
+    def __init__(self, data: PreparedRecording, options: Options) -> None:
+        self._select(data, options, data.ids, averaged_components(data))
+
+    def _select(self, data: PreparedRecording, options: Options, ids: Collection[str], averaged: Array) -> None:
         fixed = options.fixed_names
-        ids = frozenset(name for k, name in enumerate(data.ids) if k != without)
-        self.gravity = data.gravity
-        self.formulas, self.components, self.missing = _supported(ids, fixed)
+        self.data, self.options, self._averaged = data, options, averaged
+        self.formulas, self.components, self.missing = _supported(frozenset(ids), fixed)
         if not self.formulas:
             raise DataError(
                 f"The sequences {', '.join(data.ids)} support none of the closed-form formulas; "
                 "use the least-squares estimator, or record more of Table 1."
             )
-        self._measured = averaged_components(data, without)[[_PLACE[c] for c in self.components]]
+        self._measured = averaged[[_PLACE[c] for c in self.components]]
         self.rest_axes = [i for i, name in enumerate(NAMES[_BIAS]) if name not in fixed]
         self.kept = np.array([INDEX[f.parameter] for f in self.formulas] + [_BIAS.start + i for i in self.rest_axes])
+
+    def without(self, k: int) -> SelectedFormulas:
+        """Formulas that the sequences support without that of number k.
+
+        Raises
+        ------
+        DataError
+            If they support no formula at all.
+        """
+        ids = (*self.data.ids[:k], *self.data.ids[k + 1 :])
+        out = object.__new__(SelectedFormulas)
+        averaged = averaged_components(self.data, k) if self.data.ids[k] in ids else self._averaged
+        out._select(self.data, self.options, ids, averaged)
+        return out
 
     @cached_property
     def fixed(self) -> Mask:
@@ -119,7 +135,7 @@ class SelectedFormulas:
     @cached_property
     def coefficients(self) -> Array:
         """Coefficients of [P] eq. 13 for the averaged components, and 1 for gyro bias by rest rate; shape (27, n_z)."""
-        A = closed_form.inversion_matrix(self.formulas, self.gravity) @ self._measured
+        A = closed_form.inversion_matrix(self.formulas, self.data.gravity) @ self._measured
         for i in self.rest_axes:
             A[_BIAS.start + i, A.shape[1] - 3 + i] = 1.0
         return A

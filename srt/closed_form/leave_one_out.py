@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from srt.closed_form.formulas import SelectedFormulas
 from srt.estimation.leave_one_out import (
     ConsistencyTest,
     LeaveOneOutEstimate,
@@ -22,27 +21,27 @@ from srt.exceptions import DataError
 from srt.sensor_errors import N_PARAMETERS
 
 if TYPE_CHECKING:
+    from srt.closed_form.formulas import SelectedFormulas
     from srt.closed_form.iteration import Solution
-    from srt.estimation.options import Options
     from srt.sequences.preparation import PreparedRecording
     from srt.types import Array, Indices, Mask
 
 
 def sequence_diagnostics(
-    data: PreparedRecording, options: Options, solution: Solution, fixed: Mask
+    data: PreparedRecording, formulas: SelectedFormulas, solution: Solution, fixed: Mask
 ) -> tuple[SequenceDiagnostics, ...]:
     """Leave-one-out diagnostics of every sequence, in their order; empty where the linear model is singular.
 
     Parameters
     ----------
     data : PreparedRecording
-    options : Options
+    formulas : SelectedFormulas
     solution : Solution
     fixed : ndarray of bool, shape (27,)
     """
     try:
         against = contradictions(data, solution, fixed)
-        without = [_estimate_without(k, data, options, solution) for k in range(len(against))]
+        without = [_estimate_without(k, data, formulas, solution) for k in range(len(against))]
     except np.linalg.LinAlgError:
         return ()
     if not against:
@@ -81,7 +80,9 @@ def _rows(data: PreparedRecording, k: int) -> tuple[Indices, Indices]:
     return np.concatenate([[2 * k, 2 * k + 1], 2 * data.K + own]).astype(np.intp), own
 
 
-def _estimate_without(k: int, data: PreparedRecording, options: Options, solution: Solution) -> LeaveOneOutEstimate:
+def _estimate_without(
+    k: int, data: PreparedRecording, formulas: SelectedFormulas, solution: Solution
+) -> LeaveOneOutEstimate:
     """Estimate without sequence k, by the formulas that the other sequences support."""
     rows, windows = _rows(data, k)
     m, n = solution.measurements, len(solution.measurements.z)
@@ -93,7 +94,7 @@ def _estimate_without(k: int, data: PreparedRecording, options: Options, solutio
     pool = m.pool.copy()
     pool[windows] = 0.0
     try:
-        others = SelectedFormulas(data, options, without=k)
+        others = formulas.without(k)
     except DataError:  # the other sequences support no formula
         return LeaveOneOutEstimate(change, lost, lost.astype(float))
     S, kept, z = others.selection, others.kept, m.z.copy()

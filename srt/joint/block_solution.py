@@ -30,7 +30,7 @@ _SINGULAR: Final = 1e-13
 """Diagonal element of R, as a share of the norm of its column, below which columns are linearly dependent."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class _Conditional:
     """Columns eliminated in one step: ``R v + S s + c`` is white noise of unit variance."""
 
@@ -39,6 +39,11 @@ class _Conditional:
     R: Array
     S: Array
     c: Array
+
+    @cached_property
+    def inverse(self) -> Array:
+        """R⁻¹."""
+        return np.asarray(solve_triangular(self.R, np.eye(len(self.R))))
 
 
 class BlockSolution:
@@ -75,7 +80,7 @@ class BlockSolution:
                 raise np.linalg.LinAlgError("dependent columns, or a column without any measurement")
         self.delta = np.zeros(len(system.active))
         for part in reversed(self._conditionals):
-            self.delta[part.columns] = -solve_triangular(part.R, part.S @ self.delta[part.given] + part.c)
+            self.delta[part.columns] = -part.inverse @ (part.S @ self.delta[part.given] + part.c)
 
     @property
     def residual(self) -> Array:
@@ -92,10 +97,10 @@ class BlockSolution:
         out = np.array(combinations)
         out[~self.system.active] = 0.0
         for part in self._conditionals:
-            out[part.columns] = solve_triangular(part.R, out[part.columns], trans="T")
+            out[part.columns] = part.inverse.T @ out[part.columns]
             out[part.given] -= part.S.T @ out[part.columns]
         for part in reversed(self._conditionals):
-            out[part.columns] = solve_triangular(part.R, out[part.columns] - part.S @ out[part.given])
+            out[part.columns] = part.inverse @ (out[part.columns] - part.S @ out[part.given])
         return out
 
     @cached_property
@@ -110,32 +115,30 @@ class BlockSolution:
         return np.asarray(self.system.A @ self.with_parameters)
 
     @cached_property
-    def _roots(self) -> list[tuple[Indices, Array]]:
-        """Columns that each step involves, and a square root of their covariance."""
+    def _roots(self) -> list[Array]:
+        """Square root of the covariance of the columns that each step involves, in their order."""
         last = self._conditionals[-1]
-        columns, root = last.columns, solve_triangular(last.R, np.eye(len(last.columns)))
+        columns, root = last.columns, last.inverse
         out = []
         for part in reversed(self._conditionals[:-1]):
             at = np.searchsorted(columns, part.given)
             # The square root of the given columns, made square again.
             given = np.asarray(np.linalg.qr(root[at].T, mode="r")).T
-            inverse = solve_triangular(part.R, np.eye(len(part.columns)))
             n, r = len(part.columns), given.shape[1]
             root = np.zeros((n + len(given), n + r))
-            root[:n, :n], root[:n, n:], root[n:, n:] = inverse, -inverse @ (part.S @ given), given
+            root[:n, :n], root[:n, n:], root[n:, n:] = part.inverse, -part.inverse @ (part.S @ given), given
             columns = np.concatenate([part.columns, part.given])
             order = np.argsort(columns)
             columns, root = columns[order], root[order]
-            out.append((columns, root))
+            out.append(root)
         return out[::-1]
 
     @cached_property
     def _predicted_roots(self) -> list[Array]:
         """For each step, the square root H of the covariance H Hᵀ of the predicted rows A δ of the step."""
-        return [
-            self.system.A[step.rows].toarray()[:, columns] @ root
-            for step, (columns, root) in zip(self.steps, self._roots, strict=True)
-        ]
+        # The roots have their columns in ascending order, the steps have local ones first.
+        orders = (np.argsort(np.concatenate([step.local, step.onward, step.shared])) for step in self.steps)
+        return [step.A[:, order] @ root for step, order, root in zip(self.steps, orders, self._roots, strict=True)]
 
     def predicted_root(self, step: int, rows: Indices) -> Array:
         """Square root H of the covariance H Hᵀ of predicted rows A δ of one step."""

@@ -10,7 +10,6 @@ same.
 
 from __future__ import annotations
 
-from contextlib import nullcontext
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
@@ -49,7 +48,6 @@ from srt.sensor_errors import N_PARAMETERS, NAMES, SensorErrors
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-    from contextlib import AbstractContextManager
 
     from srt.estimation.registry import Progress
     from srt.joint.joint_model import JointModel
@@ -315,30 +313,12 @@ def observable_parameters(system: LinearSystem, requested: Mask) -> Mask:
 def run(joint: JointModel, solver: JointSolver, progress: Progress | None) -> Calibration:
     """Calibrate with a solver.
 
-    Linear algebra runs in one thread: with matrices of a few hundred rows, more threads give no gain, and on a busy
-    machine they were ten times slower.
-
     Raises
     ------
     InputError
         If an option does not apply to joint estimation.
     """
     joint.options.refuse(("step", "down", "measured_vertical", "window_attitude"), "Joint estimation")
-    with _one_thread():
-        return _run(joint, solver, progress)
-
-
-def _one_thread() -> AbstractContextManager[object]:
-    """Keep linear algebra to one thread where threadpoolctl is installed."""
-    try:
-        from threadpoolctl import threadpool_limits
-    except ModuleNotFoundError:
-        return nullcontext()
-    limits: AbstractContextManager[object] = threadpool_limits(limits=1, user_api="blas")
-    return limits
-
-
-def _run(joint: JointModel, solver: JointSolver, progress: Progress | None) -> Calibration:
     joint, found = _with_sound_moves(joint, solver, progress)
     options = joint.options
     uncertain = fixed_sigma(joint.data, options)

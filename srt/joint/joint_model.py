@@ -205,7 +205,7 @@ class JointModel:
     @cached_property
     def nominal_ends(self) -> list[Array | None]:
         """Nominal end attitude of every sequence, T to base; None if a rotation is not about an axis of the fixture."""
-        return [nominal_end(C, s) for C, s in zip(self.nominal, self.data.catalogue, strict=True)]
+        return [None if C is None else nominal_end(s) for C, s in zip(self.nominal, self.data.catalogue, strict=True)]
 
     def without_moves(self, reasons: Mapping[int, str]) -> JointModel:
         """Model of the recording without some moves, by their position and with the reason."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cache
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -35,8 +36,10 @@ def nominal_start(sequence: RotationSequence | None) -> Array | None:
     return nominal_attitude(sequence)
 
 
-def nominal_end(C: Array | None, sequence: RotationSequence | None) -> Array | None:
-    """Nominal attitude after the rotations of a sequence that starts at C, if all are about an axis of the fixture."""
+@cache
+def nominal_end(sequence: RotationSequence | None) -> Array | None:
+    """Nominal attitude after the rotations of a sequence, if all are about an axis of the fixture."""
+    C = nominal_start(sequence)
     if C is None or sequence is None:
         return None
     for axis, angle in zip(sequence.axes, sequence.angles_rad, strict=True):

@@ -305,7 +305,7 @@ def _latitude(joint: JointModel, solution: BlockSolution) -> Array:
     system, recording = solution.system, joint.data.recording
     error = np.concatenate([latitude_error(recording, placed=frame.fixture) for frame in joint.level_frames])
     effect = np.zeros(len(system.b))
-    for group in system.rows:
+    for group in system.rows if error.any() else ():
         if not group.kind.startswith("earth_rate"):  # the prior of its unknown part
             rows = group.index.ravel()
             effect[rows] = system.A[rows][:, system.of("earth_rate")] @ error
