@@ -170,7 +170,7 @@ def _drift(
     The test has one chi-square for each triad, that of a linear drift.
     """
     m, R, course = solution.measurements, solution.measurement_covariance, data.drift_shapes[LINEAR].windows
-    linear = effect(solution.projection, accel_drift(m, 1.0, course))
+    linear = effect(solution.projection, accel_drift(m, np.ones(3), course))
     (accel,) = residual_statistics(m.z, m.H[:, ~fixed], R, linear)
     gyro = gyro_statistics(data, m.gyro.inverse, m.rest_rate, m.integrated, (), {LINEAR: course})[LINEAR]
     tests: dict[Sensor, DriftTest | None] = {"accel": drift_test(accel), "gyro": drift_test(gyro)}
@@ -195,7 +195,7 @@ def _g_sensitivity(
     rest = RestRates(m.poses, m.force, m.rest_rate, m.pool, m.window_sequence, m.gyro)
     # Γ is linear in the rates of the windows.
     W = len(m.pool)
-    of_rates = np.einsum("ab,bcs->acs", m.gyro.matrix, m.poses.fit(np.eye(3 * W).reshape(W, 3, 3 * W)))
+    of_rates = np.einsum("ab,wc->acwb", m.gyro.matrix, m.poses.weights)
     projection = {kind: np.zeros((9, *part.shape[1:])) for kind, part in solution.projection.items()}
     projection["rate"] = of_rates.reshape(9, W, 3)
     by_source = disturbances(m, data, solution.wander).values()

@@ -6,6 +6,7 @@ their full Jacobian is inverted: ``δ = (S H)⁻¹ S z``; at zero error that equ
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Final
 
@@ -126,10 +127,15 @@ class SelectedFormulas:
         return np.concatenate([own @ self._measured, np.eye(n_z)[[n_z - 3 + i for i in self.rest_axes]]])
 
     def gain(self, measurements: SrtMeasurements) -> Array:
-        """Gain G = (S H)⁻¹ S of δ = G z, shape (27, n_z): the inverse of the Jacobian of the selected components."""
-        S = self.selection
-        G = np.zeros((N_PARAMETERS, S.shape[1]))
-        G[self.kept] = np.linalg.solve(S @ measurements.H[:, self.kept], S)
+        """Gain G = (S H)⁻¹ S of δ = G z, shape (..., 27, n_z); NaN for a unit whose equations are singular."""
+        S, H = self.selection, measurements.H[..., self.kept]
+        G = np.zeros((*H.shape[:-2], N_PARAMETERS, S.shape[1]))
+        try:
+            G[..., self.kept, :] = np.linalg.solve(S @ H, np.broadcast_to(S, (*H.shape[:-2], *S.shape)))
+        except np.linalg.LinAlgError:
+            if H.ndim == 2 or len(H) == 1:
+                return np.full(G.shape, np.nan)
+            return np.stack([self.gain(replace(measurements, H=own)) for own in measurements.H])
         return G
 
     @cached_property

@@ -11,6 +11,7 @@ correction δ = G z. Two steps are available:
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
@@ -24,9 +25,10 @@ from srt.estimation.g_sensitivity import MODE as G_SENSITIVE
 from srt.estimation.rest_rate_scatter import bias_gain, excess_variance, rest_rate_variance
 from srt.estimation.srt_measurements import SrtProcessor
 from srt.exceptions import DataError
-from srt.model.sensor_model import compose, outside_model
+from srt.model.sensor_model import compose, outside_models
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SensorErrors
-from srt.sequences.stillness import moved_windows
+from srt.sequences.prepared_units import together
+from srt.sequences.stillness import moved_windows, suspect_units
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -35,7 +37,8 @@ if TYPE_CHECKING:
     from srt.estimation.options import Options
     from srt.estimation.srt_measurements import SrtMeasurements
     from srt.sequences.preparation import PreparedRecording
-    from srt.types import Array
+    from srt.sequences.prepared_units import PreparedUnits
+    from srt.types import Array, Indices, Mask
 
 
 _NEAR: Final = 1e-3
@@ -89,234 +92,329 @@ class Solution:
     g_sensitivity: Array
 
 
-class _DivergenceError(Exception):
-    """The iteration cannot continue; the message gives the reason."""
-
-
 class _Iteration:
-    """State of an iteration; :func:`iterate` runs it."""
+    """State of the iteration of units: all arrays have a leading axis of the units that still iterate."""
 
     def __init__(
         self,
-        data: PreparedRecording,
+        data: PreparedUnits,
         options: Options,
         formulas: SelectedFormulas,
-        start: SensorErrors,
+        start: Array,
+        U: Array,
         fixed_sigma: Array,
     ) -> None:
-        self.data, self.options, self.formulas, self.start = data, options, formulas, start
-        self.fixed_sigma = fixed_sigma
-        self.offset, self.g_sensitivity = np.zeros((data.K, 3)), np.zeros((3, 3))
-        self.wander = np.zeros(3) if data.noise.gyro_wander is None else data.noise.gyro_wander
-        self.integrated = np.full(len(data.windows.duration_s), options.window_attitude == "integrated")
+        self.data, self.options, self.formulas, self.fixed_sigma = data, options, formulas, fixed_sigma
+        units, K, W = len(start), data.K, len(data.windows.duration_s)
+        self.number, self.start, self.vector, self.U = np.arange(units), start, start.copy(), U
+        self.inside = start, U
+        self.offset, self.g_sensitivity = np.zeros((units, K, 3)), np.zeros((units, 3, 3))
+        stated = data.noise.gyro_wander
+        self.wander = np.zeros((units, 3)) if stated is None else np.asarray(stated)
+        self.sigma = np.full((units, N_PARAMETERS), np.nan)
+        self.corrections = np.zeros((units, 0))
+        self.noise: list[Array] = []
+        self.integrated = np.full(W, options.window_attitude == "integrated")
         self.processor = SrtProcessor(data, options, self.integrated)
+        self.solutions: dict[int, Solution] = {}
+        self.alone: list[int] = []
 
-    def run(self, U: Array, progress: Callable[[int, float], None] | None) -> Solution:
+    def run(self, progress: Callable[[int, float], None] | None) -> None:
         """Iterate until the corrections are negligible, or the largest number of iterations is reached."""
-        errors = self.start
-        corrections: list[float] = []
-        sigma: Array | None = None
-        noise: tuple[Array | None, Array | None] = None, None
-        status, message = "not_converged", ""
-        final: SrtMeasurements | None = None
-        inside = errors, U
         for i in range(self.options.max_playbacks):
-            fresh = sigma is None and bool(corrections) and corrections[-1] < _NEAR
-            nominal = i == 0 or not self.options.measured_vertical
-            measurements = self._process(errors, U, nominal=nominal, with_noise=fresh)
-            if fresh and self._release_moving(measurements):
-                continue
-            try:
-                gain = self._gain(measurements)
-                if fresh:
-                    noise = measurements.integrals.noise, measurements.integrals.time_parts
-                    R = sum(self._by_source(measurements, self._projection(measurements)).values())
-                    sigma = np.sqrt(np.maximum(np.diag(gain @ R @ gain.T), 0.0))
-                errors, U, correction = self._correct(errors, measurements, gain)
-                size = float(np.max(np.abs(correction) / PARAMETER_UNITS))
-                corrections.append(size)
-                if progress is not None:
-                    progress(len(corrections), size)
-                _require_inside(errors)
-                inside = errors, U
-            except _DivergenceError as reason:
-                status, message = "outside_model", f"After iteration {len(corrections)} {reason}."
-                break
-            settled = self._update_offsets(measurements, np.zeros(N_PARAMETERS) if sigma is None else sigma)
-            if sigma is None:
-                continue
-            tolerance = np.maximum(CONVERGED_CORRECTION * PARAMETER_UNITS, CONVERGED_SIGMAS * sigma)
-            if settled and bool(np.all(np.abs(correction) <= tolerance)) and not self._release_moving(measurements):
-                status, message = "converged", f"Converged after {len(corrections)} iterations."
-                # The last correction is below 0.01 sigma: linear prediction gives z without another iteration.
-                integrals = replace(measurements.integrals, noise=noise[0], time_parts=noise[1])
-                final = replace(measurements, z=measurements.z - measurements.H @ correction, integrals=integrals)
-                break
-            if self.processor.integrated is not measurements.integrated:
-                sigma = None
-        else:
-            message = (
-                f"Not converged after {len(corrections)} iterations: the last correction was "
-                f"{corrections[-1] if corrections else np.inf:.2e} "
-                "(largest component: ratios, rad; accelerometer biases in g)."
-            )
-        if final is None:
-            # Readings cannot be compensated with errors outside the sensor model: the last estimate inside it.
-            final = self._process(*inside, nominal=not self.options.measured_vertical, with_noise=True)
-        return self._finish(final, errors, U, corrections, status, message)
+            if not self.number.size:
+                return
+            near = self.corrections[:, -1] < _NEAR if self.corrections.size else np.zeros(len(self.number), dtype=bool)
+            fresh = near & np.isnan(self.sigma[:, 0])
+            measurements = self._process(nominal=i == 0 or not self.options.measured_vertical, noise=bool(fresh.any()))
+            if fresh.any():
+                moving = self._moving(measurements, fresh)
+                if self._integrate(moving):
+                    continue
+                if moving.any():
+                    still = np.flatnonzero(~moving.any(axis=1))
+                    self._keep(still)
+                    if not still.size:
+                        return
+                    measurements, fresh = measurements.of(still), fresh[still]
+            gain = self.formulas.gain(measurements)
+            if fresh.any():
+                self._assess(measurements, gain, fresh)
+            correction, failures = self._correct(measurements, gain)
+            size = np.max(np.abs(correction) / PARAMETER_UNITS, axis=1)
+            self.corrections = np.column_stack([self.corrections, size])
+            if progress is not None and size.size:
+                progress(self.corrections.shape[1], float(size.max()))
+            self._end(measurements, correction, failures)
+        message = (
+            "Not converged after {count} iterations: the last correction was {last:.2e} "
+            "(largest component: ratios, rad; accelerometer biases in g)."
+        )
+        self._finish_inside(np.arange(len(self.number)), "not_converged", [message] * len(self.number))
 
-    def _process(self, errors: SensorErrors, U: Array, *, nominal: bool, with_noise: bool) -> SrtMeasurements:
-        """Process the recorded data with given errors."""
+    def _end(self, measurements: SrtMeasurements, correction: Array, failures: list[str | None]) -> None:
+        """Take the units out that failed or converged; update what the others follow."""
+        count = self.corrections.shape[1]
+        sound = np.array([reason is None for reason in failures])
+        failed = np.flatnonzero(~sound)
+        self._finish_inside(
+            failed, "outside_model", [f"After iteration {count} {failures[u]}." for u in failed.tolist()]
+        )
+        if failed.size:
+            measurements, correction = measurements.of(np.flatnonzero(sound)), correction[sound]
+            self._keep(np.flatnonzero(sound))
+        if not self.number.size:
+            return
+        settled = self._update_offsets(measurements)
+        tolerance = np.maximum(CONVERGED_CORRECTION * PARAMETER_UNITS, CONVERGED_SIGMAS * self.sigma)
+        # A comparison with the NaN of a sigma that is not known yet is false.
+        settled &= np.all(np.abs(correction) <= tolerance, axis=1)
+        if not settled.any():
+            return
+        moving = self._moving(measurements, settled)
+        if self._integrate(moving):
+            self.sigma[:] = np.nan
+            return
+        done = np.flatnonzero(settled & ~moving.any(axis=1))
+        # The last correction is below 0.01 sigma: linear prediction gives z without another iteration.
+        final, last = measurements.of(done), correction[done]
+        noise, parts = (part[done] for part in self.noise)
+        predicted = final.z - np.einsum("uzp,up->uz", final.H, last)
+        integrals = replace(final.integrals, noise=noise, time_parts=parts)
+        self._finish(
+            replace(final, z=predicted, integrals=integrals),
+            done,
+            "converged",
+            ["Converged after {count} iterations."] * len(done),
+        )
+        self._keep(np.flatnonzero(~settled))
+
+    def _keep(self, which: Indices) -> None:
+        """Continue with some of the units."""
+        if len(which) == len(self.number):
+            return
+        for name in ("number", "start", "vector", "U", "offset", "g_sensitivity", "wander", "sigma", "corrections"):
+            setattr(self, name, getattr(self, name)[which])
+        self.inside = self.inside[0][which], self.inside[1][which]
+        self.noise = [part[which] for part in self.noise]
+        if which.size:
+            self.data = self.data.of_units(which)
+            self.processor = SrtProcessor(self.data, self.options, self.integrated)
+
+    def _process(self, *, nominal: bool, noise: bool) -> SrtMeasurements:
         return self.processor.process(
-            errors,
-            U=U,
+            self.vector,
+            U=self.U,
             nominal_vertical=nominal,
             bias_offset=self.offset,
             g_sensitivity=self.g_sensitivity,
-            with_noise=with_noise,
+            with_noise=noise,
         )
 
-    def _gain(self, measurements: SrtMeasurements) -> Array:
-        try:
-            gain = self.formulas.gain(measurements)
-        except np.linalg.LinAlgError:
-            gain = np.full((N_PARAMETERS, len(measurements.z)), np.nan)
-        if not np.all(np.isfinite(gain)):
-            raise _DivergenceError("the equations could not be solved (wrong label, or a sequence without rotation?)")
-        return gain
+    def _assess(self, measurements: SrtMeasurements, gain: Array, fresh: Mask) -> None:
+        """Compute the sigmas of the parameters, and store the noise integrals that belong to them."""
+        integrals = measurements.integrals
+        found = [part for part in (integrals.noise, integrals.time_parts) if part is not None]
+        self.noise = self.noise or [np.zeros_like(part) for part in found]
+        for stored, part in zip(self.noise, found, strict=True):
+            stored[fresh] = part[fresh]
+        seen = measurement_covariance.through(gain, self._projection(measurements))
+        sources = measurement_covariance.disturbances(measurements, self.data, self.wander).values()
+        variance = sum(np.sum(measurement_covariance.effect(seen, source) ** 2, axis=-1) for source in sources)
+        self.sigma[fresh] = np.sqrt(variance)[fresh]
 
-    def _correct(
-        self, errors: SensorErrors, measurements: SrtMeasurements, gain: Array
-    ) -> tuple[SensorErrors, Array, Array]:
-        # U is estimated from the data (axes and verticals), so that the nominal attitudes hold no mounting error.
-        U = measurements.U
+    def _correct(self, measurements: SrtMeasurements, gain: Array) -> tuple[Array, list[str | None]]:
+        """Correct the estimates; corrections (units, 27), and the reason where a unit cannot continue."""
         composed = self.options.step == "coefficients"
-        delta = (self.formulas.coefficients if composed else gain) @ measurements.z
-        if not np.all(np.isfinite(delta)):
-            raise _DivergenceError("the correction is not finite")
-        largest = float(np.max(np.abs(delta) / PARAMETER_UNITS))
-        if largest > MAX_STEP:
-            delta *= MAX_STEP / largest
-        if composed:
+        delta = np.einsum("...pz,...z->...p", self.formulas.coefficients if composed else gain, measurements.z)
+        unsolved = np.asarray(~np.isfinite(gain).all(axis=(1, 2)))
+        infinite = np.asarray(~np.isfinite(delta).all(axis=1))
+        delta[unsolved | infinite] = 0.0
+        largest = np.max(np.abs(delta) / PARAMETER_UNITS, axis=1)
+        delta *= (MAX_STEP / np.maximum(largest, MAX_STEP))[:, None]
+        # U is estimated from the data (axes and verticals), so that the nominal attitudes hold no mounting error.
+        vector, U = self.vector + delta, measurements.U.copy()
+        reasons: list[str | None] = [None] * len(vector)
+        for u in range(len(vector)) if composed else ():
             try:
-                corrected, turn = compose(errors, delta)
-            except DataError as error:
-                raise _DivergenceError("the composed gyro triad is left-handed") from error
-            vector, U = corrected.vector.copy(), turn @ U
-        else:
-            vector = errors.vector + delta
-        vector[self.formulas.fixed] = self.start.vector[self.formulas.fixed]
-        return SensorErrors(vector), U, vector - errors.vector
+                corrected, turn = compose(SensorErrors(self.vector[u]), delta[u])
+                vector[u], U[u] = corrected.vector, turn @ U[u]
+            except DataError:
+                reasons[u] = "the composed gyro triad is left-handed"
+        vector[:, self.formulas.fixed] = self.start[:, self.formulas.fixed]
+        for u, outside in enumerate(outside_models(vector)):
+            reasons[u] = reasons[u] or outside
+            if infinite[u]:
+                reasons[u] = "the correction is not finite"
+            if unsolved[u]:
+                reasons[u] = "the equations could not be solved (wrong label, or a sequence without rotation?)"
+        correction, self.vector, self.U = vector - self.vector, vector, U
+        sound = np.array([reason is None for reason in reasons])[:, None]
+        self.inside = np.where(sound, vector, self.inside[0]), np.where(sound[..., None], U, self.inside[1])
+        return correction, reasons
 
-    def _update_offsets(self, measurements: SrtMeasurements, sigma: Array) -> bool:
-        """Update g-sensitivity and the biases of the sequences; return True if the change is negligible."""
-        followed = 0.0
+    def _update_offsets(self, measurements: SrtMeasurements) -> Mask:
+        """Update g-sensitivity and the biases of the sequences; True for units where the change is negligible."""
+        followed = np.zeros(len(self.number))
         if measurements.poses is not None:
             left = measurements.poses.fit(measurements.rest_rate)
-            measurements = replace(measurements, rest_rate=measurements.rest_rate - measurements.force @ left.T)
+            rest = measurements.rest_rate - measurements.force @ np.swapaxes(left, -1, -2)
+            measurements = replace(measurements, rest_rate=rest)
             self.g_sensitivity = self.g_sensitivity + measurements.gyro.matrix @ left
-            followed = self.data.gravity * float(np.abs(left).max())
+            followed = self.data.gravity * np.abs(left).max(axis=(1, 2))
         if self.data.noise.gyro_wander is None and self.options.gyro_bias in ("auto", G_SENSITIVE):
             self.wander = self._scatter(measurements)
-        gain = self._bias_gain(measurements)
-        new = gain * measurements.bias_by_sequence
-        change = max(np.abs(new - self.offset).max() if new.size else 0.0, followed)
+        new = self._bias_gain(measurements)[..., None, :] * measurements.bias_by_sequence
+        change = np.maximum(np.abs(new - self.offset).max(axis=(1, 2)), followed)
         self.offset = new
-        return bool(change <= max(CONVERGED_CORRECTION, CONVERGED_SIGMAS * sigma[GROUP_SLICES["gyro_bias"]].max()))
+        bias_sigma = np.nan_to_num(self.sigma[:, GROUP_SLICES["gyro_bias"]].max(axis=1))
+        return np.asarray(change <= np.maximum(CONVERGED_CORRECTION, CONVERGED_SIGMAS * bias_sigma))
 
     def _bias_gain(self, measurements: SrtMeasurements) -> Array:
         return bias_gain(measurements, self.data, self.options.gyro_bias, self._compensated(measurements))
 
     def _compensated(self, measurements: SrtMeasurements) -> Array:
-        return np.asarray(np.sqrt(measurements.gyro.inverse**2 @ self.wander**2))
+        return np.asarray(np.sqrt(np.einsum("uab,ub->ua", measurements.gyro.inverse**2, self.wander**2)))
 
     def _scatter(self, measurements: SrtMeasurements) -> Array:
         """1-sigma of the bias between sequences, from the variation of their rest rates beyond noise (sensor axes)."""
-        left = measurements.scatter_left()
-        if np.sum(~self.data.is_move) < 3 or left < LEAST_SCATTER:
-            return np.zeros(3)
-        rest = measurements.rest_rate
-        # A move has no windows of its own.
-        own = measurements.share[~self.data.is_move]
-        deviation = (own @ rest - measurements.pool @ rest) / np.sqrt(left)
-        doubt = earth_rate_sigma(self.data.recording)
-        expected = rest_rate_variance(measurements, self.data) + doubt**2
+        left = np.broadcast_to(measurements.scatter_left(), len(self.number))
+        if self.data.K < 3:
+            return np.zeros((len(left), 3))
+        shown = left >= LEAST_SCATTER
+        deviation = measurements.bias_by_sequence / np.sqrt(np.where(shown, left, 1.0))[:, None, None]
+        expected = rest_rate_variance(measurements, self.data) + earth_rate_sigma(self.data.recording) ** 2
         # Without a fixture, errors of the rotations are larger, and the bound would spoil the weights.
         unstated = self.data.recording.noise.gyro_noise is None and self.data.recording.fixture is not None
-        excess = excess_variance(deviation, expected, bounded=unstated)
-        return np.asarray(np.sqrt(measurements.gyro.matrix**2 @ excess))
+        excess = [excess_variance(*own, bounded=unstated) for own in zip(deviation, expected, strict=True)]
+        scatter = np.sqrt(np.einsum("uab,ub->ua", measurements.gyro.matrix**2, np.stack(excess)))
+        return np.where(shown[:, None], scatter, 0.0)
 
-    def _release_moving(self, measurements: SrtMeasurements) -> bool:
-        """Mark windows that rotated beyond their noise for integration; return True if there are new ones."""
-        rest = measurements.rest_rate - measurements.pool @ measurements.rest_rate
-        moving = moved_windows(self.data, measurements.gyro, measurements.accel, rest, self._compensated(measurements))
-        moving &= ~self.integrated
+    def _moving(self, measurements: SrtMeasurements, which: Mask) -> Mask:
+        """Windows that rotated beyond their noise and are not integrated yet, of some of the units, (units, W)."""
+        rest = measurements.rest_rate - (measurements.pool @ measurements.rest_rate)[:, None]
+        wander, moving = self._compensated(measurements), np.zeros(rest.shape[:2], dtype=np.bool_)
+        suspect = suspect_units(self.data, measurements.gyro, measurements.accel, rest, wander)
+        for u in np.flatnonzero(which & suspect).tolist():
+            gyro, accel = measurements.gyro.of(u), measurements.accel.of(u)
+            moving[u] = moved_windows(self.data.units[u], gyro, accel, rest[u], wander[u])
+        return np.asarray(moving & ~self.integrated)
+
+    def _integrate(self, moving: Mask) -> bool:
+        """Integrate moving windows of a single unit, True if there are any; of several units, note those for later."""
+        if len(moving) > 1:
+            self.alone += self.number[moving.any(axis=1)].tolist()
+            return False
         if not moving.any():
             return False
-        self.integrated = self.integrated | moving
+        self.integrated = self.integrated | moving[0]
         self.processor = SrtProcessor(self.data, self.options, self.integrated)
         return True
 
     def _projection(self, measurements: SrtMeasurements) -> dict[str, Array]:
         return measurement_covariance.projection(measurements, self.data, self._bias_gain(measurements))
 
-    def _by_source(self, measurements: SrtMeasurements, projection: dict[str, Array]) -> dict[str, Array]:
-        return measurement_covariance.covariances(projection, measurements, self.data, self.wander)
+    def _finish_inside(self, which: Indices, status: str, messages: list[str]) -> None:
+        """Solutions of units that did not converge, at the last estimate inside the sensor model."""
+        if not which.size:
+            return
+        ended = copy(self)
+        ended._keep(which)
+        # Readings cannot be compensated with errors outside the sensor model.
+        ended.vector, ended.U = ended.inside
+        measurements = ended._process(nominal=not self.options.measured_vertical, noise=True)
+        ended.vector, ended.U = self.vector[which], self.U[which]
+        ended._finish(measurements, np.arange(len(which)), status, messages)
 
-    def _finish(
-        self,
-        measurements: SrtMeasurements,
-        errors: SensorErrors,
-        U: Array,
-        corrections: list[float],
-        status: str,
-        message: str,
-    ) -> Solution:
-        projection = self._projection(measurements)
-        by_source = self._by_source(measurements, projection)
-        total = np.asarray(sum(by_source.values()))
-        try:
-            gain = self._gain(measurements)
-        except _DivergenceError:
-            gain, status = np.zeros((N_PARAMETERS, len(measurements.z))), "outside_model"
-        covariance = {name: gain @ R @ gain.T for name, R in by_source.items()}
-        beyond = measurement_covariance.accel_drift(measurements, self.data.noise.accel_unseen, self.data.window_drift)
-        unseen = gain @ measurement_covariance.effect(projection, beyond)
-        covariance["accel_bias_instability"] += unseen @ unseen.T
+    def _finish(self, measurements: SrtMeasurements, which: Indices, status: str, messages: list[str]) -> None:
+        """Store the solutions of some of the units, from their last measurements."""
+        if not which.size:
+            return
+        own = copy(self)
+        own._keep(which)
+        projection = own._projection(measurements)
+        found = measurement_covariance.disturbances(measurements, own.data, own.wander)
+        total = measurement_covariance.covariance(projection, found.values())
+        gain = self.formulas.gain(measurements)
+        solved = np.asarray(np.isfinite(gain).all(axis=(1, 2)))
+        gain[~solved] = 0.0
+        seen = measurement_covariance.through(gain, projection)
+        roots = {name: measurement_covariance.effect(seen, source) for name, source in found.items()}
+        covariance = {name: G @ np.swapaxes(G, -1, -2) for name, G in roots.items()}
+        noise, bias = own.data.noise, np.arange(N_PARAMETERS)[GROUP_SLICES["gyro_bias"]]
+        beyond = measurement_covariance.accel_drift(measurements, noise.accel_unseen, own.data.window_drift)
+        unseen = measurement_covariance.effect(seen, beyond)
+        covariance["accel_bias_instability"] += unseen @ np.swapaxes(unseen, -1, -2)
         # The errors of the fixed values propagate into the estimated parameters.
         by_fixed = measurements.H * np.where(self.formulas.fixed, self.fixed_sigma, 0.0)
-        covariance["held_values"] = gain @ by_fixed @ by_fixed.T @ gain.T
-        total = total + by_fixed @ by_fixed.T
-        if self.data.noise.gyro_flicker is None:
+        held = by_fixed @ np.swapaxes(by_fixed, -1, -2)
+        covariance["held_values"] = gain @ held @ np.swapaxes(gain, -1, -2)
+        total = total + held
+        if noise.gyro_flicker is None:
             # The reported bias is the unit's; the bias during this test differs from it by one random draw. A stated
             # bias instability includes this already: its part common to all windows is an error of the bias alone.
-            bias = np.arange(N_PARAMETERS)[GROUP_SLICES["gyro_bias"]]
-            covariance["gyro_bias_instability"][bias, bias] += self.wander**2
-        left = np.eye(len(measurements.z)) - measurements.H @ gain
-        return Solution(
-            errors=errors,
-            U=U,
-            covariance=covariance,
-            measurement_covariance=total,
-            residual_covariance=left @ total @ left.T,
-            gain=gain,
-            projection=projection,
-            measurements=measurements,
-            corrections=tuple(corrections),
-            status=status,
-            message=message,
-            integrated=tuple(np.flatnonzero(self.integrated).tolist()),
-            wander=self.wander,
-            bias_by_sequence=self.offset,
-            g_sensitivity=self.g_sensitivity,
-        )
+            covariance["gyro_bias_instability"][:, bias, bias] += own.wander**2
+        left = np.eye(measurements.z.shape[1]) - measurements.H @ gain
+        residual = left @ total @ np.swapaxes(left, -1, -2)
+        for u, number in enumerate(own.number.tolist()):
+            corrections = own.corrections[u].tolist()
+            last = corrections[-1] if corrections else np.inf
+            self.solutions[number] = Solution(
+                errors=SensorErrors(own.vector[u]),
+                U=own.U[u],
+                covariance={name: P[u] for name, P in covariance.items()},
+                measurement_covariance=total[u],
+                residual_covariance=residual[u],
+                gain=gain[u],
+                projection={kind: part[u] for kind, part in projection.items()},
+                measurements=measurements.of(u),
+                corrections=tuple(corrections),
+                status=status if solved[u] else "outside_model",
+                message=messages[u].format(count=len(corrections), last=last),
+                integrated=tuple(np.flatnonzero(self.integrated).tolist()),
+                wander=own.wander[u],
+                bias_by_sequence=own.offset[u],
+                g_sensitivity=own.g_sensitivity[u],
+            )
 
 
-def _require_inside(errors: SensorErrors) -> None:
-    """Raise if the errors lie outside the range of the sensor model."""
-    reason = outside_model(errors)
-    if reason is not None:
-        raise _DivergenceError(reason)
+def iterate_units(
+    data: PreparedUnits,
+    options: Options,
+    formulas: SelectedFormulas,
+    start: Array,
+    U: Array,
+    progress: Callable[[int, float], None] | None = None,
+    *,
+    fixed_sigma: Array | None = None,
+) -> list[Solution]:
+    """Iterate units together from initial estimates until the corrections are negligible.
+
+    A unit that converges, diverges or moved in a window leaves the others.
+
+    Parameters
+    ----------
+    data : PreparedUnits
+    options : Options
+    formulas : SelectedFormulas
+    start : ndarray, shape (units, 27)
+        Initial estimates; fixed parameters keep these values.
+    U : ndarray, shape (units, 3, 3)
+        T to MARS components.
+    progress : callable, optional
+        Called with the number of the iteration and the largest correction.
+    fixed_sigma : ndarray, shape (27,), optional
+        1-sigma of each parameter's initial value, used for fixed parameters; zero means exact.
+    """
+    uncertain = np.zeros(N_PARAMETERS) if fixed_sigma is None else fixed_sigma
+    iteration = _Iteration(data, options, formulas, start, U, uncertain)
+    iteration.run(progress)
+    for u in iteration.alone:
+        # Its moving windows are integrated, which those of the others are not.
+        own = _Iteration(data.of_units(np.array([u])), options, formulas, start[u : u + 1], U[u : u + 1], uncertain)
+        own.run(progress)
+        iteration.solutions[u] = own.solutions[0]
+    return [iteration.solutions[u] for u in range(len(start))]
 
 
 def iterate(
@@ -329,21 +427,6 @@ def iterate(
     *,
     fixed_sigma: Array | None = None,
 ) -> Solution:
-    """Iterate from an initial estimate until the corrections are negligible.
-
-    Parameters
-    ----------
-    data : PreparedRecording
-    options : Options
-    formulas : SelectedFormulas
-    errors : SensorErrors
-        Initial estimate; fixed parameters keep these values.
-    U : ndarray, shape (3, 3)
-        T to MARS components.
-    progress : callable, optional
-        Called with the number of the iteration and the largest correction.
-    fixed_sigma : ndarray, shape (27,), optional
-        1-sigma of each parameter's initial value, used for fixed parameters; zero means exact.
-    """
-    uncertain = np.zeros(N_PARAMETERS) if fixed_sigma is None else fixed_sigma
-    return _Iteration(data, options, formulas, errors, uncertain).run(U, progress)
+    """:func:`iterate_units` of one unit."""
+    start = errors.vector[None], U[None]
+    return iterate_units(together([data]), options, formulas, *start, progress, fixed_sigma=fixed_sigma)[0]

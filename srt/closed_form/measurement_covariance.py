@@ -17,13 +17,15 @@ from srt.estimation.error_sources import Source
 from srt.model.rotations import cross_matrix, rotation_matrix
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from srt.estimation.error_sources import Slopes
     from srt.estimation.srt_measurements import SrtMeasurements
     from srt.sequences.preparation import PreparedRecording
     from srt.types import Array
 
     Draws = dict[str, Array]
-    """Effects of S draws on errors of a kind ("turn", "rate", "force"), shape (n, 3, S) each."""
+    """Effects of S draws on errors of a kind ("turn", "rate", "force"), shape (..., n, 3, S) each."""
 
 
 _ROUNDING: Final = 1e-12
@@ -36,53 +38,63 @@ def projection(measurements: SrtMeasurements, data: PreparedRecording, bias_gain
     Parameters
     ----------
     measurements, data : SrtMeasurements, PreparedRecording
-    bias_gain : ndarray, shape (3,)
+    bias_gain : ndarray, shape (..., 3)
         Share of a sequence's own rest rate that is taken as its bias (0: pooled, 1: its own).
 
     Returns
     -------
-    dict of str to ndarray, shape (n_z, K or W, 3)
+    dict of str to ndarray, shape (..., n_z, K or W, 3)
     """
     m, K, W = measurements, data.K, len(measurements.pool)
     each, unit = np.arange(K), np.eye(3 * W).reshape(W, 3, 3 * W)
-    turn, rate, force = np.zeros((2 * K + W + 3, K, 3)), *np.zeros((2, 2 * K + W + 3, W, 3))
-    turn[: 2 * K].reshape(K, 2, K, 3)[each, :, each] = m.attitude_effect
+    units, windows = m.z.shape[:-1], np.arange(W)
+    turn, rate, force = (np.zeros((*units, 2 * K + W + 3, n, 3)) for n in (K, W, W))
+    # The horizontal rows of sequence k are 2 k and 2 k + 1; views have them as axes of their own.
+    of_turn, of_force = (G[..., : 2 * K, :, :].reshape(*units, K, 2, -1, 3) for G in (turn, force))
+    of_turn[..., each, :, each, :] = np.moveaxis(m.attitude_effect, -3, 0)
+    turn[..., : 2 * K, :, :] = of_turn.reshape(*units, 2 * K, K, 3)
     seen, by_regression = m.after_g_sensitivity(unit)
-    rest = np.tensordot(m.pool, seen, 1)
+    rest = np.einsum("w,...was->...as", m.pool, seen)
     # The bias offset of a sequence is subtracted from the compensated rate.
-    own = np.tensordot(m.share, seen, 1) - rest
-    phi = by_regression - m.integrals.time @ m.gyro.matrix @ (bias_gain[:, None] * own)
-    rate[: 2 * K] = (m.attitude_effect @ phi).reshape(2 * K, W, 3)
-    rate[2 * K + W :] = rest.reshape(3, W, 3)
-    horizontal = force[: 2 * K].reshape(K, 2, W, 3)
-    horizontal[each, :, data.end] += m.basis @ m.integrals.C_end
-    horizontal[each, :, data.start] -= m.basis
-    windows = np.arange(W)
-    force[2 * K + windows, windows] = -m.force / np.linalg.norm(m.force, axis=1, keepdims=True)
+    own = np.einsum("kw,...was->...kas", m.share, seen) - rest[..., None, :, :]
+    through = m.integrals.time @ m.gyro.matrix[..., None, :, :]
+    phi = by_regression - through @ (bias_gain[..., None, :, None] * own)
+    rate[..., : 2 * K, :, :] = (m.attitude_effect @ phi).reshape(*units, 2 * K, W, 3)
+    rate[..., 2 * K + W :, :, :] = rest.reshape(*rest.shape[:-1], W, 3)
+    of_force[..., each, :, data.end, :] += np.moveaxis(m.basis @ m.integrals.C_end, -3, 0)
+    of_force[..., each, :, data.start, :] -= np.moveaxis(m.basis, -3, 0)
+    force[..., : 2 * K, :, :] = of_force.reshape(*units, 2 * K, W, 3)
+    up = m.force / np.linalg.norm(m.force, axis=-1, keepdims=True)
+    force[..., 2 * K + windows, windows, :] = -up
     return {"turn": turn, "rate": rate, "force": force}
 
 
 def effect(projected: Draws, source: Source | Draws) -> Array:
-    """Effect G on z of the unit draws of a source, shape (n_z, S); those of its shared unknowns come last."""
-    n_z = len(projected["turn"])
+    """Effect G on z of the unit draws of a source, shape (..., n_z, S); those of its shared unknowns come last."""
+    rows = projected["turn"].shape[:-2]
     if not isinstance(source, Source):
         by_kind = (
-            projected[kind].reshape(n_z, -1) @ draws.reshape(-1, draws.shape[2]) for kind, draws in source.items()
+            projected[kind].reshape(*rows, -1) @ draws.reshape(*draws.shape[:-3], -1, draws.shape[-1])
+            for kind, draws in source.items()
         )
         return np.asarray(sum(by_kind))
-    out = [np.einsum("znd,nde->zne", projected[kind], _root(R)) for kind, R in source.own.items() if np.any(R)]
-    shared = np.zeros((n_z, source.unknowns, 3))
+    out = [_each(projected[kind], _root(R)) for kind, R in source.own.items() if np.any(R)]
+    shared = np.zeros((*rows, 3, source.unknowns))
     for kind, parts in source.shared.items():
         for number, J in parts:
-            member = number[:, None] == np.arange(source.unknowns)
-            by_each = np.einsum("znd,nde->zen", projected[kind], np.broadcast_to(J, (len(number), 3, 3)))
-            shared += (by_each @ member).swapaxes(1, 2)
-    return np.concatenate([part.reshape(n_z, -1) for part in (*out, shared)], axis=1)
+            member = (number[:, None] == np.arange(source.unknowns)).astype(float)
+            shared += np.swapaxes(_each(projected[kind], J), -1, -2) @ member
+    return np.concatenate([part.reshape(*rows, -1) for part in (*out, np.swapaxes(shared, -1, -2))], axis=-1)
+
+
+def _each(projected: Array, matrices: Array) -> Array:
+    """Products (..., n_z, n, 3) of the projections of n errors, (..., n_z, n, 3), and n matrices, (..., n, 3, 3)."""
+    return np.asarray(np.swapaxes(np.swapaxes(projected, -2, -3) @ matrices, -2, -3))
 
 
 def _root(covariance: Array) -> Array:
-    """Cholesky factors of covariances (n, 3, 3), some of which are zero."""
-    size = np.einsum("naa->n", covariance)[:, None, None]
+    """Cholesky factors of covariances (..., 3, 3), some of which are zero."""
+    size = np.einsum("...aa->...", covariance)[..., None, None]
     scale = np.where(size > 0.0, size, 1.0)
     # Rounding must not make the covariance of a rotation about one axis indefinite.
     out = np.linalg.cholesky(covariance / scale + _ROUNDING * np.eye(3)) * np.sqrt(scale)
@@ -97,12 +109,12 @@ def disturbances(measurements: SrtMeasurements, data: PreparedRecording, wander:
     measurements : SrtMeasurements
         Processed with ``with_noise=True``.
     data : PreparedRecording
-    wander : ndarray, shape (3,), rad/s
+    wander : ndarray, shape (..., 3), rad/s
         1-sigma of a sequence's gyro bias about the mean of the test (sensor axes), if no instability is stated.
     """
     by = slopes_of(measurements)
     noise = sources.white_noise(data, by, measurements.integrated) | sources.quantization(data, by)
-    up = measurements.force / np.linalg.norm(measurements.force, axis=1, keepdims=True)
+    up = measurements.force / np.linalg.norm(measurements.force, axis=-1, keepdims=True)
     return {
         "gyro_noise": noise["gyro_noise"],
         "gyro_quantization": noise["gyro_quantization"],
@@ -112,16 +124,35 @@ def disturbances(measurements: SrtMeasurements, data: PreparedRecording, wander:
         "accel_bias_instability": accel_drift(measurements, data.noise.accel_flicker, data.window_drift),
         "earth_rate_alignment": _earth_rate_error(measurements, data),
         **_latitude(measurements, data),
-        "gravity": {"force": (data.recording.site.gravity_sigma_m_s2 * -up)[:, :, None]},
+        "gravity": {"force": (data.recording.site.gravity_sigma_m_s2 * -up)[..., None]},
     }
 
 
-def covariances(
-    projected: Draws, measurements: SrtMeasurements, data: PreparedRecording, wander: Array
-) -> dict[str, Array]:
-    """Covariance of z by source; the sum over the sources is the covariance of z."""
-    found = {name: effect(projected, source) for name, source in disturbances(measurements, data, wander).items()}
-    return {name: G @ G.T for name, G in found.items()}
+def through(gain: Array, projected: Draws) -> Draws:
+    """Effect on the parameters, gain (..., 27, n_z) times z, of what has a projection onto z."""
+    rows = gain.shape[:-1]
+    return {
+        kind: (gain @ part.reshape(*part.shape[:-2], -1)).reshape(*rows, *part.shape[-2:])
+        for kind, part in projected.items()
+    }
+
+
+def covariance(projected: Draws, found: Iterable[Source | Draws]) -> Array:
+    """Covariance of z, or of what else is projected, by several sources together, shape (..., n_z, n_z)."""
+    rows = projected["turn"].shape[:-2]
+    own: dict[str, Array] = {}
+    draws: list[Source | Draws] = []
+    for source in found:
+        if isinstance(source, Source):
+            for kind, R in source.own.items():
+                own[kind] = R + own.get(kind, 0.0)
+        draws.append(Source(shared=source.shared) if isinstance(source, Source) else source)
+    G = np.concatenate([effect(projected, source) for source in draws], axis=-1)
+    out = G @ np.swapaxes(G, -1, -2)
+    for kind, R in own.items():
+        P = projected[kind]
+        out += _each(P, R).reshape(*rows, -1) @ np.swapaxes(P.reshape(*rows, -1), -1, -2)
+    return np.asarray(out)
 
 
 def slopes_of(measurements: SrtMeasurements) -> Slopes:
@@ -130,9 +161,9 @@ def slopes_of(measurements: SrtMeasurements) -> Slopes:
     return sources.slopes(m.gyro, m.accel, m.rate, m.force, m.integrals)
 
 
-def accel_drift(measurements: SrtMeasurements, size: Array | float, course: Array) -> Draws:
-    """Accelerometer biases of 1-sigma ``size`` that follow courses (W, n)."""
-    return {"force": sources.by_drift(slopes_of(measurements).force * size, course)}
+def accel_drift(measurements: SrtMeasurements, size: Array, course: Array) -> Draws:
+    """Accelerometer biases of 1-sigma ``size``, shape (..., 3), that follow courses (W, n)."""
+    return {"force": sources.by_drift(slopes_of(measurements).force * size[..., None, None, :], course)}
 
 
 def _gyro_instability(
@@ -142,26 +173,26 @@ def _gyro_instability(
     floor, parts = data.noise.gyro_flicker, by.integrals.time_parts
     if floor is not None and parts is not None:
         return {
-            "turn": sources.by_drift(parts * floor, data.drift.parts),
-            "rate": sources.by_drift(by.rate * floor, data.drift.windows),
+            "turn": sources.by_drift(parts * floor[..., None, None, None, :], data.drift.parts),
+            "rate": sources.by_drift(by.rate * floor[..., None, None, :], data.drift.windows),
         }
-    own = by.angle * wander
-    in_turns = measurements.integrals.time @ measurements.gyro.matrix @ own
-    return Source(shared={"turn": [(np.arange(data.K), in_turns)], "rate": [(measurements.window_sequence, own[None])]})
+    own = (by.angle * wander[..., None, :])[..., None, :, :]
+    in_turns = measurements.integrals.time @ measurements.gyro.matrix[..., None, :, :] @ own
+    return Source(shared={"turn": [(np.arange(data.K), in_turns)], "rate": [(measurements.window_sequence, own)]})
 
 
 def _earth_rate_error(measurements: SrtMeasurements, data: PreparedRecording) -> Draws:
     """Error of ω̂e: fixture attitude errors times the Earth rate, and the unknown part of the Earth rate."""
     axes = _attitude_errors(measurements, data)
     unknown = _base(measurements, data) * sources.unknown_earth_rate(data.recording, placed=True)
-    parts = [np.cross(axes, measurements.earth_rate[:, :, None], axis=1), unknown]
-    return _of_earth_rate(measurements, np.concatenate(parts, axis=2))
+    turned = -cross_matrix(measurements.earth_rate) @ axes
+    return _of_earth_rate(measurements, np.concatenate([turned, unknown], axis=-1))
 
 
 def _base(measurements: SrtMeasurements, data: PreparedRecording) -> Array:
-    """Axes of the fixture's base in B_Strt, shape (K, 3, 3)."""
+    """Axes of the fixture's base in B_Strt, shape (..., K, 3, 3)."""
     assert data.nominal is not None
-    return np.asarray(measurements.U @ np.swapaxes(data.nominal, 1, 2))
+    return np.asarray(measurements.U[..., None, :, :] @ np.swapaxes(data.nominal, 1, 2))
 
 
 def _latitude(measurements: SrtMeasurements, data: PreparedRecording) -> dict[str, Source | Draws]:
@@ -170,38 +201,37 @@ def _latitude(measurements: SrtMeasurements, data: PreparedRecording) -> dict[st
     if not error.any() or fixture is None:
         return {}
     level = rotation_matrix(np.array([0.0, 0.0, -(fixture.heading_rad or 0.0)])) @ error
-    return {"latitude": _of_earth_rate(measurements, (_base(measurements, data) @ level)[:, :, None])}
+    return {"latitude": _of_earth_rate(measurements, (_base(measurements, data) @ level)[..., None])}
 
 
 def _of_earth_rate(measurements: SrtMeasurements, delta: Array) -> Draws:
-    """Effect of errors of ω̂e in B_Strt, shape (K, 3, S), rad/s."""
+    """Effect of errors of ω̂e in B_Strt, shape (..., K, 3, S), rad/s."""
     # ∫ exp(−ω̂e× t) dt over the sequence, to the second order in the Earth's angle.
-    T = measurements.integrals.weight_s[:, None]
+    T = measurements.integrals.weight_s[..., None]
     X = cross_matrix(measurements.earth_rate * T)
     turned = (np.eye(3) - X / 2.0 + X @ X / 6.0) @ delta
-    to_body = measurements.window_attitude.swapaxes(1, 2)
-    return {"turn": T[:, :, None] * turned, "rate": to_body @ delta[measurements.window_sequence]}
+    to_body = np.swapaxes(measurements.window_attitude, -1, -2)
+    return {"turn": T[..., None] * turned, "rate": to_body @ delta[..., measurements.window_sequence, :, :]}
 
 
 def _attitude_errors(measurements: SrtMeasurements, data: PreparedRecording) -> Array:
-    """Fixture attitude errors as rotation vectors in B_Strt per unit draw, shape (K, 3, S).
+    """Fixture attitude errors as rotation vectors in B_Strt per unit draw, shape (..., K, 3, S).
 
     Base level x, y and north and the non-orthogonality of the fixture's axes have one draw per recording; the initial
     inner and outer angle and the axis wobble have one per sequence. The mounting error is estimated in U. With a
     measured vertical, only the rotation about the vertical remains.
     """
     assert data.nominal is not None
-    to_body = _base(measurements, data)
+    to_body, K = _base(measurements, data), data.K
     # The axes lean about the horizontal axis across the outer one, base y.
-    leaning = np.einsum("kab,kb->ka", to_body, np.cross([0.0, 1.0, 0.0], data.nominal[:, :, 2]))[:, :, None]
-    common = np.concatenate([to_body, leaning], axis=2) * sources.alignment_sigma(data.recording)
-    inner = np.broadcast_to(measurements.U[:, 2:], (data.K, 3, 1))
-    executed = np.concatenate([inner, to_body[:, :, 1:2], leaning], axis=2) * sources.start_sigma(data.recording)
-    own = np.zeros((data.K, 3, data.K, 3))
-    own[np.arange(data.K), :, np.arange(data.K)] = executed
-    axes = np.concatenate([common, own.reshape(data.K, 3, -1)], axis=2)
+    leaning = to_body @ np.cross([0.0, 1.0, 0.0], data.nominal[:, :, 2])[..., None]
+    common = np.concatenate([to_body, leaning], axis=-1) * sources.alignment_sigma(data.recording)
+    inner = np.broadcast_to(measurements.U[..., None, :, 2:], leaning.shape)
+    executed = np.concatenate([inner, to_body[..., 1:2], leaning], axis=-1) * sources.start_sigma(data.recording)
+    own = executed[..., None, :] * np.eye(K)[:, None, :, None]
+    axes = np.concatenate([common, own.reshape(*own.shape[:-2], -1)], axis=-1)
     if measurements.nominal_vertical:
         return np.asarray(axes)
-    up = measurements.force[data.start] / np.linalg.norm(measurements.force[data.start], axis=1, keepdims=True)
-    vertical: Array = up[:, :, None] * np.einsum("ka,kas->ks", up, axes)[:, None, :]
-    return vertical
+    force = measurements.force[..., data.start, :]
+    up = (force / np.linalg.norm(force, axis=-1, keepdims=True))[..., None]
+    return np.asarray(up @ (np.swapaxes(up, -1, -2) @ axes))

@@ -35,6 +35,8 @@ KINDS: Final = ("force", "rate", "turn")
 class Slopes(NamedTuple):
     """Derivatives of the compensated data with respect to errors of the raw channels.
 
+    Those of several units have a leading axis of units.
+
     Attributes
     ----------
     force, rate : ndarray, shape (W, 3, 3)
@@ -98,19 +100,20 @@ def white_noise(data: PreparedRecording, by: Slopes, integrated: Mask | None = N
     if integrals.noise is None:
         raise ValueError("the measurements were processed without their noise integrals")
     T, q = windows.duration_s, noise.gyro_white
-    rate, turn = _through(by.rate, q**2 / T[:, None]), integrals.noise @ q**2
+    rate = _through(by.rate, q[..., None, :] ** 2 / T[:, None])
+    turn = np.einsum("...kacb,...b->...kac", integrals.noise, q**2)
     shared: dict[str, list[tuple[Indices, Array]]] = {}
     if integrated is not None and integrated.any():
         number = np.where(integrated, np.cumsum(integrated) - 1, -1)
-        mean = by.rate * (q / np.sqrt(T)[:, None])[:, None, :]
+        mean = by.rate * (q[..., None, :] / np.sqrt(T)[:, None])[..., None, :]
         rate = np.where(integrated[:, None, None], 0.0, rate)
         shared = {"rate": [(number, mean)], "turn": []}
         for which, C in ((data.start, np.broadcast_to(np.eye(3), turn.shape)), (data.end, integrals.C_end)):
             # F is 1/2 on average over the window: that part of φ is the window mean; the remainder is independent.
-            part = 0.5 * T[which, None, None] * C @ mean[which]
+            part = 0.5 * T[which, None, None] * C @ mean[..., which, :, :]
             shared["turn"].append((number[which], part))
-            turn = turn - np.where(integrated[which, None, None], part @ np.swapaxes(part, 1, 2), 0.0)
-    force = _through(by.force, noise.accel_white**2 * windows.white_factor[:, None])
+            turn = turn - np.where(integrated[which, None, None], part @ np.swapaxes(part, -1, -2), 0.0)
+    force = _through(by.force, noise.accel_white[..., None, :] ** 2 * windows.white_factor[:, None])
     return {"gyro_noise": Source({"rate": rate, "turn": turn}, shared), "accel_noise": Source({"force": force})}
 
 
@@ -121,12 +124,13 @@ def quantization(data: PreparedRecording, by: Slopes, *, shared: bool = True) ->
     independent, which is a good approximation for small quantization.
     """
     noise, T = data.noise, data.windows.duration_s[:, None, None]
-    A = by.angle * noise.gyro_edge
-    per_rate, end = by.rate * noise.gyro_edge / T, by.integrals.C_end @ A
-    outer = per_rate @ np.swapaxes(per_rate, 1, 2)
-    force = Source({"force": _through(by.force, noise.accel_edge**2 * data.windows.edge_factor[:, None])})
+    A = (by.angle * noise.gyro_edge[..., None, :])[..., None, :, :]
+    per_rate, end = by.rate * noise.gyro_edge[..., None, None, :] / T, by.integrals.C_end @ A
+    outer = per_rate @ np.swapaxes(per_rate, -1, -2)
+    by_edges = noise.accel_edge[..., None, :] ** 2 * data.windows.edge_factor[:, None]
+    force = Source({"force": _through(by.force, by_edges)})
     if not shared:
-        turn = A @ A.T + end @ np.swapaxes(end, 1, 2)
+        turn = A @ np.swapaxes(A, -1, -2) + end @ np.swapaxes(end, -1, -2)
         return {"gyro_quantization": Source({"rate": 2.0 * outer, "turn": turn}), "accel_quantization": force}
     edges = shared_edges(data)
     alone = np.sum(edges < 0, axis=1)[:, None, None]
@@ -135,7 +139,7 @@ def quantization(data: PreparedRecording, by: Slopes, *, shared: bool = True) ->
             {"rate": alone * outer, "turn": np.zeros_like(end)},
             {
                 "rate": [(edges[:, 0], -per_rate), (edges[:, 1], per_rate)],
-                "turn": [(edges[data.start, 1], -A[None]), (edges[data.end, 0], end)],
+                "turn": [(edges[data.start, 1], -A), (edges[data.end, 0], end)],
             },
         ),
         "accel_quantization": force,
@@ -158,7 +162,8 @@ def raw_rate_variance(noise: NoiseModel, duration_s: Array) -> Array:
     duration_s : ndarray, shape (...)
     """
     T = duration_s[..., None]
-    return np.asarray(noise.gyro_white**2 / T + 2.0 * (noise.gyro_edge / T) ** 2)
+    white, edge = (x if x.ndim == 1 else x[:, None] for x in (noise.gyro_white, noise.gyro_edge))
+    return np.asarray(white**2 / T + 2.0 * (edge / T) ** 2)
 
 
 class UnmodelledErrors(NamedTuple):
@@ -212,20 +217,22 @@ def walk_between_windows(data: PreparedRecording, by: Slopes, sigma: float) -> S
 
 
 def by_drift(slope: Array, course: Array) -> Array:
-    """Effect of a bias that follows each of S courses in each of the three channels, shape (n, d, 3 S).
+    """Effect of a bias that follows each of S courses in each of the three channels, shape (..., n, d, 3 S).
 
     Parameters
     ----------
-    slope : ndarray, shape (W, d, 3) or (K, P, d, 3)
+    slope : ndarray, shape (..., W, d, 3) or (..., K, P, d, 3)
         Derivatives by the biases in every window, or in the parts of every rotation.
     course : ndarray, shape (W, S) or (K, P, S)
         Bias in the same windows or parts.
     """
-    n, d, S = len(slope), slope.shape[-2], course.shape[-1]
-    if slope.ndim == 3:
-        return np.asarray((slope[:, :, None] * course[:, None, :, None]).reshape(n, d, 3 * S))
-    over_parts = slope.reshape(*slope.shape[:2], 3 * d).swapaxes(1, 2) @ course
-    return np.asarray(over_parts.reshape(n, d, 3, S).swapaxes(2, 3).reshape(n, d, 3 * S))
+    d, S = slope.shape[-2], course.shape[-1]
+    if course.ndim == 2:
+        by_window = slope[..., None, :] * course[:, None, :, None]
+        return np.asarray(by_window.reshape(*slope.shape[:-1], 3 * S))
+    over_parts = slope.reshape(*slope.shape[:-2], 3 * d).swapaxes(-1, -2) @ course
+    shape = over_parts.shape[:-2]
+    return np.asarray(over_parts.reshape(*shape, d, 3, S).swapaxes(-1, -2).reshape(*shape, d, 3 * S))
 
 
 def accel_drift(data: PreparedRecording, by_force: Array, floor: Array) -> Array:
@@ -242,7 +249,7 @@ def accel_drift(data: PreparedRecording, by_force: Array, floor: Array) -> Array
     floor : ndarray, shape (3,), m/s²
         Allan floors of the channels.
     """
-    return by_drift(by_force * floor, data.window_drift)
+    return by_drift(by_force * floor[..., None, None, :], data.window_drift)
 
 
 def start_sigma(recording: Recording) -> Array:
@@ -295,5 +302,5 @@ def earth_rate_sigma(recording: Recording) -> float:
 
 
 def _through(D: Array, variance: Array) -> Array:
-    """Covariance of compensated values from the variances of raw channels, (n, 3, 3)."""
-    return np.asarray((D * variance[:, None, :]) @ np.swapaxes(D, 1, 2))
+    """Covariance of compensated values from the variances of raw channels, (..., n, 3, 3)."""
+    return np.asarray((D * variance[..., None, :]) @ np.swapaxes(D, -1, -2))

@@ -27,7 +27,7 @@ import numpy as np
 if TYPE_CHECKING:
     from srt.model.gyro_stream import GyroStream
     from srt.model.sensor_model import Triad
-    from srt.types import Array, Indices
+    from srt.types import Array, Indices, Mask
 
 
 MODE: Final = "g-sensitive"
@@ -44,37 +44,49 @@ class PoseRegression:
 
     Attributes
     ----------
-    weights : ndarray, shape (W, 3), s²/m
+    weights : ndarray, shape (..., W, 3), s²/m
         l_w; they add up to zero.
-    observed, unobserved : ndarray, shape (3 − m, 3) and (m, 3)
-        Unit vectors in B along which the specific force varies, and along which it hardly does; Γ is zero along these.
+    axes : ndarray, shape (..., 3, 3)
+        Columns: principal directions of the specific force, in B.
+    seen : ndarray of bool, shape (..., 3)
+        Directions along which the specific force varies; Γ is zero along the others.
     """
 
     weights: Array
-    observed: Array
-    unobserved: Array
+    axes: Array
+    seen: Mask
+
+    @property
+    def observed(self) -> Array:
+        """Unit vectors in B along which the specific force of one unit varies, shape (3 − m, 3)."""
+        return np.asarray(self.axes[:, self.seen].T)
+
+    @property
+    def unobserved(self) -> Array:
+        """Unit vectors in B along which that of one unit hardly varies, shape (m, 3)."""
+        return np.asarray(self.axes[:, ~self.seen].T)
 
     def fit(self, rate: Array) -> Array:
-        """Γ, shape (3, 3) or (3, 3, S), rad/s per m/s², from window rates, shape (W, 3) or (W, 3, S)."""
-        out: Array = np.einsum("wa...,wc->ac...", rate, self.weights)
+        """Γ, shape (..., 3, 3), rad/s per m/s², from window rates, shape (..., W, 3)."""
+        out: Array = np.swapaxes(rate, -1, -2) @ self.weights
         return out
 
-    def scatter_left(self, force: Array, deviation: Array, sequence: Indices) -> float:
+    def scatter_left(self, force: Array, deviation: Array, sequence: Indices) -> Array:
         """Share of the variance of a bias per sequence that remains after the regression.
 
         Parameters
         ----------
-        force : ndarray, shape (W, 3), m/s²
+        force : ndarray, shape (..., W, 3), m/s²
         deviation : ndarray, shape (K, W)
             Weights of the windows in each sequence's own rate, less those in the pooled rate.
         sequence : ndarray of int, shape (W,)
             Sequence of each window.
         """
-        own = np.zeros((len(force), len(deviation)))
-        own[np.arange(len(force)), sequence] = 1.0
-        left = own - force @ (self.weights.T @ own)
+        own = np.zeros((len(sequence), len(deviation)))
+        own[np.arange(len(sequence)), sequence] = 1.0
+        left = own - force @ (np.swapaxes(self.weights, -1, -2) @ own)
         whole = float(np.sum((deviation @ own) ** 2))
-        return float(np.sum((deviation @ left) ** 2)) / whole if whole > 0.0 else 1.0
+        return np.sum((deviation @ left) ** 2, axis=(-1, -2)) / whole if whole > 0.0 else np.ones(force.shape[:-2])
 
 
 class RestRates(NamedTuple):
@@ -114,11 +126,11 @@ def pose_regression(force: Array, pool: Array, gravity: float) -> PoseRegression
         Weights of the windows, which add up to one.
     gravity : float, m/s²
     """
-    deviation = force - pool @ force
-    sizes, axes = np.linalg.eigh((pool[:, None] * deviation).T @ deviation)
+    deviation = force - (pool @ force)[..., None, :]
+    sizes, axes = np.linalg.eigh(np.swapaxes(pool[:, None] * deviation, -1, -2) @ deviation)
     seen = sizes > (LEAST_FORCE_VARIATION * gravity) ** 2
-    inverse = (axes[:, seen] / sizes[seen]) @ axes[:, seen].T
-    return PoseRegression(pool[:, None] * (deviation @ inverse), axes[:, seen].T, axes[:, ~seen].T)
+    inverse = (axes * np.where(seen, 1.0 / np.where(seen, sizes, 1.0), 0.0)[..., None, :]) @ np.swapaxes(axes, -1, -2)
+    return PoseRegression(pool[:, None] * (deviation @ inverse), axes, seen)
 
 
 def compensate_stream(stream: GyroStream, force: Array, accel: Triad, matrix: Array) -> GyroStream:
@@ -135,6 +147,7 @@ def compensate_stream(stream: GyroStream, force: Array, accel: Triad, matrix: Ar
     matrix : ndarray, shape (3, 3), rad/s per m/s²
         Γ.
     """
-    velocity = np.ascontiguousarray(accel.compensate(force.T).T) * stream.interval_s
-    followed = matrix @ velocity
+    by_unit = accel.compensate(force.T.reshape(*matrix.shape[:-2], -1, 3))
+    velocity = np.ascontiguousarray(by_unit.reshape(-1, 3).T) * stream.interval_s
+    followed = (by_unit @ np.swapaxes(matrix, -1, -2)).reshape(-1, 3).T * stream.interval_s
     return replace(stream, increments=stream.increments - followed, smooth=stream.smooth - followed, velocity=velocity)

@@ -25,7 +25,7 @@ _SCATTER_PROBABILITY: Final = 1e-3
 
 
 def bias_gain(measurements: SrtMeasurements, data: PreparedRecording, mode: str, wander: Array) -> Array:
-    """Share of a sequence's own rest rate that is used as its bias, shape (3,).
+    """Share of a sequence's own rest rate that is used as its bias, shape (..., 3).
 
     For biases that differ between sequences by σ and rest rates with noise s, the best linear estimate takes the share
     σ² / (σ² + s²) of a sequence's own deviation. Where a bias instability is stated, the share minimises the remaining
@@ -40,22 +40,22 @@ def bias_gain(measurements: SrtMeasurements, data: PreparedRecording, mode: str,
         of_windows, of_turns = data.drift.window_covariance, data.drift.turn_covariance
         deviation = measurements.share - measurements.pool
         shared = float(np.mean(np.sum((of_turns - measurements.pool @ of_windows) * deviation, axis=1)))
-        size = measurements.gyro.inverse**2 @ data.noise.gyro_flicker**2
+        size = np.einsum("...ab,...b->...a", measurements.gyro.inverse**2, data.noise.gyro_flicker**2)
         variance = size * float(np.mean(np.sum(deviation @ of_windows * deviation, axis=1))) + own
-        return np.clip(size * shared / np.maximum(variance, 1e-300), 0.0, 1.0)
+        return np.asarray(np.clip(size * shared / np.maximum(variance, 1e-300), 0.0, 1.0))
     return np.asarray(wander**2 / np.maximum(wander**2 + own, 1e-300))
 
 
 def window_rate_variance(measurements: SrtMeasurements, data: PreparedRecording) -> Array:
-    """Noise variance of the compensated mean rate of every window, shape (W, 3), (rad/s)²."""
+    """Noise variance of the compensated mean rate of every window, shape (..., W, 3), (rad/s)²."""
     D2 = measurements.gyro.inverse**2
-    return np.asarray(raw_rate_variance(data.noise, data.windows.duration_s) @ D2.T)
+    return np.asarray(raw_rate_variance(data.noise, data.windows.duration_s) @ np.swapaxes(D2, -1, -2))
 
 
 def rest_rate_variance(measurements: SrtMeasurements, data: PreparedRecording) -> Array:
-    """Noise variance of one sequence's rest rate, averaged over sequences, shape (3,), (rad/s)²."""
+    """Noise variance of one sequence's rest rate, averaged over sequences, shape (..., 3), (rad/s)²."""
     own = measurements.share[~data.is_move]
-    return np.asarray(np.mean(own**2 @ window_rate_variance(measurements, data), axis=0))
+    return np.asarray(np.mean(own**2 @ window_rate_variance(measurements, data), axis=-2))
 
 
 def excess_variance(rates: Array, expected: Array, *, bounded: bool = False) -> Array:

@@ -8,25 +8,24 @@ attitudes are those of :mod:`srt.model.analytic_platform` ([P] eq. 2).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from srt.estimation.g_sensitivity import MODE, compensate_stream, pose_regression
+from srt.estimation.g_sensitivity import MODE, PoseRegression, compensate_stream, pose_regression
 from srt.model import measurement_model as model
 from srt.model.analytic_platform import integrate_attitude
-from srt.model.rotations import cross_matrix, smallest_rotation
-from srt.model.sensor_model import accel_triad, gyro_triad
+from srt.model.rotations import smallest_rotation
+from srt.model.sensor_model import accel_triad, gyro_triad, triads
 from srt.model.table1 import AXES
+from srt.sensor_errors import SensorErrors
 
 if TYPE_CHECKING:
-    from srt.estimation.g_sensitivity import PoseRegression
     from srt.estimation.options import Options
     from srt.model.gyro_stream import GyroStream
     from srt.model.rotation_integrals import RotationIntegrals
     from srt.model.sensor_model import Triad
-    from srt.sensor_errors import SensorErrors
     from srt.sequences.preparation import PreparedRecording
     from srt.types import Array, Indices, Mask
 
@@ -35,9 +34,17 @@ _PARALLEL: Final = 0.1
 """Ratio of singular values below which all measured directions count as parallel."""
 
 
+_BY_UNIT: Final = (
+    "z", "H", "basis", "acceleration", "carried", "force", "rate", "rest_rate", "window_attitude", "earth_rate", "U"
+)  # fmt: skip
+"""Arrays that have a leading axis of units where several are processed together."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class SrtMeasurements:
     """SRT measurements of one iteration, and the linear model around them.
+
+    Those of several units have a leading axis of units, in all arrays that depend on the readings.
 
     Attributes
     ----------
@@ -99,10 +106,25 @@ class SrtMeasurements:
     nominal_vertical: bool
     poses: PoseRegression | None = None
 
+    def of(self, which: Indices | int) -> SrtMeasurements:
+        """Measurements of some units, or those of one."""
+        by_unit = {name: getattr(self, name)[which] for name in _BY_UNIT}
+        parts: dict[str, Any] = {f.name: getattr(self.integrals, f.name) for f in fields(self.integrals)}
+        parts = {name: part[which] for name, part in parts.items() if part is not None}
+        poses = self.poses
+        return replace(
+            self,
+            **by_unit,
+            integrals=replace(self.integrals, **parts),
+            gyro=self.gyro.of(which),
+            accel=self.accel.of(which),
+            poses=None if poses is None else PoseRegression(poses.weights[which], poses.axes[which], poses.seen[which]),
+        )
+
     @property
     def bias_by_sequence(self) -> Array:
         """Rest rate of each sequence less the pooled one, shape (K, 3), rad/s."""
-        out: Array = self.share @ self.rest_rate - self.pool @ self.rest_rate
+        out: Array = (self.share - self.pool) @ self.rest_rate
         return out
 
     @property
@@ -120,19 +142,19 @@ class SrtMeasurements:
 
         Returns
         -------
-        rate : ndarray, shape (W, 3, S), rad/s
+        rate : ndarray, shape (..., W, 3, S), rad/s
             Less the estimated g-sensitivity that they cause.
-        phi : ndarray, shape (K, 3, S), rad
+        phi : ndarray, shape (..., K, 3, S), rad
             On φ in B_Strt.
         """
         if self.poses is None or self.integrals.velocity is None:
-            return rate, np.zeros((len(self.acceleration), 3, rate.shape[2]))
-        followed = self.poses.fit(rate)
-        raw = np.einsum("ab,bcs->acs", self.gyro.matrix, followed)
-        phi = -np.einsum("kabc,bcs->kas", self.integrals.velocity, raw)
-        return rate - np.einsum("acs,wc->was", followed, self.force), phi
+            return rate, np.zeros((*self.acceleration.shape, rate.shape[-1]))
+        followed = np.einsum("was,...wc->...acs", rate, self.poses.weights)
+        raw = np.einsum("...ab,...bcs->...acs", self.gyro.matrix, followed)
+        phi = -np.einsum("...kabc,...bcs->...kas", self.integrals.velocity, raw)
+        return rate - np.einsum("...acs,...wc->...was", followed, self.force), phi
 
-    def scatter_left(self) -> float:
+    def scatter_left(self) -> Array | float:
         """Share of the variance of a bias per sequence that remains after the regression on specific force."""
         if self.poses is None:
             return 1.0
@@ -175,7 +197,7 @@ class SrtProcessor:
         self._share /= self._share.sum(axis=1, keepdims=True)
         # Free turns: the axis, of T where the pose is known and else of B, from which a horizontal direction is built.
         # It stays the same in all iterations, because the weights of the measurements depend on it.
-        vertical = data.windows.accel_mean[data.start]
+        vertical = data.windows.accel_mean.reshape(-1, W, 3)[0, data.start]  # of several units, the first
         if data.nominal is not None:
             vertical = np.where(data.placed[:, None], data.nominal[:, 2], vertical)
         self._least_vertical = np.argmin(np.abs(vertical), axis=1)
@@ -198,7 +220,7 @@ class SrtProcessor:
 
     def process(
         self,
-        errors: SensorErrors,
+        errors: SensorErrors | Array,
         *,
         U: Array | None = None,
         nominal_vertical: bool = False,
@@ -211,8 +233,8 @@ class SrtProcessor:
 
         Parameters
         ----------
-        errors : SensorErrors
-            Estimate to compensate with.
+        errors : SensorErrors, or ndarray, shape (units, 27)
+            Estimate to compensate with; of several units, the other arrays have a leading axis of units, too.
         U : ndarray, shape (3, 3), optional
             T to MARS components for the nominal attitudes.
         nominal_vertical : bool
@@ -226,30 +248,36 @@ class SrtProcessor:
         with_noise : bool
             Compute the noise integrals too.
         """
-        data, U, gyro, accel = self.data, np.eye(3) if U is None else U, gyro_triad(errors), accel_triad(errors)
+        data, U = self.data, np.eye(3) if U is None else U
+        if isinstance(errors, SensorErrors):
+            gyro, accel = gyro_triad(errors), accel_triad(errors)
+        else:
+            gyro, accel = triads(errors)
         gyro_mean, accel_mean = data.means(gyro, accel)
         force = accel.compensate(accel_mean)
         stream, gyro_mean, poses = self._without_g_sensitivity(accel, force, gyro_mean, g_sensitivity)
         rate = gyro.compensate(gyro_mean)
-        known, down = self._earth_rate(U, force[data.start], nominal_vertical)
+        ends = force[..., data.start, :], force[..., data.end, :]
+        known, down = self._earth_rate(U, ends[0], nominal_vertical)
         earth_rate = known + earth_rate_offset
         sample = data.noise.gyro_sample(data.recording.nominal_interval_s)
         integrals, attitude = integrate_attitude(
             stream, gyro, earth_rate, bias_offset=bias_offset, sample_noise_rad=sample, with_noise=with_noise
         )
         carried = self._carried_force(integrals, attitude, accel, force)
-        basis, ends = self._basis(down, U), (force[data.start], force[data.end])
-        window_C = np.where(self._is_end[:, None, None], integrals.C_end[self._sequence], np.eye(3))
-        rest = rate - np.einsum("wab,wa->wb", window_C, earth_rate[self._sequence])
+        basis = self._basis(down, U)
+        window_C = np.where(self._is_end[:, None, None], integrals.C_end[..., self._sequence, :, :], np.eye(3))
+        rest = rate - np.einsum("...ab,...a->...b", window_C, earth_rate[..., self._sequence, :])
         # Δa_H = horizontal part of (â_End − â_Strt)  ([P] eq. 1)
-        horizontal = np.einsum("kia,ka->ki", basis, carried[:, 1] - carried[:, 0])
+        horizontal = np.einsum("...ia,...a->...i", basis, carried[..., 1, :] - carried[..., 0, :])
+        z = (horizontal.reshape(*force.shape[:-2], -1), self._down(force, down, window_C), self._pool @ rest)
         H = model.horizontal_jacobian(integrals, basis, *ends, accel)
         return SrtMeasurements(
-            z=np.concatenate([horizontal.ravel(), self._down(force, down, window_C), self._pool @ rest]),
+            z=np.concatenate(z, axis=-1),
             H=self._jacobian(H, force, rate, gyro, accel),
             integrals=integrals,
             basis=basis,
-            acceleration=0.5 * (carried[:, 0] + carried[:, 1]),
+            acceleration=carried.mean(axis=-2),
             carried=carried,
             force=force,
             rate=rate,
@@ -276,44 +304,46 @@ class SrtProcessor:
             return self._stream, gyro_mean, None
         matrix = np.zeros((3, 3)) if matrix is None else matrix
         stream = self.stream_without(matrix, accel)
-        return stream, gyro_mean - force @ matrix.T, pose_regression(force, self._pool, data.gravity)
+        gyro_mean = gyro_mean - force @ np.swapaxes(matrix, -1, -2)
+        return stream, gyro_mean, pose_regression(force, self._pool, data.gravity)
 
     def _jacobian(self, horizontal: Array, force: Array, rate: Array, gyro: Triad, accel: Triad) -> Array:
-        """Derivative of z with respect to the sensor errors ([P] eqs. 3-5), shape (2 K + W + 3, 27)."""
-        return np.concatenate(
-            [
-                horizontal.reshape(2 * self.data.K, -1),
-                model.down_jacobian(force, accel),
-                np.tensordot(self._pool, model.rate_error_jacobian(rate, gyro, self.data.rectified(gyro, accel)[0]), 1),
-            ]
+        """Derivative of z with respect to the sensor errors ([P] eqs. 3-5), shape (..., 2 K + W + 3, 27)."""
+        by_rate = model.rate_error_jacobian(rate, gyro, self.data.rectified(gyro, accel)[0])
+        parts = (
+            horizontal.reshape(*force.shape[:-2], 2 * self.data.K, -1),
+            model.down_jacobian(force, accel),
+            np.einsum("w,...wap->...ap", self._pool, by_rate),
         )
+        return np.concatenate(parts, axis=-2)
 
     def _earth_rate(self, U: Array, force: Array, nominal_vertical: bool) -> tuple[Array, Array]:
         """Earth rate ω̂e and the vertical, from the specific force or nominal, in each B_Strt."""
         data = self.data
         base = data.earth_rate_base()
-        down = -force / np.linalg.norm(force, axis=1, keepdims=True)
+        down = -force / np.linalg.norm(force, axis=-1, keepdims=True)
         vertical_part: Array = base[2] * down
         if data.nominal is None:
             return vertical_part, down
         placed = data.placed[:, None]
-        to_body = U @ np.swapaxes(data.nominal, 1, 2)
-        nominal, nominal_down = to_body @ base, np.where(placed, to_body[:, :, 2], down)
+        to_body = U[..., None, :, :] @ np.swapaxes(data.nominal, 1, 2)
+        nominal, nominal_down = to_body @ base, np.where(placed, to_body[..., 2], down)
         if nominal_vertical:
             return np.where(placed, nominal, vertical_part), nominal_down
         # The smallest rotation from the nominal to the measured vertical: north alone stays nominal.
-        nominal = np.einsum("kab,kb->ka", smallest_rotation(nominal_down, down), nominal)
+        nominal = np.einsum("...ab,...b->...a", smallest_rotation(nominal_down, down), nominal)
         return np.where(placed, nominal, vertical_part), down
 
     def _basis(self, down: Array, U: Array) -> Array:
         """Two horizontal directions per sequence: nominal axes of T made horizontal, or any two for a free turn."""
         data = self.data
-        reference = np.where(data.placed[:, None], U.T[self._least_vertical], np.eye(3)[self._least_vertical])
+        of_T = np.swapaxes(U, -1, -2)
+        reference = np.where(data.placed[:, None], of_T[..., self._least_vertical, :], np.eye(3)[self._least_vertical])
         first = np.cross(down, reference)
-        first /= np.linalg.norm(first, axis=1, keepdims=True)
-        axes = np.stack([first, np.einsum("kab,kb->ka", cross_matrix(down), first)], axis=1)
+        first /= np.linalg.norm(first, axis=-1, keepdims=True)
+        axes = np.stack([first, np.cross(down, first)], axis=-2)
         if data.nominal is not None:
-            axes[self._labelled] = U.T[self._horizontal]
+            axes[..., self._labelled, :, :] = of_T[..., self._horizontal, :]
         out: Array = axes @ model.horizontal_projector(down)
         return out
 
@@ -321,29 +351,31 @@ class SrtProcessor:
         """Down measurement of every window, shape (W,), m/s²."""
         g = self.data.gravity
         if self.options.down == "tilt-immune":
-            out: Array = g - np.linalg.norm(force, axis=1)
+            out: Array = g - np.linalg.norm(force, axis=-1)
         else:
             # a_Down = û_dwn·â + g  ([P] eq. 1)
-            vertical = np.einsum("wab,wa->wb", window_C, down[self._sequence])
-            out = g + np.einsum("wa,wa->w", vertical, force)
+            vertical = np.einsum("...ab,...a->...b", window_C, down[..., self._sequence, :])
+            out = g + np.einsum("...a,...a->...", vertical, force)
         return out
 
     def _carried_force(self, integrals: RotationIntegrals, attitude: Array, accel: Triad, force: Array) -> Array:
-        """Mean of â = Ĉ f̂ over the start and the end window of every sequence, shape (K, 2, 3), m/s²."""
+        """Mean of â = Ĉ f̂ over the start and the end window of every sequence, shape (..., K, 2, 3), m/s²."""
         data, stream = self.data, self._stream
-        out = np.stack([force[data.start], np.einsum("kab,kb->ka", integrals.C_end, force[data.end])], axis=1)
+        at_end = np.einsum("...ab,...b->...a", integrals.C_end, force[..., data.end, :])
+        out = np.stack([force[..., data.start, :], at_end], axis=-2)
         if self._force is None or self._weights is None:
             return out
-        for k in range(data.K):
-            first, last = stream.rotation[k]
-            windows = ((data.start[k], stream.starts[k], first), (data.end[k], last, stream.starts[k + 1]))
+        # One unit after the other, as in the stream; one slope of the sensor model for a whole window.
+        slopes, flat = accel.sensitivity(force).reshape(-1, len(self._sequence), 3, 3), out.reshape(-1, 2, 3)
+        bias = np.broadcast_to(accel.bias, (*force.shape[:-2], 3)).reshape(-1, 3)
+        for row, (first, last) in enumerate(stream.rotation.tolist()):
+            unit, k = divmod(row, data.K)
+            windows = ((data.start[k], stream.starts[row], first), (data.end[k], last, stream.starts[row + 1]))
             for side, (w, lo, hi) in enumerate(windows):
                 if self.integrated[w]:
-                    # One slope of the sensor model for the whole window: its mean decides the signs.
-                    D = accel.sensitivity(force[w])
-                    f = D @ (self._force[:, lo:hi] - accel.bias[:, None])
-                    out[k, side] = np.einsum("abn,bn->a", attitude[:, :, lo:hi], f * self._weights[lo:hi])
-        return out
+                    f = slopes[unit, w] @ (self._force[:, lo:hi] - bias[unit][:, None])
+                    flat[row, side] = np.einsum("abn,bn->a", attitude[:, :, lo:hi], f * self._weights[lo:hi])
+        return flat.reshape(out.shape)
 
     def _orientation(self, integrals: RotationIntegrals, force: Array, U: Array) -> Array:
         """Rotation U from T to MARS by Wahba's problem: measured rotation axes and measured verticals at rest.
@@ -353,18 +385,21 @@ class SrtProcessor:
         data = self.data
         if data.nominal is None or data.posed.all():
             return U  # without a rotation, no gyro axis shows on the table
-        starts = force[data.start[self._labelled]]
-        in_T, in_B = [data.nominal[self._labelled, 2]], [-starts / np.linalg.norm(starts, axis=1)[:, None]]
-        for k, sequence in enumerate(data.catalogue):
-            if sequence is not None and len(sequence.rotations) == 1 and data.labels[k].rate is None:
-                angle = float(sequence.angles_rad[0])
-                turned = integrals.angle[k]
-                in_T.append(np.sign(angle) * sequence.axes)
-                in_B.append(turned[None] / np.linalg.norm(turned))
-        B = np.concatenate(in_B).T @ np.concatenate(in_T)
+        starts = force[..., data.start[self._labelled], :]
+        # Rotations about one axis: the gyros show it.
+        single = {
+            k: np.sign(s.angles_rad[0]) * s.axes[0]
+            for k, s in enumerate(data.catalogue)
+            if s is not None and len(s.rotations) == 1 and data.labels[k].rate is None
+        }
+        in_T = np.concatenate([data.nominal[self._labelled, 2], *(axis[None] for axis in single.values())])
+        in_B = np.concatenate([-starts, integrals.angle[..., list(single), :]], axis=-2)
+        B = np.swapaxes(in_B / np.linalg.norm(in_B, axis=-1, keepdims=True), -1, -2) @ in_T
         left, singular, right = np.linalg.svd(B)
-        if singular[1] < _PARALLEL * singular[0]:
-            # Parallel verticals without a single-axis rotation leave the angle about the vertical unknown: U keeps it.
-            left, _, right = np.linalg.svd(B + _PARALLEL * singular[0] * U)
-        out: Array = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
+        # Parallel verticals without a single-axis rotation leave the angle about the vertical unknown: U keeps it.
+        parallel = (singular[..., 1] < _PARALLEL * singular[..., 0])[..., None, None]
+        if parallel.any():
+            left, _, right = np.linalg.svd(np.where(parallel, B + _PARALLEL * singular[..., :1, None] * U, B))
+        left[..., 2] *= np.linalg.det(left @ right)[..., None]
+        out: Array = left @ right
         return out

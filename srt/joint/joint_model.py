@@ -473,7 +473,8 @@ class JointModel:
         if self.drift.force_axes is not None:  # the scatter beyond g-sensitivity, of which its fit takes a part
             poses, T = self._poses(state), self.data.windows.duration_s
             rest = rest - compensated.force @ poses.fit(rest).T
-            left = poses.scatter_left(compensated.force, self.rest_rate_weights - T / T.sum(), self.window_sequence)
+            deviation = self.rest_rate_weights - T / T.sum()
+            left = float(poses.scatter_left(compensated.force, deviation, self.window_sequence))
             if left < LEAST_SCATTER:
                 self.bias_scatter = self.bias_step = np.zeros(3)
                 return

@@ -56,7 +56,8 @@ def integrate_attitude(
     ----------
     stream : GyroStream
     gyro : Triad
-        Sensor errors to compensate with.
+        Sensor errors to compensate with. If of several units, the stream has the sequences of one after those of
+        another, as many of each, and the arrays have a leading axis of units, the integrals too.
     earth_rate : ndarray, shape (K, 3), rad/s
         ω̂e in each sequence's B_Strt.
     bias_offset : ndarray, shape (K, 3), rad/s, optional
@@ -75,7 +76,8 @@ def integrate_attitude(
         unless the stream has weights F.
     """
     K, n = len(stream.starts) - 1, int(stream.starts[-1])
-    offset = np.zeros((K, 3)) if bias_offset is None else bias_offset
+    shape, earth_rate = earth_rate.shape[:-1], earth_rate.reshape(-1, 3)
+    offset = np.zeros((K, 3)) if bias_offset is None else bias_offset.reshape(-1, 3)
     steps = steps_of(stream, gyro, offset, sample_noise_rad)
     sequence_of, chain = steps.sequence_of, steps.chain
     sums = _ErrorSums(stream, with_noise=with_noise)
@@ -89,7 +91,7 @@ def integrate_attitude(
     to_start = np.swapaxes(_matrices(chain.edges[:, :K]), 1, 2)
     if stream.F is not None:
         attitude = _at_start(stream, attitude, to_start, earth_rate)
-    return sums.integrals(chain.edges, to_start, earth_rate, gyro), attitude
+    return sums.integrals(chain.edges, to_start, earth_rate, gyro).reshaped(shape), attitude
 
 
 class _ErrorSums:
@@ -172,7 +174,7 @@ class _ErrorSums:
             time=time,
             weight_s=elapsed if stream.F is None else _totals(stream.interval_s * stream.F, stream.starts),
             # The Earth's part of the angle, in B. Integrated windows add little to it and are not excluded.
-            angle=self._angle - np.einsum("ka,kab->kb", earth_rate, time @ gyro.matrix),
+            angle=self._angle - np.einsum("ka,kab->kb", earth_rate, _by_unit(time, gyro.matrix)),
             noise=noise,
             time_parts=parts,
             velocity=None if stream.velocity is None else sums[..., 7:],
@@ -195,6 +197,13 @@ class _PartSums:
         some = np.flatnonzero(edges[1:] > edges[:-1])  # a part of a very short rotation may hold no sample
         if some.size:
             self.sums[:, some] += np.add.reduceat(values[:, : edges[-1]], edges[some], axis=1)
+
+
+def _by_unit(matrices: Array, right: Array) -> Array:
+    """Products of matrices (K, 3, 3) and those of their units, (3, 3) or (units, 3, 3), from the right."""
+    units = right.size // 9
+    product = matrices.reshape(units, -1, 3, 3) @ right.reshape(units, 1, 3, 3)
+    return np.asarray(product.reshape(matrices.shape))
 
 
 def _integrands(theta: Array, dt: Array, velocity: Array | None) -> Array:

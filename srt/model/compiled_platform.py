@@ -54,12 +54,13 @@ def block(
         Increments (3, n) and smoothed increments (3, n), rad; intervals (n,), s; sequence of each sample (n,).
     span : (int, int)
         First sample of the block and one past its last.
-    bias : ndarray, shape (3,), rad/s
+    bias : ndarray, shape (units, 3), rad/s
+        The sequences of one unit follow those of another, as many of each.
     offset : ndarray, shape (K, 3), rad/s
         Residual bias of each sequence after compensation.
-    inverses : ndarray, shape (9, 3, 3)
-        Inverse sensor model in each octant; the last is the one without asymmetry.
-    near_zero : ndarray, shape (3,), rad
+    inverses : ndarray, shape (9 units, 3, 3)
+        Inverse sensor model in each octant; the last of nine is the one without asymmetry.
+    near_zero : ndarray, shape (units, 3), rad
         Channels below this value have their sign from the smoothed increments.
     last : ndarray of complex, shape (2, 1)
         Attitude before the block.
@@ -91,9 +92,9 @@ def _row(inverses: Any, octant: Any, row: int, x: float, y: float, z: float) -> 
 
 
 @_compiled
-def _solve(inverses: Any, near_zero: Any, reading: Any, smooth: Any) -> Any:
-    """Compensated increment of a sample, and its octant; the first octant tried is the model without asymmetry."""
-    octant = new = np.uint64(8)
+def _solve(inverses: Any, first: Any, near_zero: Any, reading: Any, smooth: Any) -> Any:
+    """Compensated increment of a sample, and the number of its inverse; the first one tried has no asymmetry."""
+    octant = new = first + np.uint64(8)
     x, y, z = 0.0, 0.0, 0.0
     (a, b, c), (d, e, f) = reading, smooth
     for _ in range(OCTANT_ITERATIONS + 2):
@@ -108,6 +109,7 @@ def _solve(inverses: Any, near_zero: Any, reading: Any, smooth: Any) -> Any:
         if abs(z) < near_zero[2]:
             sz = _row(inverses, octant, 2, d, e, f)
         new = np.uint64(sx < 0.0) | (np.uint64(sy < 0.0) << np.uint64(1)) | (np.uint64(sz < 0.0) << np.uint64(2))
+        new += first
         if new == octant:
             break
     return x, y, z, octant
@@ -119,13 +121,15 @@ def _compensate(samples: Any, span: Any, bias: Any, offset: Any, inverses: Any, 
     increments, smooth, interval_s, sequence_of = samples
     lo, hi = max(span[0] - 1, 0), min(span[1] + 1, len(interval_s))
     theta, octants = np.empty((3, hi - lo)), np.empty(span[1] - span[0], dtype=np.uint64)
-    b0, b1, b2 = bias[0], bias[1], bias[2]
-    limits = (near_zero[0], near_zero[1], near_zero[2])
+    each = len(offset) // len(bias)
     for i in range(lo, hi):
         dt, k = interval_s[i], sequence_of[i]
+        unit = k // each
+        b0, b1, b2 = bias[unit, 0], bias[unit, 1], bias[unit, 2]
+        limits = (near_zero[unit, 0], near_zero[unit, 1], near_zero[unit, 2])
         reading = (increments[0, i] - b0 * dt, increments[1, i] - b1 * dt, increments[2, i] - b2 * dt)
         mean = (smooth[0, i] - b0 * dt, smooth[1, i] - b1 * dt, smooth[2, i] - b2 * dt)
-        x, y, z, octant = _solve(inverses, limits, reading, mean)
+        x, y, z, octant = _solve(inverses, np.uint64(9 * unit), limits, reading, mean)
         theta[0, i - lo] = x - offset[k, 0] * dt
         theta[1, i - lo] = y - offset[k, 1] * dt
         theta[2, i - lo] = z - offset[k, 2] * dt

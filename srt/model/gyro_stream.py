@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from srt.types import Array, Indices
 
 _SMOOTHING_S: Final = 0.2
@@ -84,6 +86,22 @@ def gyro_stream(
     smooth = moving_average(increments, width)
     offset = starts[:-1] - spans[:, 0]
     return GyroStream(increments, smooth, dt, starts, rotation + offset[:, None], F)
+
+
+def joined_streams(streams: Sequence[GyroStream]) -> GyroStream:
+    """Streams of several units as one, one after another."""
+    first = np.cumsum([0, *(len(stream.interval_s) for stream in streams)])
+    starts = [stream.starts[:-1] + at for stream, at in zip(streams, first.tolist(), strict=False)]
+    rotation = [stream.rotation + at for stream, at in zip(streams, first.tolist(), strict=False)]
+    weights = [stream.F for stream in streams if stream.F is not None]
+    return GyroStream(
+        increments=np.concatenate([stream.increments for stream in streams], axis=1),
+        smooth=np.concatenate([stream.smooth for stream in streams], axis=1),
+        interval_s=np.concatenate([stream.interval_s for stream in streams]),
+        starts=np.append(np.concatenate(starts), first[-1]),
+        rotation=np.concatenate(rotation),
+        F=np.concatenate(weights) if weights else None,
+    )
 
 
 def moving_average(values: Array, width: int) -> Array:

@@ -125,69 +125,65 @@ class StartAttitudeResidual(NamedTuple):
 
 
 def attitude_error_jacobian(integrals: RotationIntegrals) -> Array:
-    """Derivative of φ with respect to the 27 sensor errors, shape (K, 3, 27)."""
-    J = np.zeros((*integrals.time.shape[:1], 3, N_PARAMETERS))
+    """Derivative of φ with respect to the 27 sensor errors, shape (..., K, 3, 27)."""
+    J = np.zeros((*integrals.time.shape[:-1], N_PARAMETERS))
     # φ = ∫ F Ĉ (δMg ω̂ + δκ_Asym ∘ |ω̂| + δκ_Bias) dt  ([P] eqs. 3, 20-21)
-    linear = np.einsum("kabc,pbc->kap", integrals.rate, GYRO_BASIS)
-    J[:, :, _S["gyro_scale"]] = linear[:, :, :3]
-    J[:, :, _S["gyro_orthogonality"]] = linear[:, :, 3:]
-    J[:, :, _S["gyro_asymmetry"]] = integrals.abs_rate
-    J[:, :, _S["gyro_bias"]] = integrals.time
+    linear = np.einsum("...bc,pbc->...p", integrals.rate, GYRO_BASIS)
+    J[..., _S["gyro_scale"]], J[..., _S["gyro_orthogonality"]] = linear[..., :3], linear[..., 3:]
+    J[..., _S["gyro_asymmetry"]], J[..., _S["gyro_bias"]] = integrals.abs_rate, integrals.time
     return J
 
 
 def force_error_jacobian(f: Array, accel: Triad) -> Array:
-    """Derivative of the compensated specific force with respect to the 27 errors, shape (n, 3, 27).
+    """Derivative of the compensated specific force with respect to the 27 errors, shape (..., n, 3, 27).
 
     Parameters
     ----------
-    f : ndarray, shape (n, 3), m/s²
+    f : ndarray, shape (..., n, 3), m/s²
         Compensated (or nominal) specific force in B.
     accel : Triad
         Errors that it was compensated with.
     """
-    J = np.zeros((len(f), 3, N_PARAMETERS))
+    J = np.zeros((*f.shape, N_PARAMETERS))
     # δf = D (δMa f + δλ_Asym ∘ |f| + δλ_Bias)  ([P] eqs. 6-11)
-    linear = np.einsum("pbc,nc->nbp", ACCEL_BASIS, f)
-    J[:, :, _S["accel_scale"]] = linear[:, :, :3]
-    J[:, :, _S["accel_misalignment"]] = linear[:, :, 3:]
-    J[:, :, _S["accel_asymmetry"]] = np.abs(f)[:, :, None] * np.eye(3)
-    J[:, :, _S["accel_bias"]] = np.eye(3)
+    linear = np.einsum("pbc,...c->...bp", ACCEL_BASIS, f)
+    J[..., _S["accel_scale"]], J[..., _S["accel_misalignment"]] = linear[..., :3], linear[..., 3:]
+    J[..., _S["accel_asymmetry"]] = np.abs(f)[..., None] * np.eye(3)
+    J[..., _S["accel_bias"]] = np.eye(3)
     out: Array = accel.sensitivity(f) @ J
     return out
 
 
 def rate_error_jacobian(omega: Array, gyro: Triad, rectified: Array | float = 0.0) -> Array:
-    """Derivative of the compensated angular rate with respect to the 27 errors, shape (n, 3, 27).
+    """Derivative of the compensated angular rate with respect to the 27 errors, shape (..., n, 3, 27).
 
     Parameters
     ----------
-    omega : ndarray, shape (n, 3), rad/s
+    omega : ndarray, shape (..., n, 3), rad/s
         Compensated rate in B.
     gyro : Triad
         Errors that it was compensated with.
-    rectified : ndarray, shape (n, 3), rad/s, optional
+    rectified : ndarray, shape (..., n, 3), rad/s, optional
         Mean of |ω| over |ω| of the mean, by vibration.
     """
-    J = np.zeros((len(omega), 3, N_PARAMETERS))
+    J = np.zeros((*omega.shape, N_PARAMETERS))
     # δω = D (δMg ω̂ + δκ_Asym ∘ |ω̂| + δκ_Bias)  ([P] eqs. 6-11)
-    linear = np.einsum("pbc,nc->nbp", GYRO_BASIS, omega)
-    J[:, :, _S["gyro_scale"]] = linear[:, :, :3]
-    J[:, :, _S["gyro_orthogonality"]] = linear[:, :, 3:]
-    J[:, :, _S["gyro_asymmetry"]] = (np.abs(omega) + rectified)[:, :, None] * np.eye(3)
-    J[:, :, _S["gyro_bias"]] = np.eye(3)
+    linear = np.einsum("pbc,...c->...bp", GYRO_BASIS, omega)
+    J[..., _S["gyro_scale"]], J[..., _S["gyro_orthogonality"]] = linear[..., :3], linear[..., 3:]
+    J[..., _S["gyro_asymmetry"]] = (np.abs(omega) + rectified)[..., None] * np.eye(3)
+    J[..., _S["gyro_bias"]] = np.eye(3)
     out: Array = gyro.sensitivity(omega) @ J
     return out
 
 
 def horizontal_projector(down: Array) -> Array:
-    """I − u uᵀ for unit vectors of shape (K, 3); shape (K, 3, 3)."""
-    out: Array = np.eye(3) - down[:, :, None] * down[:, None, :]
+    """I − u uᵀ for unit vectors of shape (..., 3); shape (..., 3, 3)."""
+    out: Array = np.eye(3) - down[..., :, None] * down[..., None, :]
     return out
 
 
 def attitude_to_horizontal(basis: Array, acceleration: Array) -> Array:
-    """Derivative of the horizontal components of Δa with respect to φ: ``basis`` times −(â×), shape (K, 2, 3)."""
+    """Derivative of the horizontal components of Δa with respect to φ: ``basis`` times −(â×), shape (..., K, 2, 3)."""
     # φ × â = −(â×) φ  ([P] eq. 5)
     out: Array = -basis @ cross_matrix(acceleration)
     return out
@@ -196,21 +192,21 @@ def attitude_to_horizontal(basis: Array, acceleration: Array) -> Array:
 def horizontal_jacobian(
     integrals: RotationIntegrals, basis: Array, f_start: Array, f_end: Array, accel: Triad
 ) -> Array:
-    """Derivative of Δa_H with respect to the 27 errors (eq. 5), shape (K, 2, 27), m/s² per SI unit.
+    """Derivative of Δa_H with respect to the 27 errors (eq. 5), shape (..., K, 2, 27), m/s² per SI unit.
 
     Parameters
     ----------
     integrals : RotationIntegrals
         Of K rotations.
-    basis : ndarray, shape (K, 2, 3)
+    basis : ndarray, shape (..., K, 2, 3)
         Two horizontal directions in B_Strt; components are taken along them.
-    f_start, f_end : ndarray, shape (K, 3), m/s²
+    f_start, f_end : ndarray, shape (..., K, 3), m/s²
         Specific force at the start and at the end, each in B at that time.
     accel : Triad
         Errors that it was compensated with.
     """
     C = integrals.C_end
-    a_mean = 0.5 * (f_start + np.einsum("kab,kb->ka", C, f_end))
+    a_mean = 0.5 * (f_start + np.einsum("...ab,...b->...a", C, f_end))
     by_attitude = attitude_to_horizontal(basis, a_mean) @ attitude_error_jacobian(integrals)
     # Δa_H = basis · [φ × â + C_End δf_End − δf_Strt]  ([P] eq. 5)
     by_force = basis @ (C @ force_error_jacobian(f_end, accel) - force_error_jacobian(f_start, accel))
@@ -219,10 +215,10 @@ def horizontal_jacobian(
 
 
 def down_jacobian(f: Array, accel: Triad) -> Array:
-    """Derivative of a_Down = g − |f| with respect to the 27 errors, shape (n, 27)."""
+    """Derivative of a_Down = g − |f| with respect to the 27 errors, shape (..., n, 27)."""
     # δa_Down = u · δf, u = −f / |f|  ([P] eq. 5)
-    u = -f / np.linalg.norm(f, axis=1, keepdims=True)
-    out: Array = np.einsum("na,nap->np", u, force_error_jacobian(f, accel))
+    u = -f / np.sqrt(np.einsum("...a,...a", f, f))[..., None]
+    out: Array = np.einsum("...a,...ap->...p", u, force_error_jacobian(f, accel))
     return out
 
 

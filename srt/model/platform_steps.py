@@ -72,9 +72,10 @@ class Steps:
     ----------
     stream : GyroStream
     gyro : Triad
+        If of several units, the stream has the sequences of one after those of another, as many of each.
     offset : ndarray, shape (K, 3), rad/s
         Residual bias of each sequence.
-    sample_noise_rad : ndarray, shape (3,), or None
+    sample_noise_rad : ndarray, shape (3,) or (units, 3), or None
 
     Attributes
     ----------
@@ -87,14 +88,16 @@ class Steps:
         self._stream, self._gyro, self._offset, self._sample_noise_rad = stream, gyro, offset, sample_noise_rad
         self.sequence_of = np.repeat(np.arange(len(stream.starts) - 1), np.diff(stream.starts))
         self.chain = AttitudeChain(np.concatenate([stream.starts, stream.rotation[:, 1]]))
-        self._inverses: Array = gyro.inverses if gyro.asymmetry.any() else gyro.inverse[None]
+        units = gyro.bias.size // 3
+        self._unit_of = None if units == 1 else self.sequence_of // (len(stream.rotation) // units)
 
     def block(self, a: int, b: int) -> tuple[Array, Array, Array]:
         """Compensated increments Δθ, (3, m), Ĉ D and Ĉ at mid-interval, (3, 3, m), of the samples a to b."""
         stream = self._stream
         # One sample more on either side, for the change of the rate at the block's edges.
         lo, hi = max(a - 1, 0), min(b + 1, len(stream.interval_s))
-        theta, D = _compensate(stream, slice(lo, hi), self._gyro, self._inverses, self._sample_noise_rad)
+        unit = None if self._unit_of is None else self._unit_of[lo:hi]
+        theta, D = _compensate(stream, slice(lo, hi), self._gyro, self._sample_noise_rad, unit)
         if self._offset.any():
             theta -= self._offset.T[:, self.sequence_of[lo:hi]] * stream.interval_s[lo:hi]
         change = _change(theta, self.sequence_of[lo:hi])
@@ -109,14 +112,14 @@ class CompiledSteps(Steps):
 
     def __init__(self, stream: GyroStream, gyro: Triad, offset: Array, sample_noise_rad: Array | None) -> None:
         super().__init__(stream, gyro, offset, sample_noise_rad)
-        mean_inverse = gyro.inverse
         noise = np.zeros(3) if sample_noise_rad is None else sample_noise_rad
+        by_unit = np.concatenate([gyro.inverses, gyro.inverse[..., None, :, :]], axis=-3)
         # Copies, because numba compiles anew for another layout of an array, and for one that is read-only.
         self._corrections = (
-            np.array(gyro.bias),
+            np.array(gyro.bias.reshape(-1, 3), order="C"),
             np.array(offset, order="C"),
-            np.concatenate([gyro.inverses, mean_inverse[None]]),
-            _NOISE_SIGMAS * np.sqrt(mean_inverse**2 @ noise**2),
+            by_unit.reshape(-1, 3, 3),
+            np.array(_near_zero(gyro, noise).reshape(-1, 3), order="C"),
         )
 
     def block(self, a: int, b: int) -> tuple[Array, Array, Array]:
@@ -220,27 +223,41 @@ def _times(C: Array, D: Array) -> Array:
     return product
 
 
+def _of_samples(values: Array, unit: Indices | None) -> Array:
+    """Vectors (units, 3) or matrices (units, 3, 3) of the units of samples, the samples last; of one unit, for all."""
+    if unit is None:
+        return values.reshape(3, 1) if values.size == 3 else values.reshape(3, 3)
+    return np.take(np.ascontiguousarray(np.moveaxis(values, 0, -1)), unit, axis=-1)
+
+
+def _near_zero(gyro: Triad, sample_noise_rad: Array) -> Array:
+    """Increments below which the smoothed ones have the sign, shape (..., 3)."""
+    variance = np.einsum("...ab,...b->...a", gyro.inverse**2, sample_noise_rad**2)
+    return np.asarray(_NOISE_SIGMAS * np.sqrt(variance))
+
+
 def _compensate(
-    stream: GyroStream, block: slice, gyro: Triad, inverses: Array, sample_noise_rad: Array | None
+    stream: GyroStream, block: slice, gyro: Triad, sample_noise_rad: Array | None, unit: Indices | None
 ) -> tuple[Array, Array]:
     """Compensated increments of a block, (3, m), and the matrices that made them, (3, 3) or (3, 3, m)."""
     dt = stream.interval_s[block]
-    y = stream.increments[:, block] - gyro.bias[:, None] * dt
-    if len(inverses) == 1:
-        return inverses[0] @ y, inverses[0]
-    mean_inverse = gyro.inverse
-    table = np.ascontiguousarray(np.moveaxis(inverses, 0, 2))
+    bias, mean_inverse = _of_samples(gyro.bias, unit) * dt, _of_samples(gyro.inverse, unit)
+    y = stream.increments[:, block] - bias
+    reference = _apply(mean_inverse, y)
+    if not gyro.asymmetry.any():
+        return reference, mean_inverse
+    table = np.ascontiguousarray(np.moveaxis(gyro.inverses.reshape(-1, 3, 3), 0, 2))
+    first = 0 if unit is None else 8 * unit
     smooth = sigma = None
-    reference = mean_inverse @ y
     if sample_noise_rad is not None:
-        sigma = np.broadcast_to(_NOISE_SIGMAS * np.sqrt(mean_inverse**2 @ sample_noise_rad**2)[:, None], y.shape)
-        smooth = stream.smooth[:, block] - gyro.bias[:, None] * dt
-        np.copyto(reference, mean_inverse @ smooth, where=np.abs(reference) < sigma)
-    octant = _octant(reference)
+        sigma = np.broadcast_to(_of_samples(_near_zero(gyro, sample_noise_rad), unit), y.shape)
+        smooth = stream.smooth[:, block] - bias
+        np.copyto(reference, _apply(mean_inverse, smooth), where=np.abs(reference) < sigma)
+    octant = _octant(reference) + first
     D = np.take(table, octant, axis=2)  # contiguous, unlike fancy indexing
     theta = _apply(D, y)
     # The first octant ignores the asymmetry: the solution may lie in another octant, and that one lead to a third.
-    new = _octant(_sign_reference(theta, D, smooth, sigma))
+    new = _octant(_sign_reference(theta, D, smooth, sigma)) + first
     at = np.flatnonzero(new != octant)
     new = new[at]
     for _ in range(OCTANT_ITERATIONS):
@@ -253,7 +270,7 @@ def _compensate(
         reference = _sign_reference(
             solved, part, None if smooth is None else smooth[:, at], None if sigma is None else sigma[:, at]
         )
-        new = _octant(reference)
+        new = _octant(reference) + (0 if unit is None else 8 * unit[at])
         at, new = at[new != octant[at]], new[new != octant[at]]
     return theta, D
 

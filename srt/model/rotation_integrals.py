@@ -11,8 +11,8 @@ eqs. 3, 20-21); for a recorded one :mod:`srt.model.analytic_platform` computes t
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -65,6 +65,12 @@ class RotationIntegrals:
     time_parts: Array | None = None
     velocity: Array | None = None
     C_turned: Array | None = None
+
+    def reshaped(self, shape: tuple[int, ...]) -> RotationIntegrals:
+        """The same with the axis of the rotations as axes of another shape, (units, K)."""
+        parts: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self)}
+        parts = {name: part.reshape(*shape, *part.shape[1:]) for name, part in parts.items() if part is not None}
+        return replace(self, **parts)
 
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(64)

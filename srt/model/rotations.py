@@ -148,10 +148,10 @@ def inverse_right_jacobian(phi: Array) -> Array:
 
 
 def smallest_rotation(before: Array, after: Array) -> Array:
-    """Matrices of the smallest rotations that take unit vectors ``before`` to ``after``, (n, 3) each; (n, 3, 3)."""
+    """Matrices of the smallest rotations that take unit vectors ``before`` to ``after``, (..., 3) each; (..., 3, 3)."""
     X = cross_matrix(np.cross(before, after))
-    cosine = np.einsum("na,na->n", before, after)
-    return np.asarray(np.eye(3) + X + X @ X / np.maximum(1.0 + cosine, 1e-6)[:, None, None])
+    cosine = np.einsum("...a,...a->...", before, after)
+    return np.asarray(np.eye(3) + X + X @ X / np.maximum(1.0 + cosine, 1e-6)[..., None, None])
 
 
 def cross_matrix(v: Array) -> Array:

@@ -76,15 +76,15 @@ _CONTRACTION_ITERATIONS: Final = 100
 
 @dataclass(frozen=True, eq=False)
 class Triad:
-    """Sensor model of a triad, ``y = M v + s ∘ |v| + b``.
+    """Sensor model of a triad, ``y = M v + s ∘ |v| + b``, or of the triads of several units.
 
     Attributes
     ----------
-    matrix : ndarray, shape (3, 3)
+    matrix : ndarray, shape (3, 3) or (units, 3, 3)
         M: scale factor and misalignment, identity for a perfect triad.
-    asymmetry : ndarray, shape (3,)
+    asymmetry : ndarray, shape (3,) or (units, 3)
         s, dimensionless.
-    bias : ndarray, shape (3,)
+    bias : ndarray, shape (3,) or (units, 3)
         b, rad/s or m/s².
     """
 
@@ -94,13 +94,14 @@ class Triad:
 
     @cached_property
     def inverse(self) -> Array:
-        """``M⁻¹``, shape (3, 3)."""
+        """``M⁻¹``, shape (..., 3, 3)."""
         return np.asarray(np.linalg.inv(self.matrix), dtype=np.float64)
 
     @cached_property
     def inverses(self) -> Array:
-        """``(M + diag(s ∘ sign))⁻¹`` by octant, shape (8, 3, 3)."""
-        return np.linalg.inv(self.matrix + SIGNS[:, :, None] * np.diag(self.asymmetry))
+        """``(M + diag(s ∘ sign))⁻¹`` by octant, shape (..., 8, 3, 3)."""
+        signed: Array = SIGNS * self.asymmetry[..., None, :]
+        return np.asarray(np.linalg.inv(self.matrix[..., None, :, :] + signed[..., None] * np.eye(3)), dtype=np.float64)
 
     def read(self, true: ArrayLike) -> Array:
         """Noise-free readings of true values of shape (..., 3)."""
@@ -108,32 +109,36 @@ class Triad:
         return v @ self.matrix.T + self.asymmetry * np.abs(v) + self.bias
 
     def compensate(self, reading: ArrayLike) -> Array:
-        """Invert :meth:`read` exactly, for readings of shape (..., 3).
+        """Invert :meth:`read` exactly, for readings of shape (..., 3), those of several units (units, n, 3).
 
         Two faster inverses give the same values: of gyro streams (:mod:`srt.model.platform_steps`; compared in
         tests/model/test_sensor_model.py) and of applied calibrations (:mod:`srt.result.triad_inverse`; compared in
         tests/result/test_apply.py).
         """
-        y = np.asarray(reading, dtype=np.float64) - self.bias
+        y = np.asarray(reading, dtype=np.float64)
+        y = y - (self.bias if self.bias.ndim == 1 else self.bias[:, None])
+        first = y @ np.swapaxes(self.inverse, -1, -2)
         if not self.asymmetry.any():
-            return np.asarray(y @ self.inverse.T)
-        flat = y.reshape(-1, 3)
-        inverses = self.inverses
-        octant = octants(flat @ self.inverse.T)
+            return np.asarray(first)
+        flat, unit = y.reshape(-1, 3), self._units(y)
+        inverses = self.inverses.reshape(-1, 3, 3)
+        octant = octants(first.reshape(-1, 3)) + 8 * unit
         solution = np.einsum("nij,nj->ni", inverses[octant], flat)
         # The solution in a wrong octant points to another octant; few samples need a second iteration.
         for _ in range(OCTANT_ITERATIONS):
-            wrong = np.flatnonzero(octants(solution) != octant)
+            found = octants(solution) + 8 * unit
+            wrong = np.flatnonzero(found != octant)
             if wrong.size == 0:
                 break
-            octant[wrong] = octants(solution[wrong])
+            octant[wrong] = found[wrong]
             solution[wrong] = np.einsum("nij,nj->ni", inverses[octant[wrong]], flat[wrong])
         else:
             # On the border between octants, rounding can make the search alternate. The contraction
             # v <- M⁻¹(y - s ∘ |v|) converges there for either sign.
-            v = solution[wrong]
+            v, own = solution[wrong], unit[wrong]
+            asymmetry, inverse = self.asymmetry.reshape(-1, 3)[own], self.inverse.reshape(-1, 3, 3)[own]
             for _ in range(_CONTRACTION_ITERATIONS):
-                v = (flat[wrong] - self.asymmetry * np.abs(v)) @ self.inverse.T
+                v = np.einsum("nij,nj->ni", inverse, flat[wrong] - asymmetry * np.abs(v))
             solution[wrong] = v
         out: Array = solution.reshape(y.shape)
         return out
@@ -141,8 +146,19 @@ class Triad:
     def sensitivity(self, value: Array) -> Array:
         """Derivative of the compensated value to the reading, ``(M + diag(s ∘ sign v))⁻¹``, shape (..., 3, 3)."""
         if not self.asymmetry.any():
-            return np.broadcast_to(self.inverse, (*value.shape, 3))
-        return np.asarray(self.inverses[octants(value.reshape(-1, 3)).reshape(value.shape[:-1])])
+            inverse = self.inverse if self.inverse.ndim == 2 else self.inverse[:, None]
+            return np.broadcast_to(inverse, (*value.shape, 3))
+        octant = octants(value.reshape(-1, 3)) + 8 * self._units(value)
+        return np.asarray(self.inverses.reshape(-1, 3, 3)[octant].reshape(*value.shape, 3))
+
+    def of(self, which: Indices | int) -> Triad:
+        """Triads of some units, or that of one."""
+        return Triad(self.matrix[which], self.asymmetry[which], self.bias[which])
+
+    def _units(self, values: Array) -> Indices:
+        """Number of the unit of each vector of an array (..., 3); the first axis is that of the units, if any."""
+        count = 1 if self.bias.ndim == 1 else len(self.bias)
+        return np.repeat(np.arange(count), values.size // (3 * count))
 
 
 def octants(v: Array) -> Indices:
@@ -154,20 +170,31 @@ def octants(v: Array) -> Indices:
 @lru_cache(maxsize=8)
 def gyro_triad(errors: SensorErrors) -> Triad:
     """Sensor model of the gyros: Mg, κ_Asym, κ_Bias."""
-    return _triad(errors, "gyro", "orthogonality", GYRO_BASIS)
+    return triads(errors.vector)[0]
 
 
 @lru_cache(maxsize=8)
 def accel_triad(errors: SensorErrors) -> Triad:
     """Sensor model of the accelerometers: Ma, λ_Asym, λ_Bias."""
-    return _triad(errors, "accel", "misalignment", ACCEL_BASIS)
+    return triads(errors.vector)[1]
 
 
-def _triad(errors: SensorErrors, sensor: str, angles: str, basis: Array) -> Triad:
-    linear = np.concatenate([errors.group(f"{sensor}_scale"), errors.group(f"{sensor}_{angles}")])
-    return Triad(
-        np.eye(3) + np.tensordot(linear, basis, 1), errors.group(f"{sensor}_asymmetry"), errors.group(f"{sensor}_bias")
+def triads(vector: Array) -> tuple[Triad, Triad]:
+    """Sensor models of gyros and accelerometers with sensor errors (27,), or those of units, (units, 27)."""
+    by_group = {name: vector[..., part] for name, part in GROUP_SLICES.items()}
+    rows = (("gyro", "orthogonality", GYRO_BASIS), ("accel", "misalignment", ACCEL_BASIS))
+    gyro, accel = (
+        Triad(
+            np.eye(3)
+            + np.tensordot(
+                np.concatenate([by_group[f"{sensor}_scale"], by_group[f"{sensor}_{angles}"]], axis=-1), basis, 1
+            ),
+            by_group[f"{sensor}_asymmetry"],
+            by_group[f"{sensor}_bias"],
+        )
+        for sensor, angles, basis in rows
     )
+    return gyro, accel
 
 
 def errors_from_triads(gyro: Triad, accel: Triad) -> SensorErrors:
@@ -258,13 +285,22 @@ def outside_model(errors: SensorErrors) -> str | None:
 
     The model requires Mg positive definite, det Ma > 0, and singular values of both above 0.15.
     """
-    Mg, Ma = gyro_triad(errors).matrix, accel_triad(errors).matrix
-    if np.linalg.eigvalsh(Mg)[0] <= 0.0:
-        return "the gyro matrix is not positive definite (a flipped or swapped gyro axis?)"
-    if np.linalg.det(Ma) <= 0.0:
-        return "the accelerometer triad has the opposite handedness to the gyros (a flipped or swapped axis?)"
-    for name, M in (("gyro", Mg), ("accelerometer", Ma)):
-        smallest = float(np.linalg.svd(M, compute_uv=False)[-1])
-        if smallest < MIN_SINGULAR_VALUE:
-            return f"the {name} axes are nearly coplanar (smallest singular value {smallest:.3f})"
-    return None
+    return outside_models(errors.vector[None])[0]
+
+
+def outside_models(vectors: Array) -> list[str | None]:
+    """:func:`outside_model` of the sensor errors of several units, shape (units, 27)."""
+    Mg, Ma = (triad.matrix for triad in triads(vectors))
+    least = np.linalg.eigvalsh(Mg)[:, 0], np.linalg.det(Ma)
+    smallest = [np.linalg.svd(M, compute_uv=False)[:, -1] for M in (Mg, Ma)]
+    out: list[str | None] = [None] * len(vectors)
+    for u in np.flatnonzero((np.minimum(*least) <= 0.0) | (np.minimum(*smallest) < MIN_SINGULAR_VALUE)).tolist():
+        flat = 0 if smallest[0][u] < MIN_SINGULAR_VALUE else 1
+        if least[0][u] <= 0.0:
+            out[u] = "the gyro matrix is not positive definite (a flipped or swapped gyro axis?)"
+        elif least[1][u] <= 0.0:
+            out[u] = "the accelerometer triad has the opposite handedness to the gyros (a flipped or swapped axis?)"
+        else:
+            name = ("gyro", "accelerometer")[flat]
+            out[u] = f"the {name} axes are nearly coplanar (smallest singular value {smallest[flat][u]:.3f})"
+    return out

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
     from srt.model.sensor_model import Triad
     from srt.sequences.preparation import PreparedRecording
+    from srt.sequences.prepared_units import PreparedUnits
     from srt.types import Array, Mask
 
 
@@ -25,6 +26,8 @@ PROBABILITY: Final = 1e-3
 _PARTS: Final = 16
 """Number of parts of a window from which its own noise is estimated."""
 
+_FIGURES: Final = ("gyro_white", "gyro_edge", "accel_white", "accel_edge", "accel_wander")
+"""Figures of the noise model that the halves of a window have."""
 _MEDIAN_OF_SQUARE: Final = 0.4549
 """Median of chi-square with one degree of freedom."""
 
@@ -68,13 +71,20 @@ def moved_windows(
     -------
     ndarray of bool, shape (W,)
     """
-    stated = np.ones((2, len(rest_rate), 3))
     halves = (data.windows.gyro_halves - drift[0], data.windows.accel_halves - drift[1])
-    moved, alike = _fails(data, gyro, accel, halves, rest_rate, wander, probability=probability, ratio=stated)
+    moved, alike = _fails(data, gyro, accel, halves, rest_rate, wander, probability=probability)
     if moved.any():
         own = _own_noise(data, moved)
         moved &= _fails(data, gyro, accel, halves, rest_rate, wander, probability=probability, ratio=own)[0]
     return moved if suspect is None else moved | suspect & alike
+
+
+def suspect_units(
+    data: PreparedUnits, gyro: Triad, accel: Triad, rest_rate: Array, wander: Array, probability: float = PROBABILITY
+) -> Mask:
+    """Units with a window that fails the test with the stated noise, (units,); arrays have a leading axis of units."""
+    halves = data.windows.gyro_halves, data.windows.accel_halves
+    return np.asarray(_fails(data, gyro, accel, halves, rest_rate, wander, probability=probability)[0].any(axis=-1))
 
 
 def _fails(
@@ -86,33 +96,34 @@ def _fails(
     wander: Array,
     *,
     probability: float,
-    ratio: Array,
+    ratio: Array | tuple[float, float] = (1.0, 1.0),
 ) -> tuple[Mask, Mask]:
     """Windows that fail either test, and windows whose tilt is closer to that of the mean rate than to none.
 
-    The stated noise of gyros and accelerometers is multiplied by ``ratio``, shape (2, W, 3).
+    The stated noise of gyros and accelerometers is multiplied by ``ratio``, shape (W, 3) each. All arrays may have a
+    leading axis of units.
     """
-    noise = data.noise
+    by_window = {name: getattr(data.noise, name)[..., None, :] for name in _FIGURES}
     T = 0.5 * data.windows.duration_s[:, None]
-    D2 = gyro.inverse**2
-    rate = gyro.compensate(halves[0])
-    angle = (rate[:, 1] - rate[:, 0]) * T
+    rate, force = (
+        triad.compensate(part.reshape(*part.shape[:-3], -1, 3)).reshape(part.shape)
+        for triad, part in zip((gyro, accel), halves, strict=True)
+    )
+    angle = (rate[..., 1, :] - rate[..., 0, :]) * T
     # Three readings of the angle make the difference of two adjoining halves: 1, -2, 1.
-    variance = ((2.0 * noise.gyro_white**2 * T + 6.0 * noise.gyro_edge**2) * ratio[0] ** 2) @ D2.T
+    raw = (2.0 * by_window["gyro_white"] ** 2 * T + 6.0 * by_window["gyro_edge"] ** 2) * ratio[0] ** 2
     # The gyros of a unit are alike: where one bias wanders, the others may, although the Earth's rate hides it.
-    variance = variance + 2.0 * (wander.max() * T) ** 2
-    turned = np.sum(angle**2 / variance, axis=1)
-    A2 = accel.inverse**2
-    force = accel.compensate(halves[1])
+    wandered = 2.0 * (wander.max(axis=-1)[..., None, None] * T) ** 2
+    turned = np.sum(angle**2 / (raw @ np.swapaxes(gyro.inverse**2, -1, -2) + wandered), axis=-1)
     mean = accel.compensate(data.windows.accel_mean)
-    up = mean / np.linalg.norm(mean, axis=1, keepdims=True)
-    change = force[:, 1] - force[:, 0]
-    change -= up * np.einsum("wa,wa->w", up, change)[:, None]
-    variance = ((2.0 * noise.accel_white**2 / T + 6.0 * (noise.accel_edge / T) ** 2) * ratio[1] ** 2) @ A2.T
-    variance = variance + 2.0 * noise.accel_wander**2
-    tilted = np.sum(change**2 / variance, axis=1) > chdtri(2, 0.5 * probability)
+    up = mean / np.linalg.norm(mean, axis=-1, keepdims=True)
+    change = force[..., 1, :] - force[..., 0, :]
+    change -= up * np.einsum("...a,...a->...", up, change)[..., None]
+    raw = (2.0 * by_window["accel_white"] ** 2 / T + 6.0 * (by_window["accel_edge"] / T) ** 2) * ratio[1] ** 2
+    variance = raw @ np.swapaxes(accel.inverse**2, -1, -2) + 2.0 * by_window["accel_wander"] ** 2
+    tilted = np.sum(change**2 / variance, axis=-1) > chdtri(2, 0.5 * probability)
     by_gyros = np.cross(mean, rest_rate) * T
-    left, tilt = np.linalg.norm(change - by_gyros, axis=1), np.linalg.norm(change, axis=1)
+    left, tilt = np.linalg.norm(change - by_gyros, axis=-1), np.linalg.norm(change, axis=-1)
     return (turned > chdtri(3, 0.5 * probability)) | tilted & (left < 0.5 * tilt), left < tilt
 
 

@@ -296,10 +296,9 @@ def test_share_of_a_wander_that_is_left():
     _, found = played(read_out(motion_of(), SensorErrors()))
     rng, n = np.random.default_rng(6), 4000
     drawn = rng.standard_normal((n, len(found.share), 3))[:, found.window_sequence]
-    rates = np.moveaxis(drawn, 0, 2)
-    left = rates - np.einsum("acs,wc->was", found.poses.fit(rates), found.force)
+    left = drawn - found.force @ np.swapaxes(found.poses.fit(drawn), 1, 2)
     deviation = found.share - found.pool
-    sizes = [float(np.mean(np.tensordot(deviation, r, 1) ** 2)) for r in (rates, left)]
+    sizes = [float(np.mean((deviation @ r) ** 2)) for r in (drawn, left)]
     # Both have the same draws, of which 3 n sets of at least 13 are independent.
     assert abs(sizes[1] / sizes[0] - found.scatter_left()) < 3.5 * math.sqrt(2.0 / (3 * n * 13))
     assert 0.5 < found.scatter_left() < 1.0

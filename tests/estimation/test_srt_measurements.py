@@ -36,8 +36,8 @@ def test_an_error_of_the_rates_acts_through_the_g_sensitivity_that_it_mimics(uni
     rng = np.random.default_rng(1)
     before = processor.process(truth)
     off = 1e-6 * rng.standard_normal((len(before.pool), 3, 1))
-    followed, (_, phi) = before.poses.fit(off), before.after_g_sensitivity(off)
-    after = processor.process(truth, g_sensitivity=before.gyro.matrix @ followed[:, :, 0])
+    followed, (_, phi) = before.poses.fit(off[..., 0]), before.after_g_sensitivity(off)
+    after = processor.process(truth, g_sensitivity=before.gyro.matrix @ followed)
     K = processor.data.K
     expected = np.einsum("kia,ka->ki", before.attitude_effect, phi[:, :, 0]).ravel()
     # The start frame turns with the Earth: integrals take it at its mean, and â as if at rest, each to that angle.
