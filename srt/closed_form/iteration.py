@@ -115,7 +115,7 @@ class _Iteration:
         self.corrections = np.zeros((units, 0))
         self.noise: list[Array] = []
         self.integrated = np.full(W, options.window_attitude == "integrated")
-        self.processor = SrtProcessor(data, options, self.integrated)
+        self._processor: SrtProcessor | None = None
         self.solutions: dict[int, Solution] = {}
         self.alone: list[int] = []
 
@@ -198,11 +198,12 @@ class _Iteration:
         self.inside = self.inside[0][which], self.inside[1][which]
         self.noise = [part[which] for part in self.noise]
         if which.size:
-            self.data = self.data.of_units(which)
-            self.processor = SrtProcessor(self.data, self.options, self.integrated)
+            self.data, self._processor = self.data.of_units(which), None
 
     def _process(self, *, nominal: bool, noise: bool) -> SrtMeasurements:
-        return self.processor.process(
+        if self._processor is None:
+            self._processor = SrtProcessor(self.data, self.options, self.integrated)
+        return self._processor.process(
             self.vector,
             U=self.U,
             nominal_vertical=nominal,
@@ -218,10 +219,13 @@ class _Iteration:
         self.noise = self.noise or [np.zeros_like(part) for part in found]
         for stored, part in zip(self.noise, found, strict=True):
             stored[fresh] = part[fresh]
-        seen = measurement_covariance.through(gain, self._projection(measurements))
-        sources = measurement_covariance.disturbances(measurements, self.data, self.wander).values()
+        own, which = copy(self), np.flatnonzero(fresh)
+        own._keep(which)
+        measurements = measurements.of(which)
+        seen = measurement_covariance.through(gain[which], own._projection(measurements))
+        sources = measurement_covariance.disturbances(measurements, own.data, own.wander).values()
         variance = sum(np.sum(measurement_covariance.effect(seen, source) ** 2, axis=-1) for source in sources)
-        self.sigma[fresh] = np.sqrt(variance)[fresh]
+        self.sigma[fresh] = np.sqrt(variance)
 
     def _correct(self, measurements: SrtMeasurements, gain: Array) -> tuple[Array, list[str | None]]:
         """Correct the estimates; corrections (units, 27), and the reason where a unit cannot continue."""
@@ -286,8 +290,8 @@ class _Iteration:
         expected = rest_rate_variance(measurements, self.data) + earth_rate_sigma(self.data.recording) ** 2
         # Without a fixture, errors of the rotations are larger, and the bound would spoil the weights.
         unstated = self.data.recording.noise.gyro_noise is None and self.data.recording.fixture is not None
-        excess = [excess_variance(*own, bounded=unstated) for own in zip(deviation, expected, strict=True)]
-        scatter = np.sqrt(np.einsum("uab,ub->ua", measurements.gyro.matrix**2, np.stack(excess)))
+        excess = excess_variance(deviation, expected, bounded=unstated)
+        scatter = np.sqrt(np.einsum("uab,ub->ua", measurements.gyro.matrix**2, excess))
         return np.where(shown[:, None], scatter, 0.0)
 
     def _moving(self, measurements: SrtMeasurements, which: Mask) -> Mask:
@@ -307,8 +311,7 @@ class _Iteration:
             return False
         if not moving.any():
             return False
-        self.integrated = self.integrated | moving[0]
-        self.processor = SrtProcessor(self.data, self.options, self.integrated)
+        self.integrated, self._processor = self.integrated | moving[0], None
         return True
 
     def _projection(self, measurements: SrtMeasurements) -> dict[str, Array]:

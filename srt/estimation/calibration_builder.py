@@ -89,7 +89,8 @@ def build_calibration(
         provenance=_provenance(data, options),
         diagnostics={
             **result.diagnostics,
-            "asymmetry": asymmetry_choice(result.errors, covariance, observed),
+            # Far from a solution the covariance may be singular.
+            "asymmetry": asymmetry_choice(result.errors, covariance, observed) if result.status == "converged" else {},
             "unseen_errors": unseen_errors(data, observed),
         },
         verdict=evidence,

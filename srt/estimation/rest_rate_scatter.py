@@ -59,35 +59,35 @@ def rest_rate_variance(measurements: SrtMeasurements, data: PreparedRecording) -
 
 
 def excess_variance(rates: Array, expected: Array, *, bounded: bool = False) -> Array:
-    """Variance of biases between sequences beyond what their noise explains, shape (3,), (rad/s)².
+    """Variance of biases between sequences beyond what their noise explains, shape (..., 3), (rad/s)².
 
     Parameters
     ----------
-    rates : ndarray, shape (K, 3), rad/s
+    rates : ndarray, shape (..., K, 3), rad/s
         Rest rate of each sequence.
-    expected : ndarray, shape (3,), (rad/s)²
+    expected : ndarray, shape (..., 3), (rad/s)²
         Variance by noise alone. An axis has no excess if noise explains its rates (chi-square, p > 1e-3) with or
         without the sequence that deviates most.
     bounded : bool
         True: an axis without excess has what the three axes together cannot exclude, as no figure is stated.
     """
-    n = len(rates) - 1
+    n = rates.shape[-2] - 1
 
     def scatters(values: Array) -> Mask:
-        m = len(values) - 1
-        squares = np.sum((values - values.mean(axis=0)) ** 2, axis=0)
+        m = values.shape[-2] - 1
+        squares = np.sum((values - values.mean(axis=-2, keepdims=True)) ** 2, axis=-2)
         return np.asarray(squares > expected * chdtri(m, _SCATTER_PROBABILITY))
 
     wanders, near = scatters(rates), rates
     if n > 2:
         # A varying bias shows in many sequences; a deviation of one sequence alone is a fault of that sequence.
-        order = np.argsort(np.abs(rates - np.median(rates, axis=0)), axis=0)
-        near = np.take_along_axis(rates, order, axis=0)[:-1]
+        order = np.argsort(np.abs(rates - np.median(rates, axis=-2, keepdims=True)), axis=-2)
+        near = np.take_along_axis(rates, order, axis=-2)[..., :-1, :]
         wanders &= scatters(near)
-    own = np.where(wanders, np.var(rates, axis=0, ddof=1) - expected, 0.0)
+    own = np.where(wanders, np.var(rates, axis=-2, ddof=1) - expected, 0.0)
     # The gyros of a unit are alike: if two scatter, the third does too, although its biases happen to lie closer.
-    alike = own.mean() if np.count_nonzero(wanders) == 2 else 0.0
+    alike = np.where(np.count_nonzero(wanders, axis=-1) == 2, own.mean(axis=-1), 0.0)
     if bounded:
-        shown = np.mean(np.maximum(own, np.var(near, axis=0, ddof=1) - expected))
-        alike = max(alike, shown, 0.0) + float(expected.mean()) * math.sqrt(2.0 / (3.0 * n))
-    return np.asarray(np.where(wanders, own, alike))
+        shown = np.mean(np.maximum(own, np.var(near, axis=-2, ddof=1) - expected), axis=-1)
+        alike = np.maximum(np.maximum(alike, shown), 0.0) + expected.mean(axis=-1) * math.sqrt(2.0 / (3.0 * n))
+    return np.asarray(np.where(wanders, own, alike[..., None]))

@@ -41,6 +41,13 @@ def test_a_fixed_group_is_not_tested():
     assert np.isfinite(found["accel_asymmetry"]["chi_square"])
 
 
+def test_a_result_that_did_not_converge_is_not_tested():
+    """Its covariance may be singular."""
+    found = srt.calibrate(Case("tactical-fog", 5).recording, "closed-form", max_playbacks=1, checks=False)
+    assert found.status == "not_converged"
+    assert found.diagnostics["asymmetry"] == {}
+
+
 def test_an_asymmetry_that_few_turns_do_not_show_is_in_the_sigmas():
     """Consumer unit with asymmetries of 1 %, nine turns by hand: that of gyro z resembles its scale factor."""
     rng = np.random.default_rng((20261122, 11, 17))
