@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 
 import numpy as np
-from scipy.linalg import solve_triangular
 
 from srt.constants import DEG_PER_H, MICRO_G
 from srt.estimation.error_sources import earth_rate_sigma, raw_rate_variance
+from srt.estimation.goodness_of_fit import residual_statistics
 from srt.noise.drift_forms import (
     FALSE_ALARM,
     LINEAR,
@@ -17,7 +17,6 @@ from srt.noise.drift_forms import (
     drift_test,
     form_or_scatter,
     of_courses,
-    residual_statistics,
     variance_component,
 )
 
@@ -243,10 +242,8 @@ def gyro_statistics(
             own = term.sigma * slope
             noise = noise + np.kron(course @ course.T, own @ own.T)
     rows = (3 * used[:, None] + np.arange(3)).ravel()
-    L = np.linalg.cholesky(noise[np.ix_(rows, rows)])
     taken = [course for term, course in modelled if term.form != WALK]
     parts = [np.concatenate([np.ones((len(rest), 1)), *taken], axis=1), *courses.values()]
-    by_axis = np.kron(np.concatenate(parts, axis=1)[used], np.eye(3))
-    white = solve_triangular(L, np.column_stack([rest[used].ravel(), by_axis]), lower=True)
-    z, H, *effects = np.split(white, np.cumsum([1, *(3 * part.shape[1] for part in parts)])[:-1], axis=1)
-    return dict(zip(courses, residual_statistics(z[:, 0], H, *effects), strict=True))
+    H, *effects = (np.kron(part[used], np.eye(3)) for part in parts)
+    found = residual_statistics(rest[used].ravel(), H, noise[np.ix_(rows, rows)], *effects)
+    return dict(zip(courses, found, strict=True))
