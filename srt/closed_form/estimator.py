@@ -1,7 +1,7 @@
 """Estimator ``closed-form``: the iterated closed-form SRT (Savage 2020 [P], §§6-9), and its result.
 
-What it does not model it tests: the residuals by chi-square, whose Birge ratio enlarges all sigmas where noise does not
-explain them, and drift of the biases by one chi-square for each triad. ``least-squares`` models both.
+Unmodelled noise and drift are tested: residuals that noise does not explain enlarge all sigmas by their Birge ratio,
+and one chi-square for each triad shows a drift of its biases. ``least-squares`` models both.
 """
 
 from __future__ import annotations
