@@ -41,14 +41,20 @@ from srt.sensor_errors import N_PARAMETERS
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from srt.joint.joint_model import JointModel
-    from srt.joint.joint_state import CompensatedData, JointState
+    from srt.joint.linearisation import Linearisation
     from srt.model.prior import Prior
-    from srt.types import Array, Indices, Mask
+    from srt.types import Array, Indices
 
 
 _LOCAL: Final = "aqnd"
 """Variables of one step, in the order of their elimination."""
+_COLUMNS: Final = {
+    "x": ("errors", N_ERRORS), "b": ("bias", 3), "a": ("attitude", 3), "f": ("base", 3), "u": ("mounting", 3),
+    "l": ("non_orthogonality", 1), "g": ("gravity", 1), "e": ("earth_rate", 3), "q": ("edge", 3),
+    "s": ("drift_form", 0), "t": ("table_rate", 1),
+}  # fmt: skip
+"""Columns of the joint model that the variables stand for, and how many each takes; 0: all."""
+_DRIFT: Final = {"d": "drift", "n": "drift_noise"}
 _HEADING_SIGMA: Final = 1e-8
 """Standard deviation of a fixed heading, rad; its effect via the Earth's rate is far below any noise."""
 _FIXED_RATE: Final = 1e-6
@@ -60,31 +66,17 @@ class FactorGraph:
 
     Parameters
     ----------
-    joint : JointModel
-    state : JointState
-        State, with its attitudes, that the data were compensated with.
-    compensated : CompensatedData
-    free : ndarray of bool, shape (27,)
-        Sensor errors that are estimated.
+    point : Linearisation
     prior : Prior, optional
     weights : ndarray, shape (K,), optional
         Weights of the sequences from a robust loss.
     """
 
-    def __init__(
-        self,
-        joint: JointModel,
-        state: JointState,
-        compensated: CompensatedData,
-        free: Mask,
-        *,
-        prior: Prior | None = None,
-        weights: Array | None = None,
-    ) -> None:
-        assert state.attitude is not None
-        self.joint, self.state, self.compensated = joint, state, compensated
-        self.errors = np.flatnonzero(free[:N_ERRORS])
-        self.axes = np.flatnonzero(free[N_ERRORS:])
+    def __init__(self, point: Linearisation, *, prior: Prior | None = None, weights: Array | None = None) -> None:
+        joint, compensated = point.joint, point.compensated
+        self.point, self.joint, self.state, self.compensated = point, joint, point.state, compensated
+        self.errors = np.flatnonzero(point.free[:N_ERRORS])
+        self.axes = np.flatnonzero(point.free[N_ERRORS:])
         self.weights = np.ones(joint.data.K) if weights is None else weights
         self.gravity = joint.options.fixture_states
         self.graph: Any = gtsam.NonlinearFactorGraph()
@@ -127,6 +119,16 @@ class FactorGraph:
         """Variables of the reported parameters: biases, then errors."""
         biases = range(self.joint.data.K if self.joint.bias_walks else 1)
         return [int(B(k)) for k in biases if len(self.axes)] + ([int(X(0))] if len(self.errors) else [])
+
+    def columns_of(self, key: int) -> Indices:
+        """Columns of the joint model that stand for a variable; those of an attitude are in L, not in B."""
+        columns, letter, number = self.point.columns, chr(gtsam.symbolChr(key)), gtsam.symbolIndex(key)
+        if letter in _DRIFT:
+            sensors = [columns.of(f"{sensor}_{_DRIFT[letter]}") for sensor in self.compensated.drift]
+            return np.concatenate([of.reshape(self.joint.data.K, -1)[number] for of in sensors])
+        name, width = _COLUMNS[letter]
+        own: Indices = columns.of(name).reshape(-1, width or columns.of(name).size)[number]
+        return np.asarray(own[{"x": self.errors, "b": self.axes}.get(letter, slice(None))])
 
     @cached_property
     def elimination_order(self) -> Any:

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any, Final
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import A, D, F, G, L, N, Q, S, T, U, X
 from scipy.linalg import solve_triangular
 from scipy.special import chdtri
 
@@ -20,7 +19,6 @@ from estimators.factor_graph import FactorGraph
 from srt.joint.iteration import run
 from srt.joint.recording_opening import open_joint_model
 from srt.joint.solver import JointSolver, LinearSolution
-from srt.sensor_errors import N_PARAMETERS
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -28,12 +26,11 @@ if TYPE_CHECKING:
     from srt.estimation.options import Options
     from srt.estimation.registry import Progress
     from srt.joint.joint_model import JointModel
-    from srt.joint.joint_state import JointState
-    from srt.joint.linear_system import LinearSystem
+    from srt.joint.linearisation import Linearisation
     from srt.model.prior import Prior
     from srt.recording.recording import Recording
     from srt.result.calibration import Calibration
-    from srt.types import Array, Indices
+    from srt.types import Array
 
     Linearised = tuple[Array, list[Array]]
     ErrorFunction = Callable[[Any, Any, Any], Array]
@@ -121,17 +118,17 @@ class GraphSolver(JointSolver):
         """True if the requested loss is in use."""
         return self.calls >= len(self.stages)
 
-    def solve(self, joint: JointModel, system: LinearSystem, state: JointState) -> LinearSolution:
+    def solve(self, point: Linearisation) -> LinearSolution:
         """Solve once; with a robust loss, relinearise and update the weights until both converge."""
         loss = self.stages[min(self.calls, len(self.stages) - 1)]
         self.calls += 1
-        prior = self.prior_in_use
-        weights = np.ones(joint.data.K)
-        built = FactorGraph(joint, state, system.compensated, system.free, prior=prior)
+        prior, columns = self.prior_in_use, point.columns
+        weights = np.ones(point.joint.data.K)
+        built = FactorGraph(point, prior=prior)
         values, solution = built.values, None
         for i in range(_STEPS[loss]):
             if i:
-                built = FactorGraph(joint, state, system.compensated, system.free, prior=prior, weights=weights)
+                built = FactorGraph(point, prior=prior, weights=weights)
             try:
                 with built.evaluated(values):
                     solution = solve_linear(built, values)
@@ -149,15 +146,16 @@ class GraphSolver(JointSolver):
         assert solution is not None
         self.measured = [(kind, number, float(weights[k])) for kind, number, k in built.measured]
         self.sequence_weights = weights
-        delta = _columns(built, system, values)
-        E = system.parameter_map()
-        selection = np.zeros((N_PARAMETERS, len(solution.covariance)))
-        at = 0
-        for key in solution.keys:
-            columns = _columns_of(built, system, key)
-            selection[:, at : at + len(columns)] = E[:, columns]
-            at += len(columns)
-        return LinearSolution(delta, E @ delta, selection @ solution.covariance @ selection.T)
+        delta, correction = np.zeros(columns.count), built.values.localCoordinates(values)
+        for key in list(built.values.keys()):
+            delta[built.columns_of(key)] = correction.at(key)
+        # Attitudes are corrected in B, their columns are rotations about the axes of L.
+        assert point.state.attitude is not None
+        in_body = delta[columns["attitude"]].reshape(-1, 3)
+        delta[columns["attitude"]] = np.einsum("wab,wb->wa", point.state.attitude, in_body).ravel()
+        E = columns.parameter_map()
+        reported = np.concatenate([np.zeros(0, np.intp), *map(built.columns_of, solution.keys)])
+        return LinearSolution(delta, E @ delta, E[:, reported] @ solution.covariance @ E[:, reported].T)
 
     def restart(self) -> None:
         """Restart with the first loss."""
@@ -202,52 +200,6 @@ def sequence_weights(built: FactorGraph, values: Any, loss: str) -> Array:
     limits = np.sqrt(chdtri(freedom, _OUTLIER_PROBABILITY))
     sizes = np.sqrt(squares)
     return np.array([ROBUST[loss](float(limit)).weight(float(s)) for limit, s in zip(limits, sizes, strict=True)])
-
-
-def _columns_of(built: FactorGraph, system: LinearSystem, key: int) -> Indices:
-    """Columns of the system of a variable of sensor errors or bias."""
-    if key == X(0):
-        return np.asarray(system.of("errors")[built.errors])
-    return np.asarray(system.of("bias").reshape(-1, 3)[gtsam.symbolIndex(key)][built.axes])
-
-
-def _columns(built: FactorGraph, system: LinearSystem, values: Any) -> Array:
-    """Correction of all columns of the system from the graph's values."""
-    from srt.model.rotations import rotation_vector
-
-    joint, state = built.joint, built.state
-    delta = np.zeros(system.A.shape[1])
-    for key in built.reported_keys():
-        delta[_columns_of(built, system, key)] = values.atVector(key)
-    assert state.attitude is not None
-    now = np.stack([values.atRot3(A(w)).matrix() for w in range(len(state.attitude))])
-    rotation = rotation_vector(np.swapaxes(state.attitude, 1, 2) @ now)
-    delta[system.columns["attitude"]] = np.einsum("wab,wb->wa", state.attitude, rotation).ravel()
-    if joint.fixture_states:
-        for name, key, before in (("base", F(0), state.base), ("mounting", U(0), state.U)):
-            delta[system.columns[name]] = rotation_vector((before.T @ values.atRot3(key).matrix())[None])[0]
-        delta[system.columns["non_orthogonality"]] = values.atVector(L(0)) - state.non_orthogonality
-    if built.gravity:
-        delta[system.columns["gravity"]] = values.atVector(G(0)) - state.gravity
-    for c in range(len(joint.level_frames)):
-        earth = built.earth_key(c)
-        if earth is not None:
-            delta[system.of("earth_rate").reshape(-1, 3)[c]] = values.atVector(earth) - state.earth_rate[c]
-    if joint.drift.size:
-        delta[system.columns["drift_form"]] = values.atVector(S(0))
-    if built.compensated.stated.sequences.size:
-        delta[system.columns["table_rate"]] = values.atVector(T(0))
-    at = dict.fromkeys((D, N), 0)
-    for sensor, drift in built.compensated.drift.items():
-        sizes = (f"{sensor}_drift", drift.states), (f"{sensor}_drift_noise", drift.unknowns)
-        for symbol, (name, size) in zip((D, N), sizes, strict=True):
-            own = slice(at[symbol], at[symbol] + size)
-            delta[system.columns[name]] = np.concatenate([values.atVector(symbol(k))[own] for k in range(joint.data.K)])
-            at[symbol] += size
-    edges = system.of("edge").reshape(-1, 3)
-    for number in range(len(edges)):
-        delta[edges[number]] = values.atVector(Q(number))
-    return delta
 
 
 def estimate(recording: Recording, options: Options, progress: Progress | None = None) -> Calibration:

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from srt.joint.joint_model import JointModel
     from srt.joint.joint_state import JointState
     from srt.joint.linear_system import LinearSystem
+    from srt.joint.linearisation import Linearisation
     from srt.model.prior import Prior
     from srt.types import Array, Indices
 
@@ -148,7 +149,7 @@ def padded(H: Array, size: int) -> Array:
 
 def _all_columns(system: LinearSystem, parts: list[SequenceEquations], g: Array) -> Array:
     """Correction of all columns: that of the shared ones is g, that of the nuisance parameters follows from g."""
-    delta = np.zeros(system.A.shape[1])
+    delta = np.zeros(system.columns.count)
     delta[global_columns(system)] = g
     handed_in = np.zeros(0)
     for part, handed_on in zip(parts, smoothed(parts, g), strict=True):
@@ -161,7 +162,7 @@ def prior_root(system: LinearSystem, state: JointState, prior: Prior, shared: In
     """Cholesky factor of the prior covariance of the shared columns, and the prior mean minus the state."""
     n = system.columns["attitude"].start  # the columns of the whole recording come first
     P, mean = np.zeros((n, n)), np.zeros(n)
-    at = np.concatenate([system.of("errors"), system.of("bias")[:3]])
+    at = np.concatenate([system.columns.of("errors"), system.columns.of("bias")[:3]])
     P[np.ix_(at, at)] = prior.covariance
     mean[at] = prior.mean.vector - state.errors.vector
     # The priors of fixture and site are whitened rows of the system; their blocks are square.
@@ -234,9 +235,9 @@ class KalmanSolver(JointSolver):
         self.form = form
         self.last: FilterRun | None = None
 
-    def solve(self, joint: JointModel, system: LinearSystem, state: JointState) -> LinearSolution:
+    def solve(self, point: Linearisation) -> LinearSolution:
         """Run the filter over all sequences."""
-        found = run_filter(joint, system, state, self.prior, self.form)
+        found = run_filter(point.joint, point.system, point.state, self.prior, self.form)
         self.last = found
         return LinearSolution(found.delta, found.correction, found.covariance)
 

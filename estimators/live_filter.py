@@ -191,7 +191,7 @@ class LiveFilter:
 def _rank(solution: tuple[JointModel, KalmanSolver, IterationState]) -> tuple[bool, float]:
     """Sort key of solutions: converged ones first, then by the sum of squares of residuals and prior."""
     joint, solver, iteration = solution
-    if iteration.system is None or iteration.status == "outside_model":
+    if iteration.point is None or iteration.status == "outside_model":
         return True, math.inf
     residual = whole_solution(joint, solver, iteration).residual
     return iteration.status != "converged", float(residual @ residual)

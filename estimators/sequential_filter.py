@@ -29,7 +29,7 @@ from srt.joint.elimination_steps import global_columns
 from srt.joint.initial_attitudes import placed
 from srt.joint.iteration import apply_correction
 from srt.joint.linear_system import attitude_columns
-from srt.joint.linearisation import linearise
+from srt.joint.linearisation import Linearisation, linearise
 from srt.joint.solution_analysis import FixedParameters, make_calibration, whole_solution
 from srt.joint.solver import IterationState, JointSolver, LinearSolution
 from srt.model.sensor_model import outside_model
@@ -39,7 +39,6 @@ if TYPE_CHECKING:
     from srt.estimation.registry import Progress
     from srt.joint.joint_model import JointModel
     from srt.joint.joint_state import JointState
-    from srt.joint.linear_system import LinearSystem
     from srt.model.prior import Prior
     from srt.result.calibration import Calibration
     from srt.types import Array, Mask
@@ -114,7 +113,7 @@ class SequentialFilter(JointSolver):
         self.last: FilterRun | None = None
         self.optimum: dict[str, Any] = {}
 
-    def solve(self, joint: JointModel, system: LinearSystem, state: JointState) -> LinearSolution:
+    def solve(self, point: Linearisation) -> LinearSolution:
         """Unavailable, as these filters choose their own linearisation points."""
         raise NotImplementedError
 
@@ -172,19 +171,19 @@ class SequentialFilter(JointSolver):
                 mean[:n] -= total  # predicted state relative to the present linearisation point
             ekf = SquareRootFilter(mean, root)
             ekf.correct(-part.b, padded(np.concatenate([part.H, part.H_handed], axis=1), len(mean)))
-            delta = np.zeros(system.A.shape[1])
+            delta = np.zeros(system.columns.count)
             delta[columns] = ekf.x[:n]
             # The attitudes are those expected before the drift of the next sequence is known.
             handed_in = ekf.x[n : n + len(part.before)]
             by_g, by_p, constant, _ = part.advance()
             handed_on = by_g @ ekf.x[:n] + by_p @ handed_in + constant
             delta[part.local[0]] = part.nuisances(ekf.x[:n], handed_in, handed_on)
-            state = apply_correction(state, system, delta)
+            state = apply_correction(state, system.columns, delta)
             require_valid(state)
             total = total + ekf.x[:n]
             if np.all(np.abs(ekf.x[:n]) <= _SETTLED_SIGMAS * np.linalg.norm(ekf.root[:n], axis=1)):
                 break
-        E = padded(system.parameter_map()[:, columns], len(ekf.x))
+        E = padded(system.columns.parameter_map()[:, columns], len(ekf.x))
         covariance, innovations = ekf.project(E), ekf.whitened
         if len(part.after):
             hand_on(ekf, part, np.eye(n), handed)
@@ -196,14 +195,12 @@ class SequentialFilter(JointSolver):
         """Set the status by the distance of the estimate from the optimum of all measurements and the prior."""
         state, compensated = placed(joint, iteration.state)
         for _ in range(_ATTITUDE_PASSES):
-            iteration.linearisation_point, iteration.compensated = state, compensated
-            iteration.system = linearise(joint, state, compensated, self.free)
+            iteration.point = point = Linearisation(joint, state, compensated, self.free)
             solution = whole_solution(joint, self, iteration)
-            kept = np.where(attitude_columns(iteration.system), solution.delta, 0.0)
-            state = apply_correction(state, iteration.system, kept)
-        assert iteration.system is not None
+            kept = np.where(attitude_columns(point.columns), solution.delta, 0.0)
+            state = apply_correction(state, point.columns, kept)
         assert iteration.covariance is not None
-        E = iteration.system.parameter_map()
+        E = point.columns.parameter_map()
         sigma = np.sqrt(np.maximum(np.diag(solution.covariance), np.finfo(float).tiny))
         distance = np.where(self.free, np.abs(E @ solution.delta) / sigma, 0.0)
         worst = int(np.argmax(distance))

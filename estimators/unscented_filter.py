@@ -88,7 +88,7 @@ class UnscentedFilter(SequentialFilter):
         ukf.predict()
         m = len(model.by_drift)
         ukf.update(np.zeros(m), R=np.eye(m), hx=measurement)
-        E = model.system.parameter_map()[:, model.columns] @ L
+        E = model.system.columns.parameter_map()[:, model.columns] @ L
         covariance = E @ ukf.P[:n, :n] @ E.T
         if not np.all(np.diag(covariance) >= 0.0):
             raise np.linalg.LinAlgError("the covariance of the unscented filter lost positive definiteness")
@@ -135,7 +135,7 @@ class SequenceModel:
         affected = slice(0, sum(len(r) for r in rows))
         step, drift = int(joint.rank[k]), whole.compensated.drift
         names = [f"{sensor}_drift" for sensor in drift] + [f"{sensor}_drift_noise" for sensor in drift]
-        columns = [whole.of(name).reshape(joint.data.K, -1)[step] for name in names]
+        columns = [whole.columns.of(name).reshape(joint.data.K, -1)[step] for name in names]
         at = np.concatenate([*columns, np.empty(0, dtype=np.intp)])
         self.by_drift = self.basis[affected].T @ whole.A[np.concatenate(rows)][:, at].toarray()
         self.next_drift = _next_drift(list(drift.values()), min(step, joint.data.K - 2))
@@ -150,9 +150,9 @@ class SequenceModel:
         """
         windows = len(self.joint.data.windows.duration_s)
         origin = replace(origin, bias_deviation=np.zeros((1, 3)), attitude=np.broadcast_to(np.eye(3), (windows, 3, 3)))
-        columns = np.zeros(self.system.A.shape[1])
+        columns = np.zeros(self.system.columns.count)
         columns[self.columns] = delta
-        state = replace(apply_correction(origin, self.system, columns), attitude=None)
+        state = replace(apply_correction(origin, self.system.columns, columns), attitude=None)
         require_valid(state)
         return state
 
@@ -168,7 +168,7 @@ class SequenceModel:
     def _complement(self, system: LinearSystem) -> Array:
         """Orthonormal basis of the residuals that nuisance parameters do not affect, shape (rows, m)."""
         A = system.A[self.rows].toarray()
-        nuisance = np.concatenate([system.of("attitude"), system.of("edge")])
+        nuisance = np.concatenate([system.columns.of("attitude"), system.columns.of("edge")])
         nuisance = nuisance[A[:, nuisance].any(axis=0) & system.active[nuisance]]
         Q: Array = np.linalg.qr(A[:, nuisance], mode="complete")[0]
         return Q[:, len(nuisance) :]

@@ -68,7 +68,7 @@ class BlockSolution:
         self.system = system
         shared = global_columns(system)
         if system.columns["bias"].stop - system.columns["bias"].start > 3:  # a bias walk is shared with the next step
-            shared = shared[~np.isin(shared, system.of("bias"))]
+            shared = shared[~np.isin(shared, system.columns.of("bias"))]
         self.steps, self._conditionals, rest = eliminate(system, shared)
         if len(rest) < len(shared):
             raise np.linalg.LinAlgError("a column without any measurement")
@@ -90,7 +90,7 @@ class BlockSolution:
     @cached_property
     def with_parameters(self) -> Array:
         """Covariance of all columns with the reported parameters, shape (n, 27)."""
-        return self.with_columns(self.system.parameter_map().T)
+        return self.with_columns(self.system.columns.parameter_map().T)
 
     def with_columns(self, combinations: Array) -> Array:
         """Covariance of all columns with linear combinations of them, (n, m), shape (n, m)."""
@@ -106,7 +106,7 @@ class BlockSolution:
     @cached_property
     def covariance(self) -> Array:
         """Covariance of the reported parameters, shape (27, 27)."""
-        found = self.system.parameter_map() @ self.with_parameters
+        found = self.system.columns.parameter_map() @ self.with_parameters
         return np.asarray(0.5 * (found + found.T))
 
     @cached_property

@@ -46,7 +46,7 @@ class EliminationStep:
 
 def global_columns(system: LinearSystem) -> Indices:
     """Estimated columns of the whole recording; of the gyro biases of a random walk, the first represents all."""
-    names = [system.of(name)[:3] if name == "bias" else system.of(name) for name in _GLOBAL]
+    names = [system.columns.of(name)[:3] if name == "bias" else system.columns.of(name) for name in _GLOBAL]
     columns = np.concatenate(names)
     return columns[system.active[columns]]
 

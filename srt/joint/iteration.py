@@ -30,7 +30,7 @@ from srt.joint.block_solution import eliminate
 from srt.joint.elimination_steps import global_columns
 from srt.joint.initial_attitudes import initial_attitudes, placed
 from srt.joint.linear_system import N_ERRORS, total
-from srt.joint.linearisation import linearise
+from srt.joint.linearisation import Linearisation, linearise
 from srt.joint.model_selection import add_drift, add_g_sensitivity, add_instability, add_unmodelled_noise
 from srt.joint.move_checks import contradicting_move
 from srt.joint.residual_analysis import contradicting_rests, contradictions
@@ -52,7 +52,7 @@ if TYPE_CHECKING:
     from srt.estimation.registry import Progress
     from srt.joint.joint_model import JointModel
     from srt.joint.joint_state import CompensatedData, JointState
-    from srt.joint.linear_system import LinearSystem
+    from srt.joint.linear_system import Columns, LinearSystem
     from srt.result.calibration import Calibration
     from srt.types import Array, Mask
 
@@ -71,15 +71,14 @@ _NEAR: Final = 1e-2
 """The noise is assessed, and alternating corrections are halved, below this correction (dimensionless, rad, g)."""
 
 
-def apply_correction(state: JointState, system: LinearSystem, delta: Array) -> JointState:
-    """Apply a correction of the columns to a state.
+def apply_correction(state: JointState, c: Columns, delta: Array) -> JointState:
+    """Apply a correction of the columns ``c`` to a state.
 
     Raises
     ------
     InputError
         If the correction is not finite.
     """
-    c = system.columns
     bias = delta[c["bias"]].reshape(-1, 3)
     common = bias.mean(axis=0)
     vector = state.errors.vector.copy()
@@ -143,14 +142,14 @@ def iterate(
         near = bool(corrections) and corrections[-1] < _NEAR
         state, compensated = _compensate(joint, iteration.state, scatter_updates if near else None)
         scatter_updates += near
-        system = linearise(joint, state, compensated, iteration.free)
+        point = Linearisation(joint, state, compensated, iteration.free)
         if near and not observability_known and solver.prior is None:
             observability_known = True
-            if not np.array_equal(observable_parameters(system, requested), iteration.free):
+            if not np.array_equal(observable_parameters(point.system, requested), iteration.free):
                 # A wide prior is added. Parameters whose sigma remains near that of the prior are fixed at the end.
                 solver.prior = default_prior()
         solver.observability_pending = not observability_known
-        correction = _correct(joint, solver, iteration, (state, system), max_step, damping, progress)
+        correction = _correct(solver, iteration, point, max_step, damping, progress)
         if correction is None:
             break
         sigma = iteration.sigma
@@ -246,19 +245,17 @@ def _compensate(
 
 
 def _correct(
-    joint: JointModel,
     solver: JointSolver,
     iteration: IterationState,
-    linearisation: tuple[JointState, LinearSystem],
+    point: Linearisation,
     max_step: float,
     damping: _Damping,
     progress: Progress | None,
 ) -> Array | None:
     """Solve the linearised model and correct the state; None if there is no valid correction, with the status set."""
-    state, system = linearisation
     iteration.status = "outside_model"  # the caller overwrites this status after a valid correction
     try:
-        solved = solver.solve(joint, system, state)
+        solved = solver.solve(point)
     except (np.linalg.LinAlgError, ValueError) as error:  # scipy raises ValueError for numbers that are not finite
         iteration.message = f"The equations cannot be solved ({error})."
         return None
@@ -275,11 +272,10 @@ def _correct(
     iteration.corrections.append(size)
     if progress is not None:
         progress(len(iteration.corrections), size)
-    iteration.state = apply_correction(state, system, delta)
-    iteration.linearisation_point, iteration.system = state, system
-    iteration.compensated, iteration.covariance = system.compensated, solved.covariance
+    iteration.state = apply_correction(point.state, point.columns, delta)
+    iteration.point, iteration.covariance = point, solved.covariance
     if solved.whole is not None:
-        iteration.whole = system, solver.prior_in_use, solved.whole
+        iteration.whole = point, solver.prior_in_use, solved.whole
     reason = outside_model(iteration.state.errors)
     if reason is not None:
         iteration.message = f"After iteration {len(iteration.corrections)} {reason}."
@@ -301,7 +297,7 @@ def observable_parameters(system: LinearSystem, requested: Mask) -> Mask:
     again = replace(system, A=A, active=active)
     columns = global_columns(again)
     R = eliminate(again, columns)[2][:, :-1]
-    parameters = np.concatenate([system.of("errors"), system.of("bias")[:3]])
+    parameters = np.concatenate([system.columns.of("errors"), system.columns.of("bias")[:3]])
     others = R[:, ~np.isin(columns, parameters)]
     wanted = R[:, np.searchsorted(columns, parameters)]
     Q, T = np.linalg.qr(others / np.maximum(np.linalg.norm(others, axis=0), 1e-300))
@@ -368,9 +364,9 @@ def _integrates_moving_windows(
 
     Motion in a window can prevent convergence, and would pass for noise or drift of the sensors.
     """
-    if iteration.compensated is None or iteration.status == "outside_model":
+    if iteration.point is None or iteration.status == "outside_model":
         return False
-    moving_windows = joint.moving_windows(iteration.state, iteration.compensated, suspect)
+    moving_windows = joint.moving_windows(iteration.state, iteration.point.compensated, suspect)
     if not moving_windows.any():
         return False
     diagnostics["held"] = {"sequences": list(analyse_solution(joint, solver, iteration, uncertain).table)}

@@ -13,9 +13,7 @@ from srt.joint.solver import JointSolver, LinearSolution
 if TYPE_CHECKING:
     from srt.estimation.options import Options
     from srt.estimation.registry import Progress
-    from srt.joint.joint_model import JointModel
-    from srt.joint.joint_state import JointState
-    from srt.joint.linear_system import LinearSystem
+    from srt.joint.linearisation import Linearisation
     from srt.model.prior import Prior
     from srt.recording.recording import Recording
     from srt.result.calibration import Calibration
@@ -34,10 +32,10 @@ class BlockSolver(JointSolver):
     def __init__(self, prior: Prior | None = None) -> None:
         self.prior = prior
 
-    def solve(self, joint: JointModel, system: LinearSystem, state: JointState) -> LinearSolution:
+    def solve(self, point: Linearisation) -> LinearSolution:
         """Solve for all columns."""
-        whole = BlockSolution(with_prior(system, joint, state, self.prior_in_use))
-        correction = system.parameter_map() @ whole.delta
+        whole = BlockSolution(with_prior(point.system, point.joint, point.state, self.prior_in_use))
+        correction = point.columns.parameter_map() @ whole.delta
         return LinearSolution(whole.delta, correction, whole.covariance, whole)
 
 

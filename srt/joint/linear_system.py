@@ -57,6 +57,40 @@ class RowGroup:
         return self.first + np.arange(len(self.owner) * self.size).reshape(-1, self.size)
 
 
+class Columns(dict[str, slice]):
+    """Columns of a linear system by name.
+
+    "errors" (24), "bias" (3, or 3 per sequence), those of ``FIXTURE``, "gravity", "table_rate" (1 if a rate is stated),
+    "earth_rate" (3 per level frame), "drift_form" (1 per coefficient), "attitude" (3 per window), "edge" (3 per edge
+    that is an unknown), and the states and white unknowns of the bias instability of every sequence: "gyro_drift",
+    "gyro_drift_noise", "accel_drift", "accel_drift_noise".
+
+    Parameters
+    ----------
+    sizes : dict of str to int
+        Number of columns by name, in their order.
+    """
+
+    def __init__(self, sizes: dict[str, int]) -> None:
+        stops = np.cumsum(list(sizes.values())).tolist()
+        super().__init__(
+            (name, slice(stop - size, stop)) for (name, size), stop in zip(sizes.items(), stops, strict=True)
+        )
+        self.count: int = stops[-1]
+
+    def of(self, name: str) -> Indices:
+        """Column numbers by name."""
+        return np.arange(self[name].start, self[name].stop)
+
+    def parameter_map(self) -> Array:
+        """Reported parameters from the columns, shape (27, n): the gyro bias is the mean over the sequences."""
+        E = np.zeros((N_PARAMETERS, self.count))
+        E[:N_ERRORS, self["errors"]] = np.eye(N_ERRORS)
+        number = len(self.of("bias")) // 3
+        E[N_ERRORS:, self["bias"]] = np.tile(np.eye(3), number) / number
+        return E
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class LinearSystem:
     """Linear least-squares system: minimise ``|A δ + b|²`` over the active columns.
@@ -65,11 +99,7 @@ class LinearSystem:
     ----------
     A : scipy.sparse.csr_array, shape (m, n)
     b : ndarray, shape (m,)
-    columns : dict of str to slice
-        "errors" (24), "bias" (3, or 3 per sequence), those of ``FIXTURE``, "gravity", "table_rate" (1 if a rate is
-        stated), "earth_rate" (3 per level frame), "attitude" (3 per window), "edge" (3 per edge that is an unknown),
-        and the states and white unknowns of the bias instability of every sequence: "gyro_drift", "gyro_drift_noise",
-        "accel_drift", "accel_drift_noise".
+    columns : Columns
     active : ndarray of bool, shape (n,)
         Columns that are estimated.
     rows : tuple of RowGroup
@@ -85,7 +115,7 @@ class LinearSystem:
 
     A: Any
     b: Array
-    columns: dict[str, slice]
+    columns: Columns
     active: Mask
     rows: tuple[RowGroup, ...]
     free: Mask
@@ -93,29 +123,16 @@ class LinearSystem:
     compensated: CompensatedData
     order: Indices
 
-    def of(self, name: str) -> Indices:
-        """Column numbers by name."""
-        return np.arange(self.columns[name].start, self.columns[name].stop)
-
     def rows_of(self, kind: str) -> RowGroup:
         """Rows of a kind."""
         return next(r for r in self.rows if r.kind == kind)
 
-    def parameter_map(self) -> Array:
-        """Reported parameters from the columns, shape (27, n): the gyro bias is the mean over the sequences."""
-        E = np.zeros((N_PARAMETERS, self.A.shape[1]))
-        E[:N_ERRORS, self.columns["errors"]] = np.eye(N_ERRORS)
-        bias = self.columns["bias"]
-        number = (bias.stop - bias.start) // 3
-        E[N_ERRORS:, bias] = np.tile(np.eye(3), number) / number
-        return E
 
-
-def attitude_columns(system: LinearSystem) -> Mask:
+def attitude_columns(columns: Columns) -> Mask:
     """Mask of the columns that do not affect compensation: fixture, site and attitudes, shape (n,)."""
-    out = np.zeros(system.A.shape[1], dtype=np.bool_)
+    out = np.zeros(columns.count, dtype=np.bool_)
     for name in (*FIXTURE, "gravity", "table_rate", "earth_rate", "attitude"):
-        out[system.columns[name]] = True
+        out[columns[name]] = True
     return out
 
 

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.sparse import csr_array, vstack
 
 from srt.estimation.error_sources import shared_edges
-from srt.joint.linear_system import FIXTURE, N_ERRORS, LinearSystem, RowGroup, total, whiten
+from srt.joint.linear_system import FIXTURE, N_ERRORS, Columns, LinearSystem, RowGroup, total, whiten
 from srt.joint.measurement_kinds import (
     fixed_headings,
     fixture_attitudes,
@@ -33,6 +34,37 @@ if TYPE_CHECKING:
 
 _RECORDING = np.array([-1], dtype=np.intp)
 """Owner of rows that belong to no sequence."""
+
+
+@dataclass(frozen=True, eq=False)
+class Linearisation:
+    """Joint model about a state; solvers that assemble the model by themselves need no more than the columns.
+
+    Attributes
+    ----------
+    joint : JointModel
+    state : JointState
+        State, with its attitudes.
+    compensated : CompensatedData
+        Data compensated with ``state``.
+    free : ndarray of bool, shape (27,)
+        Sensor errors to estimate; the others are fixed.
+    """
+
+    joint: JointModel
+    state: JointState
+    compensated: CompensatedData
+    free: Mask
+
+    @cached_property
+    def columns(self) -> Columns:
+        """Columns of the corrections."""
+        return _columns(self.joint, self.compensated)
+
+    @cached_property
+    def system(self) -> LinearSystem:
+        """Rows over the columns, without a prior of the sensor errors."""
+        return linearise(self.joint, self.state, self.compensated, self.free)
 
 
 def linearise(
@@ -102,7 +134,7 @@ def with_prior(system: LinearSystem, joint: JointModel, state: JointState, prior
     )
 
 
-def _columns(joint: JointModel, compensated: CompensatedData) -> dict[str, slice]:
+def _columns(joint: JointModel, compensated: CompensatedData) -> Columns:
     """Columns of the system by name."""
     sizes = {
         "errors": N_ERRORS,
@@ -119,16 +151,14 @@ def _columns(joint: JointModel, compensated: CompensatedData) -> dict[str, slice
         drift = compensated.drift.get(sensor)
         sizes[f"{sensor}_drift"] = joint.data.K * drift.states if drift else 0
         sizes[f"{sensor}_drift_noise"] = joint.data.K * drift.unknowns if drift else 0
-    stops = np.cumsum(list(sizes.values())).tolist()
-    return {name: slice(stop - size, stop) for (name, size), stop in zip(sizes.items(), stops, strict=True)}
+    return Columns(sizes)
 
 
-def _active_columns(joint: JointModel, columns: dict[str, slice], free: Mask) -> Mask:
+def _active_columns(joint: JointModel, columns: Columns, free: Mask) -> Mask:
     """Mask of the columns that are estimated."""
-    active = np.ones(max(c.stop for c in columns.values()), dtype=np.bool_)
-    bias = columns["bias"]
+    active = np.ones(columns.count, dtype=np.bool_)
     active[columns["errors"]] = free[:N_ERRORS]
-    active[bias] = np.tile(free[N_ERRORS:], (bias.stop - bias.start) // 3)
+    active[columns["bias"]] = np.tile(free[N_ERRORS:], len(columns.of("bias")) // 3)
     active[columns["earth_rate"]] = np.concatenate([frame.unknown_sigma > 0.0 for frame in joint.level_frames])
     for name in FIXTURE:
         active[columns[name]] = joint.fixture_states
@@ -145,7 +175,6 @@ class _Builder:
         assert state.attitude is not None
         self.joint, self.state, self.compensated, self.attitude = joint, state, compensated, state.attitude
         self.columns = _columns(joint, compensated)
-        self.n = max(c.stop for c in self.columns.values())
         self.entries: list[tuple[Indices, Indices, Array]] = []
         self.b: list[Array] = []
         self.rows: list[RowGroup] = []
@@ -155,7 +184,7 @@ class _Builder:
     def matrix(self) -> Any:
         """Jacobian of all rows, sparse."""
         row, column, value = (np.concatenate(part) for part in zip(*self.entries, strict=True))
-        return csr_array((value, (row, column)), shape=(self.m, self.n))
+        return csr_array((value, (row, column)), shape=(self.m, self.columns.count))
 
     def add(
         self,

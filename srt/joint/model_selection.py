@@ -49,11 +49,10 @@ def add_g_sensitivity(joint: JointModel, solver: JointSolver, iteration: Iterati
     solution = whole_solution(joint, solver, iteration)
     if any(joint.unmodelled_sigma) or not is_misfit(*goodness_of_fit(joint, solver, solution, solution.system)):
         return False
-    state, compensated = iteration.linearisation_point, iteration.compensated
-    assert state is not None
-    assert compensated is not None
-    rest = joint.rest_rate(state, compensated)
-    if significant_g_sensitivity(joint.data, compensated.force, rest, joint.integrated) is None:
+    point = iteration.point
+    assert point is not None
+    rest = joint.rest_rate(point.state, point.compensated)
+    if significant_g_sensitivity(joint.data, point.compensated.force, rest, joint.integrated) is None:
         return False
     iteration.state = joint.with_g_sensitivity(iteration.state)
     solver.restart()
@@ -62,19 +61,19 @@ def add_g_sensitivity(joint: JointModel, solver: JointSolver, iteration: Iterati
 
 def add_instability(joint: JointModel, solver: JointSolver, iteration: IterationState) -> bool:
     """Use a smooth drift, or the largest bias instability not excluded, if either explains the residuals."""
-    data, state = joint.data, iteration.linearisation_point
+    data = joint.data
     if solver.weights() or any(joint.unmodelled_sigma) or np.all(data.noise.accel_limit <= data.noise.accel_flicker):
         return False
     solution = whole_solution(joint, solver, iteration)
     fit = goodness_of_fit(joint, solver, solution, solution.system)
     if not is_misfit(*fit):
-        if not shows_instability(joint, iteration, solution, fit[1]):
+        if not shows_instability(joint, solution, fit[1]):
             return False
         tests = [(test.chi_square, test.degrees_of_freedom) for test in contradictions(joint, solution)]
         if contradicting_group(tests, *fit, free=joint.turned_by_hand) is not None:
             return False
-    assert state is not None
-    found = search(joint, iteration, solution, fit[1])
+    assert iteration.point is not None
+    state, found = iteration.point.state, search(joint, iteration, solution, fit[1])
     smooth = tuple(term for term in found.terms if term.sensor == "accel" and term.form != WALK)
     drift = joint.drift
     if smooth:
@@ -150,9 +149,8 @@ def add_drift(joint: JointModel, solver: JointSolver, iteration: IterationState)
 
 def search(joint: JointModel, iteration: IterationState, solution: BlockSolution, freedom: int) -> DriftSearch:
     """Search the residuals of a joint solution for bias drift that it does not model."""
-    state, compensated, data = iteration.linearisation_point, iteration.compensated, joint.data
-    assert state is not None
-    assert compensated is not None
+    assert iteration.point is not None
+    state, compensated, data = iteration.point.state, iteration.point.compensated, joint.data
     keys = candidates(data, joint.drift.terms)
     # Rates at rest with their bias and with the drift that is modelled.
     slope = np.asarray(np.linalg.inv(gyro_triad(state.errors).matrix), dtype=np.float64)
@@ -174,14 +172,13 @@ def search(joint: JointModel, iteration: IterationState, solution: BlockSolution
     return most_significant(found, len(keys), joint.drift.terms, joint.unmodelled_sigma.force, courses, by_window)
 
 
-def shows_instability(joint: JointModel, iteration: IterationState, solution: BlockSolution, freedom: int) -> bool:
+def shows_instability(joint: JointModel, solution: BlockSolution, freedom: int) -> bool:
     """True if the residuals show a bias instability of the accelerometers beyond that of the noise model.
 
     Three quarters of the residuals are those of gyros and rotations. The chi-square of all therefore does not show an
     instability that the windows show.
     """
-    assert iteration.compensated is not None
-    effect = accel_drift(joint.data, iteration.compensated.force_slope, joint.data.noise.accel_limit)
+    effect = accel_drift(joint.data, solution.system.compensated.force_slope, joint.data.noise.accel_limit)
     return variance_component(_force_statistics(solution, [effect], freedom)[0]).p_value < MISFIT_PROBABILITY
 
 

@@ -63,7 +63,7 @@ def make_calibration(
     """Calibration from the final solution of an iteration."""
     data, reasons = joint.data, dict(fixed.reasons)
     warnings = [joint.U_note] if joint.U_note and joint.fixture_states else []
-    if iteration.system is not None and iteration.covariance is not None:
+    if iteration.point is not None and iteration.covariance is not None:
         weak = ~iteration.free | (iteration.sigma > observed_limit(joint.admission))
         for i in np.flatnonzero(weak):
             reasons.setdefault(NAMES[i], reason_not_observed(NAMES[i]))
@@ -91,7 +91,7 @@ def make_calibration(
         integrated=tuple(np.flatnonzero(joint.integrated).tolist()),
         wander=joint.bias_scatter,
         bias_by_sequence=iteration.state.bias_deviation + analysis.instability,
-        end_attitude=identity if iteration.compensated is None else iteration.compensated.rotation,
+        end_attitude=identity if iteration.point is None else iteration.point.compensated.rotation,
         total=analysis.total,
         diagnostics={"sequences": list(analysis.table)} | solver.diagnostics(joint) | followed | diagnostics,
         sequences=analysis.sequences,
@@ -142,7 +142,7 @@ def analyse_solution(
 ) -> SolutionAnalysis:
     """Analyse the final solution of an iteration; ``uncertain`` is the sigma of the fixed values."""
     nothing = np.zeros((N_PARAMETERS, N_PARAMETERS))
-    if iteration.system is None or iteration.covariance is None or iteration.status == "outside_model":
+    if iteration.point is None or iteration.covariance is None or iteration.status == "outside_model":
         return SolutionAnalysis({"none": nothing}, nothing)
     try:
         solution = whole_solution(joint, solver, iteration)
@@ -213,10 +213,10 @@ def _g_sensitivity(
     joint: JointModel, iteration: IterationState, covariance: Array | None
 ) -> tuple[dict[str, Any], tuple[str, ...]]:
     """Diagnostics of the g-sensitivity of the gyros, and warnings."""
-    data, state, compensated = joint.data, iteration.linearisation_point, iteration.compensated
-    automatic = joint.options.gyro_bias != G_SENSITIVE
-    if state is None or compensated is None:
+    data, automatic = joint.data, joint.options.gyro_bias != G_SENSITIVE
+    if iteration.point is None:
         return {}, ()
+    state, compensated = iteration.point.state, iteration.point.compensated
     rate = joint.rest_rate(state, compensated)
     if covariance is None:
         size = g_sensitivity_report.significant_g_sensitivity(data, compensated.force, rate, joint.integrated)
@@ -249,9 +249,8 @@ def _fit_to_sensor_noise(joint: JointModel, solver: JointSolver, iteration: Iter
     """Goodness of fit without unmodelled errors in the noise; None if there are none, or the system is singular."""
     if not any(joint.unmodelled_sigma):
         return None
-    assert iteration.compensated is not None
-    assert iteration.linearisation_point is not None
-    whole = iteration.compensated
+    assert iteration.point is not None
+    whole = iteration.point.compensated
     force, rate, rotation = (
         {source: R for source, R in noise.items() if not source.endswith("excess")}
         for noise in (whole.force_noise, whole.rate_noise, whole.rotation_noise)
@@ -259,7 +258,7 @@ def _fit_to_sensor_noise(joint: JointModel, solver: JointSolver, iteration: Iter
     compensated = replace(whole, force_noise=force, rate_noise=rate, rotation_noise=rotation)
     own = copy(joint)
     own.unmodelled_sigma = NO_ERRORS
-    system = linearise(own, iteration.linearisation_point, compensated, iteration.free, solver.prior)
+    system = linearise(own, iteration.point.state, compensated, iteration.free, solver.prior)
     try:
         return goodness_of_fit(joint, solver, BlockSolution(system), system)
     except np.linalg.LinAlgError:
@@ -274,13 +273,12 @@ def whole_solution(joint: JointModel, solver: JointSolver, iteration: IterationS
     numpy.linalg.LinAlgError
         If the active columns are linearly dependent.
     """
-    system, prior = iteration.system, solver.prior
-    assert system is not None
-    if iteration.whole is not None and iteration.whole[0] is system and iteration.whole[1] is prior:
+    point, prior = iteration.point, solver.prior
+    assert point is not None
+    if iteration.whole is not None and iteration.whole[0] is point and iteration.whole[1] is prior:
         return iteration.whole[2]
-    assert iteration.linearisation_point is not None
-    complete = with_prior(system, joint, iteration.linearisation_point, prior)
-    iteration.whole = system, prior, BlockSolution(complete)
+    complete = with_prior(point.system, joint, point.state, prior)
+    iteration.whole = point, prior, BlockSolution(complete)
     return iteration.whole[2]
 
 
@@ -308,14 +306,14 @@ def _latitude(joint: JointModel, solution: BlockSolution) -> Array:
     for group in system.rows if error.any() else ():
         if not group.kind.startswith("earth_rate"):  # the prior of its unknown part
             rows = group.index.ravel()
-            effect[rows] = system.A[rows][:, system.of("earth_rate")] @ error
+            effect[rows] = system.A[rows][:, system.columns.of("earth_rate")] @ error
     return np.asarray(-solution.rows_with_parameters.T @ effect)
 
 
 def _fixed_values(solution: BlockSolution, uncertain: Array, free: Mask) -> Array:
     """Covariance of the estimated parameters due to errors of the fixed values with sigma ``uncertain``."""
     system = solution.system
-    E = system.parameter_map()
+    E = system.columns.parameter_map()
     effect = system.A @ E.T * np.where(free, 0.0, uncertain)
     bias = system.columns["bias"]
     # The map averages the biases, but a fixed bias has the same error in every sequence.

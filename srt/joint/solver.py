@@ -15,8 +15,8 @@ from srt.sensor_errors import N_PARAMETERS
 if TYPE_CHECKING:
     from srt.joint.block_solution import BlockSolution
     from srt.joint.joint_model import JointModel
-    from srt.joint.joint_state import CompensatedData, JointState
-    from srt.joint.linear_system import LinearSystem
+    from srt.joint.joint_state import JointState
+    from srt.joint.linearisation import Linearisation
     from srt.model.prior import Prior
     from srt.types import Array, Mask
 
@@ -78,8 +78,8 @@ class JointSolver(ABC):
         """Discard results derived from earlier measurements, as the measurements have changed."""
 
     @abstractmethod
-    def solve(self, joint: JointModel, system: LinearSystem, state: JointState) -> LinearSolution:
-        """Solve the joint model linearised about a state."""
+    def solve(self, point: Linearisation) -> LinearSolution:
+        """Solve the linearised joint model."""
 
     def diagnostics(self, joint: JointModel) -> dict[str, Any]:  # noqa: ARG002 - optional
         """Further results of the solver, as JSON values."""
@@ -96,13 +96,13 @@ class IterationState:
         Present estimate.
     free : ndarray of bool, shape (27,)
         Parameters that are estimated.
-    linearisation_point, compensated, system : JointState, CompensatedData, LinearSystem
+    point : Linearisation
         Last linearisation.
     covariance : ndarray, shape (27, 27)
     corrections : list of float
         Largest correction of every iteration, accelerometer bias in g.
     status, message : str
-    whole : tuple of LinearSystem, Prior or None, BlockSolution
+    whole : tuple of Linearisation, Prior or None, BlockSolution
         Last linearisation and prior, and the solution of all columns that follows from them.
     unmodelled_drift : DriftSearch
         Drift that the residuals of the last search show.
@@ -110,14 +110,12 @@ class IterationState:
 
     state: JointState
     free: Mask
-    linearisation_point: JointState | None = None
-    compensated: CompensatedData | None = None
-    system: LinearSystem | None = None
+    point: Linearisation | None = None
     covariance: Array | None = None
     corrections: list[float] | None = None
     status: str = "not_converged"
     message: str = ""
-    whole: tuple[LinearSystem, Prior | None, BlockSolution] | None = None
+    whole: tuple[Linearisation, Prior | None, BlockSolution] | None = None
     unmodelled_drift: DriftSearch = field(default_factory=DriftSearch)
 
     @property

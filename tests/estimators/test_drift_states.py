@@ -63,12 +63,12 @@ def dense_sigma(joint, state, system):
         R += Y @ Y.T
     kept = np.concatenate([rows.index.ravel() for rows in system.rows if "drift" not in rows.kind])
     used = system.active.copy()
-    used[[i for name in system.columns if "drift" in name for i in system.of(name)]] = False
+    used[[i for name in system.columns if "drift" in name for i in system.columns.of(name)]] = False
     H = system.A.toarray()[np.ix_(kept, np.flatnonzero(used))]
     scale = np.linalg.norm(H, axis=0)
     H = H / scale
     P = np.linalg.inv(H.T @ np.linalg.solve(R[np.ix_(kept, kept)], H)) / np.outer(scale, scale)
-    E = system.parameter_map()[:, used]
+    E = system.columns.parameter_map()[:, used]
     return np.sqrt(np.diag(E @ P @ E.T))
 
 

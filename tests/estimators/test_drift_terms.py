@@ -51,8 +51,8 @@ def test_columns_against_differences():
     )
     state, compensated = placed(joint, replace(joint.start, errors=errors, drift=drift))
     system = linearise(joint, state, compensated, ALL)
-    assert system.of("drift_form").size == joint.drift.size
-    for i, column in enumerate(system.of("drift_form").tolist()):
+    assert system.columns.of("drift_form").size == joint.drift.size
+    for i, column in enumerate(system.columns.of("drift_form").tolist()):
         step = 1e-2 * joint.drift.sigma[i]
         plus, minus = (replace(state, drift=drift + sign * step * np.eye(joint.drift.size)[i]) for sign in (1.0, -1.0))
         plus, minus = (linearise(joint, s, joint.compensate(s), ALL) for s in (plus, minus))

@@ -133,9 +133,8 @@ def test_filter_and_dense_solution_where_the_bias_walks():
     assert joint.bias_walks
     iteration = IterationState(joint.start, ALL.copy())
     iteration = iterate(joint, KalmanSolver(default_prior()), iteration, requested=~ALL, converged=RESOLVED)
-    state, system = iteration.linearisation_point, iteration.system
-    once = run_filter(joint, system, state, default_prior())
-    dense = SolveStep(default_prior()).solve(joint, system, state)
+    once = run_filter(joint, iteration.point.system, iteration.point.state, default_prior())
+    dense = SolveStep(default_prior()).solve(iteration.point)
     a, b = (Found(r.correction, r.covariance) for r in (once, dense))
     assert max(difference(a, b)) <= AGREE + rounding(b)
     ekf = Found(iteration.state.errors.vector, iteration.covariance)

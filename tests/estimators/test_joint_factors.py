@@ -19,7 +19,7 @@ from jacobian_cases import CASES, EPS, VARIANTS, make, simulated_motions
 
 from estimators.factor_graph import FactorGraph
 from estimators.graph import solve_linear
-from srt.joint.linearisation import linearise
+from srt.joint.linearisation import Linearisation, linearise
 
 # --- factors and rows -----------------------------------------------------------------------------------------------
 
@@ -29,30 +29,14 @@ def motions():
     return simulated_motions()
 
 
-DRIFT_COLUMNS = {"d": "drift", "n": "drift_noise"}
 DRIFT_ROWS = {"d": "drift_start", "n": "drift_noise", "dnd": "drift_step"}
 
 
 def columns_of(case, built, key):
     """Columns of the system for a variable, and the matrix from their corrections to the variable's."""
-    system, letter, number = case.system, chr(gtsam.symbolChr(key)), gtsam.symbolIndex(key)
-
-    def part(name, size=3):
-        return system.of(name).reshape(-1, size)[number]
-
-    if letter == "x":
-        return system.of("errors")[built.errors], np.eye(len(built.errors))
-    if letter == "b":
-        return part("bias")[built.axes], np.eye(len(built.axes))
-    if letter in DRIFT_COLUMNS:
-        sensors = [system.of(f"{sensor}_{DRIFT_COLUMNS[letter]}") for sensor in system.compensated.drift]
-        columns = np.concatenate([of.reshape(case.joint.data.K, -1)[number] for of in sensors])
-        return columns, np.eye(len(columns))
-    if letter == "a":
-        return part("attitude"), case.state.attitude[number].T
-    names = {"f": "base", "u": "mounting", "l": "non_orthogonality", "g": "gravity", "e": "earth_rate", "q": "edge"}
-    name = (names | {"t": "table_rate"})[letter]
-    columns = part(name, 1 if letter in "glt" else 3)
+    columns = built.columns_of(key)
+    if chr(gtsam.symbolChr(key)) == "a":
+        return columns, case.state.attitude[gtsam.symbolIndex(key)].T
     return columns, np.eye(len(columns))
 
 
@@ -102,7 +86,9 @@ def rows_of_factor(case, built, i):
 
 
 def build(case):
-    return FactorGraph(case.joint, case.state, case.system.compensated, case.system.free, prior=case.prior)
+    return FactorGraph(
+        Linearisation(case.joint, case.state, case.system.compensated, case.system.free), prior=case.prior
+    )
 
 
 @pytest.mark.parametrize(("variant", "size"), CASES)
@@ -149,7 +135,7 @@ def known(motions, variant):
 
 def parameters(case, built, solution):
     """Covariance of the reported parameters from that of the graph's variables."""
-    E = case.system.parameter_map()
+    E = case.system.columns.parameter_map()
     spread = np.concatenate([E[:, columns_of(case, built, key)[0]] for key in solution.keys], axis=1)
     return spread @ solution.covariance @ spread.T
 
@@ -162,7 +148,7 @@ def test_elimination_is_the_dense_solution(motions, variant):
     holds what is known of the Earth's rate by a sigma of 1e-6 of the unknown part, which adds to a bias's variance.
     """
     case = known(motions, variant)
-    built, E = build(case), case.system.parameter_map()
+    built, E = build(case), case.system.columns.parameter_map()
     solution, dense = solve_linear(built, built.values), solve(case.system)
     A = case.system.A.toarray()[:, case.system.active]
     rounding = 100.0 * EPS * np.linalg.cond(A / np.linalg.norm(A, axis=0))

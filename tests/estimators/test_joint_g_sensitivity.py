@@ -56,8 +56,8 @@ def test_columns_against_differences():
     drift = np.concatenate([rng.normal(0.0, 10.0 * SIZE, 9), rng.normal(0.0, 100.0 * DEG_PER_H, 3)])
     state, compensated = placed(joint, replace(joint.start, errors=errors, drift=drift))
     system = linearise(joint, state, compensated, ALL)
-    assert system.of("drift_form").size == 12
-    for i, column in enumerate(system.of("drift_form")[:9].tolist()):
+    assert system.columns.of("drift_form").size == 12
+    for i, column in enumerate(system.columns.of("drift_form")[:9].tolist()):
         step = SIZE * np.eye(12)[i]
         plus, minus = (replace(state, drift=drift + sign * step) for sign in (1.0, -1.0))
         plus, minus = (linearise(joint, s, joint.compensate(s), ALL) for s in (plus, minus))
@@ -76,12 +76,12 @@ def test_filter_and_blocks_are_the_dense_solution():
     system = linearise(joint, state, compensated, ALL, prior)
     dense, blocks = solve(system), BlockSolution(system)
     filtered = run_filter(joint, linearise(joint, state, compensated, ALL), state, prior)
-    E = system.parameter_map()
+    E = system.columns.parameter_map()
     P = (E @ dense.root) @ (E @ dense.root).T
     sigma = np.sqrt(np.diag(P))
     for covariance in (blocks.covariance, filtered.covariance):
         assert np.abs((covariance - P) / np.outer(sigma, sigma)).max() < 1e-7
-    at = system.of("drift_form")
+    at = system.columns.of("drift_form")
     sigma = np.linalg.norm(dense.root[at], axis=1)
     for delta in (blocks.delta, filtered.delta):
         assert np.abs((delta - dense.delta)[at] / sigma).max() < 1e-6

@@ -125,7 +125,7 @@ def test_the_graph_is_at_the_minimum_that_brute_force_finds(white):
         def residual(x):
             delta = np.zeros(len(system.active))
             delta[columns] = scale * x
-            moved = apply_correction(state, system, delta)
+            moved = apply_correction(state, system.columns, delta)
             # The other unknowns change only the Jacobian of the compensated data.
             again = linearise(joint, moved, compensated(moved.errors.vector.tobytes()), free)
             rows = [
@@ -139,7 +139,7 @@ def test_the_graph_is_at_the_minimum_that_brute_force_finds(white):
         assert np.linalg.norm(residual(start)) > np.linalg.norm(residual(0.0 * start))
         brute = least_squares(residual, start, method="lm", diff_step=1e-3, xtol=1e-12, ftol=1e-14, gtol=1e-14)
     rotation = (math.radians(100.0) / HZ) ** 2 / 12.0
-    reported = np.isin(columns, np.concatenate([system.of("errors"), system.of("bias")]))
+    reported = np.isin(columns, np.concatenate([system.columns.of("errors"), system.columns.of("bias")]))
     assert np.abs(brute.x / sigma)[reported].max() < rotation * np.linalg.norm(brute.fun)
 
 

@@ -32,9 +32,9 @@ class SolveStep(JointSolver):
     def __init__(self, prior=None):
         self.prior = prior
 
-    def solve(self, joint, system, state):
-        rows = system if self.prior is None else linearise(joint, state, system.compensated, system.free, self.prior)
-        solution, E = solve(rows), system.parameter_map()
+    def solve(self, point):
+        solution = solve(linearise(point.joint, point.state, point.compensated, point.free, self.prior))
+        E = point.columns.parameter_map()
         spread = E @ solution.root
         return LinearSolution(solution.delta, E @ solution.delta, spread @ spread.T)
 

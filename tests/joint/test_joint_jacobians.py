@@ -105,19 +105,21 @@ def test_system_against_played_back_differences(motions, variant, size):
     case = make(motions, VARIANTS[variant], size)
     joint, system = case.joint, case.system
     found = unwhitened(system)
-    of_data = np.isin(np.arange(len(system.active)), np.concatenate([system.of("errors"), system.of("bias")]))
-    moved = joint.compensate(apply_correction(case.state, system, np.where(of_data, 0.0, 1e-2)))
+    of_data = np.isin(
+        np.arange(len(system.active)), np.concatenate([system.columns.of("errors"), system.columns.of("bias")])
+    )
+    moved = joint.compensate(apply_correction(case.state, system.columns, np.where(of_data, 0.0, 1e-2)))
     for name in ("force", "rate", "rotation"):  # the other unknowns do not change the compensated data
         np.testing.assert_array_equal(getattr(moved, name), getattr(system.compensated, name))
 
     def residuals(delta):
-        state = apply_correction(case.state, system, delta)
+        state = apply_correction(case.state, system.columns, delta)
         compensated = joint.compensate(state) if delta[of_data].any() else system.compensated
         return unwhitened_residuals(linearise(joint, state, compensated, system.free, case.prior))
 
     seen = set()
     for name in ("errors", "bias", *FIXTURE, "gravity", "table_rate", "earth_rate", "attitude"):
-        columns = system.of(name)
+        columns = system.columns.of(name)
         if not columns.size:
             continue
         expected = {kind: np.empty((*r.shape, len(columns))) for kind, (r, _) in found.items()}
@@ -193,7 +195,7 @@ def test_edge_columns_against_errors_in_the_samples(motions, variant, size):
     sigma = data.noise.gyro_edge
     for w, side in np.argwhere(edges >= 0).tolist():
         sample = int(data.windows.samples[w, side])
-        columns = system.of("edge")[3 * edges[w, side] :][:3]
+        columns = system.columns.of("edge")[3 * edges[w, side] :][:3]
         for axis, column in enumerate(columns.tolist()):
             plus, minus = residuals(sample, axis, e), residuals(sample, axis, -e)
             for kind in ("force", "rate", "turn"):
@@ -227,7 +229,7 @@ def test_drift_columns_against_drift_in_the_samples(motions, variant, size, monk
     values = np.concatenate([draws.windows, draws.parts.reshape(-1, draws.parts.shape[2])])
     found = unwhitened(system)
     kinds = [kind for kind in ("force", "rate", "turn", "heading", "stated_rate") if kind in found]
-    drift = np.concatenate([system.of(name) for name in system.columns if "drift" in name])
+    drift = np.concatenate([system.columns.of(name) for name in system.columns if "drift" in name])
     prior = np.concatenate(
         [found[rows.kind][1].reshape(-1, len(system.active)) for rows in system.rows if "drift" in rows.kind]
     )
