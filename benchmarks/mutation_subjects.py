@@ -184,7 +184,7 @@ SUBJECTS = (
     ),
     Subject(
         "moves that contradict",
-        "srt/joint/move_checks.py",
+        "srt/joint/recording_opening.py",
         ("tests/estimators/test_moves.py",),
         (),
         (

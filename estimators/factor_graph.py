@@ -27,7 +27,7 @@ import numpy as np
 from gtsam.symbol_shorthand import A, B, D, E, F, G, L, N, Q, S, T, U, X
 
 from estimators import factors
-from srt.joint.drift_states import combined
+from srt.joint.drift import combined
 from srt.joint.linear_system import N_ERRORS, total
 from srt.joint.measurement_kinds import (
     fixed_headings,

@@ -22,8 +22,7 @@ from estimators.accuracy_targets import targets_met
 from estimators.nuisance_elimination import eliminate_nuisances, smoothed
 from estimators.square_root_filter import SquareRootFilter
 from srt.estimation.goodness_of_fit import chi_square_probability
-from srt.joint.elimination_steps import global_columns
-from srt.joint.linear_system import FIXTURE, N_ERRORS
+from srt.joint.linear_system import FIXTURE, N_ERRORS, global_columns
 from srt.joint.solver import JointSolver, LinearSolution
 from srt.sensor_errors import N_PARAMETERS
 

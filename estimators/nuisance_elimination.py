@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.linalg.lapack import dgeqrf, dormqr
 
-from srt.joint.elimination_steps import elimination_steps, global_columns
+from srt.joint.linear_system import elimination_steps, global_columns
 
 if TYPE_CHECKING:
     from srt.joint.linear_system import LinearSystem

@@ -20,15 +20,15 @@ from scipy.linalg import block_diag, solve_triangular
 
 from estimators.kalman_filter import prior_root
 from estimators.sequential_filter import SequenceUpdate, SequentialFilter, require_valid
-from srt.joint.elimination_steps import global_columns
-from srt.joint.initial_attitudes import placed
+from srt.joint.attitudes import placed
 from srt.joint.iteration import apply_correction
 from srt.joint.joint_model import JointModel
+from srt.joint.linear_system import global_columns
 from srt.joint.linearisation import linearise
 from srt.sequences.checked_preparation import prepare_checked
 
 if TYPE_CHECKING:
-    from srt.joint.drift_states import DriftStates
+    from srt.joint.drift import DriftStates
     from srt.joint.joint_state import JointState
     from srt.joint.linear_system import LinearSystem
     from srt.model.prior import Prior

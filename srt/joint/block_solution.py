@@ -1,6 +1,6 @@
 """Least-squares solution of the linearised system, sequence by sequence, and covariances from it.
 
-A QR decomposition of the rows of a step (:mod:`srt.joint.elimination_steps`) and of the rows from earlier steps
+A QR decomposition of the rows of a step (:mod:`srt.joint.linear_system`) and of the rows from earlier steps
 
     ``R v + S s + c = noise``
 
@@ -18,11 +18,10 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.sparse import diags_array
 
-from srt.joint.elimination_steps import elimination_steps, global_columns
+from srt.joint.linear_system import elimination_steps, global_columns
 
 if TYPE_CHECKING:
-    from srt.joint.elimination_steps import EliminationStep
-    from srt.joint.linear_system import LinearSystem
+    from srt.joint.linear_system import EliminationStep, LinearSystem
     from srt.types import Array, Indices
 
 

@@ -26,10 +26,9 @@ from srt.estimation.g_sensitivity import MODE as G_SENSITIVE
 from srt.estimation.observability import admission_sigma
 from srt.estimation.rest_rate_scatter import excess_variance
 from srt.estimation.srt_measurements import SrtProcessor
-from srt.joint.drift_states import drift_chain, drift_states
-from srt.joint.drift_terms import DriftTerms
+from srt.joint.attitudes import mounting_limit, mounting_prior, nominal_end, nominal_start
+from srt.joint.drift import DriftTerms, drift_chain, drift_states
 from srt.joint.joint_state import CompensatedData, JointState, LevelFrame
-from srt.joint.nominal_attitudes import mounting_limit, mounting_prior, nominal_end, nominal_start
 from srt.joint.stated_rates import SteadyReadings
 from srt.model import measurement_model as model
 from srt.model.analytic_platform import integrate_attitude, parts_per_rotation
@@ -48,7 +47,7 @@ if TYPE_CHECKING:
     from srt.estimation.error_sources import Slopes, Source
     from srt.estimation.g_sensitivity import PoseRegression
     from srt.estimation.options import Options
-    from srt.joint.drift_states import DriftChain, DriftStates
+    from srt.joint.drift import DriftChain, DriftStates
     from srt.joint.stated_rates import StatedRates
     from srt.model.rotation_integrals import RotationIntegrals
     from srt.model.sensor_model import Triad

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from srt.estimation.error_sources import Source
-    from srt.joint.drift_states import DriftStates
+    from srt.joint.drift import DriftStates
     from srt.joint.stated_rates import StatedRates
     from srt.sensor_errors import SensorErrors
     from srt.types import Array

@@ -20,7 +20,7 @@ from srt.estimation.error_sources import NO_ERRORS, accel_drift, by_drift
 from srt.estimation.g_sensitivity_report import significant_g_sensitivity
 from srt.estimation.goodness_of_fit import contradicting_group, is_misfit, one_group_explains
 from srt.joint.block_solution import BlockSolution
-from srt.joint.drift_terms import DriftTerms
+from srt.joint.drift import DriftTerms
 from srt.joint.linearisation import linearise
 from srt.joint.residual_analysis import contradictions, unmodelled_noise
 from srt.joint.solution_analysis import goodness_of_fit, whole_solution

@@ -28,7 +28,7 @@ from threadpoolctl import threadpool_limits
 
 from estimators.graph import GraphSolver
 from srt.estimation.options import Options
-from srt.joint.drift_terms import DriftTerms
+from srt.joint.drift import DriftTerms
 from srt.joint.iteration import apply_correction, iterate
 from srt.joint.linearisation import linearise
 from srt.joint.recording_opening import open_joint_model
