@@ -19,7 +19,7 @@ Variables:
 from __future__ import annotations
 
 from contextlib import contextmanager
-from functools import cached_property, partial
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final
 
 import gtsam
@@ -36,10 +36,11 @@ from srt.joint.measurement_kinds import (
     rotation_noise,
     start_covariances,
 )
+from srt.model import measurement_model as model
 from srt.sensor_errors import N_PARAMETERS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator
 
     from srt.joint.linearisation import Linearisation
     from srt.model.prior import Prior
@@ -182,132 +183,137 @@ class FactorGraph:
         if self.compensated.stated.sequences.size:
             self.values.insert(T(0), np.zeros(1))
 
-    def _noise(self, covariance: Array, sequence: Sequence[int] | Indices) -> list[Any]:
-        """Noise models of measurements, with the weights of their sequences."""
-        return factors.gaussians(covariance / self.weights[sequence][:, None, None])
+    def _add(self, kind: str, numbers: Indices, owners: Indices, covariance: Array, group: factors.FactorGroup) -> None:
+        """Add measurements of a kind by number, with their sequences, whose weights apply to their covariances."""
+        noises = factors.gaussians(covariance / self.weights[owners][:, None, None])
+        self.kinds.append(group)
+        for row, (number, owner, noise) in enumerate(zip(numbers.tolist(), owners.tolist(), noises, strict=True)):
+            factor, step = group.factor(row, noise), int(self.joint.rank[owner])
+            self.measured.append((kind, number, owner))
+            self.last_step.update({key: max(step, self.last_step.get(key, 0)) for key in list(factor.keys())})
+            self.graph.add(factor)
 
-    def _add(self, kind: str, number: int, sequence: int, noise: Any, terms: factors.ErrorFunction) -> None:
-        """Add a measurement factor of a sequence."""
-        self.measured.append((kind, number, sequence))
-        step = int(self.joint.rank[sequence])
-        self.last_step.update({key: max(step, self.last_step.get(key, 0)) for key in terms.keys})
-        self.graph.add(gtsam.CustomFactor(noise, terms.keys, terms.function))
-
-    def _linear(self, jacobian: Array, sequence: int | None) -> list[tuple[int, Array]]:
-        """Linear terms of sensor errors and bias."""
-        out = []
-        if len(self.errors):
-            out.append((int(X(0)), jacobian[:, self.errors]))
-        if sequence is not None and len(self.axes):
-            out.append((self.bias_key(sequence), jacobian[:, N_ERRORS + self.axes]))
+    def _linear(self, J: Array, owners: Indices, kind: str, by_form: Array, sign: float) -> list[factors.Term]:
+        """Linear terms of sensor errors and bias (n, d, 27), of modelled drift, and of bias instability and edges."""
+        n, errors, axes = len(owners), self.errors, N_ERRORS + self.axes
+        out: list[factors.Term] = [([X(0)] * n, sign * J[:, :, errors])] if len(errors) else []
+        if len(axes):
+            out.append(([self.bias_key(k) for k in owners.tolist()], sign * J[:, :, axes]))
+        if self.joint.drift.size:
+            out.append(([S(0)] * n, sign * by_form))
+        if kind in self.drift.steps:
+            steps = self.drift.steps[kind].tolist()
+            for key, effect in ((D, self.drift.by_state[kind]), (N, self.drift.by_noise[kind])):
+                out.append(([key(step) for step in steps], sign * effect))
+        for own, shared in self.compensated.edges.shared.get({"window": "rate"}.get(kind, kind), ()):
+            lacking = np.zeros((n, J.shape[1] - shared.shape[1], 3))  # of a window, its force
+            by_edge = np.concatenate([lacking, np.broadcast_to(shared, (n, *shared.shape[1:]))], axis=1)
+            out.append(([Q(number) if number >= 0 else None for number in own.tolist()], sign * by_edge))
         return out
 
-    def _forms(self, jacobian: Array) -> list[tuple[int, Array]]:
-        """Linear term of the modelled drift."""
-        return [(int(S(0)), jacobian)] if self.joint.drift.size else []
+    def _earth(self, frames: Indices) -> tuple[factors.Keys, Callable[[Any, Indices], Array]]:
+        """Variables of the Earth's rate in the level frames of some factors, and its value by factor, (m, 3), rad/s."""
+        known = np.stack([frame.earth_rate for frame in self.joint.level_frames])[frames]
+        keys = [self.earth_key(frame) for frame in frames.tolist()]
 
-    def _drift(self, kind: str, number: int, sign: float = 1.0) -> list[tuple[int, Array]]:
-        """Linear terms of the bias instability in a measurement, if specified."""
-        if kind not in self.drift.steps:
-            return []
-        step, effects = int(self.drift.steps[kind][number]), (self.drift.by_state[kind], self.drift.by_noise[kind])
-        return [(int(key(step)), sign * J[number]) for key, J in zip((D, N), effects, strict=True)]
+        def rate(values: Any, rows: Indices) -> Array:
+            unknown = (np.zeros(3) if (key := keys[row]) is None else values.atVector(key) for row in rows.tolist())
+            return np.asarray(known[rows] + np.stack(list(unknown)))
 
-    def _edges(self, kind: str, number: int) -> list[tuple[int, Array]]:
-        """Linear terms of the errors at window edges that a window or rotation shares."""
-        shared = self.compensated.edges.shared.get(kind, ())
-        return [(int(Q(own[number])), J[number % len(J)]) for own, J in shared if own[number] >= 0]
+        return keys, rate
 
     def _windows(self) -> None:
         """Add one factor per window for force and rate together, as a disturbance affects both."""
-        joint, compensated = self.joint, self.compensated
-        T = joint.data.windows.duration_s
-        force_noise, rate_noise = total(compensated.force_noise), total(compensated.rate_noise)
-        covariance = np.zeros((len(T), 6, 6))
-        covariance[:, :3, :3], covariance[:, 3:, 3:] = force_noise, rate_noise
-        noise = self._noise(covariance, joint.window_sequence)
-        windows = factors.WindowFactors(
-            compensated.force,
-            compensated.rate,
-            np.array([A(w) for w in range(len(T))], dtype=np.intp),
-            joint.data.gravity,
-            int(G(0)) if self.gravity else None,
-            self._earth_rates(joint.window_frame),
-        )
-        self.kinds.append(windows)
-        for w in range(len(T)):
-            jacobian = -np.concatenate([compensated.force_jacobian[w], compensated.rate_jacobian[w]])
-            linear = self._linear(jacobian, int(joint.window_sequence[w]))
-            linear += self._drift("window", w, -1.0)
-            linear += self._forms(-np.concatenate([compensated.drift_form[kind][w] for kind in ("force", "rate")]))
-            linear += [(key, -np.concatenate([np.zeros((3, 3)), J])) for key, J in self._edges("rate", w)]
-            owner = int(joint.window_sequence[w])
-            self._add(
-                "window", w, owner, noise[w], factors.ErrorFunction(linear, windows.keys(w), partial(windows.at, w))
-            )
+        joint, data, owners = self.joint, self.compensated, self.joint.window_sequence
+        covariance = np.zeros((len(owners), 6, 6))
+        covariance[:, :3, :3], covariance[:, 3:, 3:] = total(data.force_noise), total(data.rate_noise)
+        attitudes, (earth_keys, earth) = _attitudes(np.arange(len(owners))), self._earth(joint.window_frame)
 
-    def _earth_rates(self, frames: Indices) -> factors.EarthRate:
-        """Earth's rate in the level frames of some factors."""
-        known = np.stack([frame.earth_rate for frame in self.joint.level_frames])
-        return factors.EarthRate(known[frames], [self.earth_key(frame) for frame in frames.tolist()])
+        def evaluate(values: Any, rows: Indices) -> factors.Linearised:
+            attitude = factors.matrices(values, attitudes[rows])
+            gravity = joint.data.gravity + (values.atVector(G(0))[0] if self.gravity else 0.0)
+            force, *by_force = model.specific_force_residual(data.force[rows], attitude, gravity)
+            rate, *by_rate = model.angular_rate_residual(data.rate[rows], attitude, earth(values, rows))
+            by_gravity, by_earth = (np.zeros((len(rows), 6, width)) for width in (1, 3))
+            by_gravity[:, :3, 0], by_earth[:, 3:] = by_force[1], by_rate[1]
+            by_attitude = np.concatenate([by_force[0], by_rate[0]], axis=1)
+            return np.concatenate([force, rate], axis=1), [by_attitude, by_gravity, by_earth]
+
+        jacobian, by_form = np.concatenate([data.force_jacobian, data.rate_jacobian], axis=1), data.drift_form
+        by_form_of_both = np.concatenate([by_form["force"], by_form["rate"]], axis=1)
+        linear = self._linear(jacobian, owners, "window", by_form_of_both, -1.0)
+        gravity_keys = [G(0) if self.gravity else None] * len(owners)
+        group = factors.FactorGroup([attitudes.tolist(), gravity_keys, earth_keys], evaluate, linear)
+        self._add("window", np.arange(len(owners)), owners, covariance, group)
 
     def _rotations(self) -> None:
-        joint, compensated, data = self.joint, self.compensated, self.joint.data
-        for kind, members in rotation_kinds(joint):
-            covariances = rotation_noise(joint, self.state, compensated.rotation_noise, kind)
-            noise = self._noise(total(covariances), members)
-            starts, ends = (np.array([A(w) for w in at[members].tolist()], np.intp) for at in (data.start, data.end))
-            rotations = factors.RotationFactors(
-                compensated.rotation[members],
-                starts,
-                ends,
-                self._earth_rates(joint.sequence_frame[members]),
-                np.asarray(compensated.duration_s)[members],
-                heading=kind == "heading",
+        """Add the rotations between windows; see :func:`srt.joint.measurement_kinds.rotation_kinds`."""
+        for kind, members in rotation_kinds(self.joint):
+            self._add_rotations(kind, members)
+
+    def _add_rotations(self, kind: str, members: Indices) -> None:
+        joint, data = self.joint, self.compensated
+        starts, ends = (_attitudes(windows[members]) for windows in (joint.data.start, joint.data.end))
+        earth_keys, earth = self._earth(joint.sequence_frame[members])
+
+        def evaluate(values: Any, rows: Indices) -> factors.Linearised:
+            start, end = (factors.matrices(values, keys[rows]) for keys in (starts, ends))
+            at = members[rows]
+            found = model.rotation_residual(
+                data.rotation[at], start, end, earth(values, rows), np.asarray(data.duration_s)[at]
             )
-            self.kinds.append(rotations)
-            for i, k in enumerate(members.tolist()):
-                linear = self._linear(compensated.rotation_jacobian[k], k) + self._drift("turn", k)
-                linear += self._forms(compensated.drift_form["turn"][k])
-                linear += self._edges("turn", k)
-                terms = factors.ErrorFunction(linear, rotations.keys(i), partial(rotations.at, i), scaled=True)
-                self._add(kind, k, k, noise[i], terms)
+            r, by_start, by_end, by_rotation, by_earth = (
+                model.heading_residual(found, start) if kind == "heading" else found
+            )
+            return r, [by_start, by_end, by_earth, by_rotation]
+
+        linear = self._linear(data.rotation_jacobian, np.arange(joint.data.K), "turn", data.drift_form["turn"], 1.0)
+        linear = [([keys[k] for k in members.tolist()], J[members]) for keys, J in linear]
+        group = factors.FactorGroup([starts.tolist(), ends.tolist(), earth_keys], evaluate, linear, scaled=True)
+        noise = total(rotation_noise(joint, self.state, data.rotation_noise, kind))
+        self._add(kind, members, members, noise, group)
 
     def _stated_rates(self) -> None:
-        """Add the runs at a stated rate, and the prior of the error of the table's rate."""
-        joint, compensated, runs = self.joint, self.compensated, self.compensated.stated
+        """Add the runs at a stated rate."""
+        joint, runs = self.joint, self.compensated.stated
         if not runs.sequences.size:
             return
         windows = joint.data.start[runs.sequences]
-        starts = np.array([A(w) for w in windows.tolist()], np.intp)
-        earth = self._earth_rates(joint.window_frame[windows])
-        kind = factors.StatedRateFactors(runs, starts, earth, self.state.table_rate)
-        noise = self._noise(total(runs.noise), runs.sequences)
-        self.kinds.append(kind)
-        for r, k in enumerate(runs.sequences.tolist()):
-            linear = self._linear(-runs.jacobian[r], k)
-            linear += self._drift("stated_rate", r, -1.0)
-            linear += self._forms(-compensated.drift_form["stated_rate"][r])
-            linear.append((int(T(0)), runs.by_table_rate[r]))
-            self._add("stated_rate", k, k, noise[r], factors.ErrorFunction(linear, kind.keys(r), partial(kind.at, r)))
+        starts, (earth_keys, earth) = _attitudes(windows), self._earth(joint.window_frame[windows])
+
+        def evaluate(values: Any, rows: Indices) -> factors.Linearised:
+            every = np.arange(len(starts))
+            found = runs.residual(factors.matrices(values, starts), earth(values, every), self.state.table_rate)
+            residual, *jacobians = (part[rows] for part in found)
+            return residual, jacobians
+
+        by_form = self.compensated.drift_form["stated_rate"]
+        linear = self._linear(runs.jacobian, runs.sequences, "stated_rate", by_form, -1.0)
+        linear.append(([T(0)] * len(starts), runs.by_table_rate))
+        group = factors.FactorGroup([starts.tolist(), earth_keys], evaluate, linear)
+        self._add("stated_rate", runs.sequences, runs.sequences, total(runs.noise), group)
 
     def _fixture_attitudes(self) -> None:
-        joint = self.joint
-        if not joint.fixture_states:
-            return
-        for name, poses, components in fixture_attitudes(joint):
-            variance = np.tile(total(start_covariances(joint, components)), (len(poses), 1, 1))
-            noises = self._noise(variance, [owner for owner, _, _ in poses])
-            kind = factors.FixtureAttitudeFactors(
-                np.stack([nominal for _, _, nominal in poses]),
-                np.array([A(window) for _, window, _ in poses], dtype=np.intp),
-                (int(F(0)), int(U(0)), int(L(0))),
-                joint.heading_rad,
-                components,
+        """Add the attitudes that the fixture determines."""
+        for kind, poses, components in fixture_attitudes(self.joint) if self.joint.fixture_states else ():
+            self._add_fixture_attitudes(kind, poses, components)
+
+    def _add_fixture_attitudes(self, kind: str, poses: list[tuple[int, int, Array]], components: slice) -> None:
+        owners, windows = (np.array([pose[i] for pose in poses], dtype=np.intp) for i in (0, 1))
+        nominal, attitudes = np.stack([pose[2] for pose in poses]), _attitudes(windows)
+
+        def evaluate(values: Any, rows: Indices) -> factors.Linearised:
+            base, mounting = (values.atRot3(key).matrix() for key in (F(0), U(0)))
+            angle, attitude = float(values.atVector(L(0))[0]), factors.matrices(values, attitudes[rows])
+            r, *jacobians = model.start_attitude_residual(
+                attitude, nominal[rows], base, mounting, self.joint.heading_rad, angle
             )
-            self.kinds.append(kind)
-            for i, ((owner, window, _), noise) in enumerate(zip(poses, noises, strict=True)):
-                self._add(name, window, owner, noise, factors.ErrorFunction([], kind.keys(i), partial(kind.at, i)))
+            return r[:, components], [J[:, components] for J in jacobians]
+
+        fixture = [[key] * len(poses) for key in (F(0), U(0), L(0))]
+        covariance = np.tile(total(start_covariances(self.joint, components)), (len(poses), 1, 1))
+        group = factors.FactorGroup([attitudes.tolist(), *fixture], evaluate, [])
+        self._add(kind, windows, owners, covariance, group)
 
     def _priors(self, prior: Prior | None) -> None:
         joint, graph = self.joint, self.graph
@@ -329,11 +335,7 @@ class FactorGraph:
                     frame.unknown_sigma > 0.0, frame.unknown_sigma, _FIXED_RATE * frame.unknown_sigma.max()
                 )
                 graph.add(gtsam.PriorFactorVector(E(c), np.zeros(3), factors.gaussian(np.diag(sigmas**2))))
-        for w in fixed_headings(joint).tolist():
-            keep = np.array(self.values.atRot3(A(w)).matrix())
-            noise = isotropic(1, _HEADING_SIGMA)
-            terms = factors.ErrorFunction([], [int(A(w))], factors.heading(keep, int(A(w))))
-            graph.add(gtsam.CustomFactor(noise, terms.keys, terms.function))
+        self._fixed_headings(isotropic(1, _HEADING_SIGMA))
         unit = isotropic(3, 1.0)
         for number in range(self.compensated.edges.unknowns):
             graph.add(gtsam.PriorFactorVector(Q(number), np.zeros(3), unit))
@@ -353,6 +355,22 @@ class FactorGraph:
         if prior is not None:
             self._error_prior(prior)
 
+    def _fixed_headings(self, noise: Any) -> None:
+        """Keep the headings that are given: rotations about the vertical since the attitudes of the state."""
+        windows = fixed_headings(self.joint)
+        attitudes = _attitudes(windows)
+        assert self.state.attitude is not None
+        kept = self.state.attitude[windows]
+
+        def evaluate(values: Any, rows: Indices) -> factors.Linearised:
+            now = factors.matrices(values, attitudes[rows])
+            turned = kept[rows] @ np.swapaxes(now, 1, 2)
+            return 0.5 * (turned[:, 0, 1] - turned[:, 1, 0])[:, None], [now[:, 2:]]
+
+        group = factors.FactorGroup([attitudes.tolist()], evaluate, [])
+        for row in range(len(windows)):
+            self.graph.add(group.factor(row, noise))
+
     def _drift_chain(self) -> None:
         """Add the distribution of the states at the start, that of the white unknowns, and the transitions."""
         X, U, K = self.drift.states, self.drift.unknowns, self.joint.data.K
@@ -369,13 +387,15 @@ class FactorGraph:
         """Add the prior of the sensor errors; with one gyro bias per sequence, the prior applies to their mean."""
         joint = self.joint
         away = self.state.errors.vector - prior.mean.vector
-        unit = np.eye(N_PARAMETERS)
-        linear = [(int(X(0)), unit[:, self.errors])] if len(self.errors) else []
-        number = joint.data.K if joint.bias_walks else 1
+        unit, number = np.eye(N_PARAMETERS)[None], joint.data.K if joint.bias_walks else 1
+        linear: list[factors.Term] = [([X(0)], unit[:, :, self.errors])] if len(self.errors) else []
         if len(self.axes):
-            linear += [(int(B(k)), unit[:, N_ERRORS + self.axes] / number) for k in range(number)]
-        if not linear:
-            return
-        noise = factors.gaussian(prior.covariance)
-        terms = factors.ErrorFunction(linear, [], lambda _: (away, []))
-        self.graph.add(gtsam.CustomFactor(noise, terms.keys, terms.function))
+            linear += [([B(k)], unit[:, :, N_ERRORS + self.axes] / number) for k in range(number)]
+        if linear:
+            group = factors.FactorGroup([], lambda *_: (away[None], []), linear)
+            self.graph.add(group.factor(0, factors.gaussian(prior.covariance)))
+
+
+def _attitudes(windows: Indices) -> Indices:
+    """Variables of the attitudes of windows."""
+    return np.array([A(w) for w in windows.tolist()], dtype=np.intp)
