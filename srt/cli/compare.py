@@ -68,8 +68,8 @@ def compare(
     deviation, which follows from the two covariances if the reference is efficient. The false-alarm rate is 1 in 100
     recordings.
 
-    Exit codes: 0 all that ran converged (or partial) and agree; 1 they disagree, one failed or did not converge, or
-    fewer than two can run; 2 wrong usage or unreadable input.
+    Exit codes: 0 all that ran converged (or partial) and agree; 1 they disagree, some are doubtful and others sound,
+    one failed or did not converge, or fewer than two can run; 2 wrong usage or unreadable input.
     """
     # Whatever can be refused without the samples is refused before they are read.
     if output is not None:
@@ -205,7 +205,7 @@ def check_truth(path: Path, recording: Recording) -> None:
 
 
 def report_problems(comparison: Comparison, path: Path) -> int:
-    """Print failures and disagreement on standard error; give the exit code."""
+    """Print failures, disagreement and different verdicts on standard error; give the exit code."""
     for name, sentence in comparison.failures.items():
         say(f"{path}: {name} failed: {sentence}")
     for note in comparison.notes:
@@ -214,4 +214,7 @@ def report_problems(comparison: Comparison, path: Path) -> int:
         say(f"{path}: {comparison.verdict}")
     elif comparison.truth is not None and min(map(comparison.rms_error, comparison.differences)) > _FOREIGN_TRUTH:
         warn(f"{path}: the estimates agree, but not with the truth: is it the truth of another recording?")
-    return 0 if comparison.agree and comparison.complete else DataError.exit_code
+    if comparison.verdicts_differ:
+        say(f"{path}: {comparison.verdicts_differ}")
+    well = comparison.agree and comparison.complete and not comparison.verdicts_differ
+    return 0 if well else DataError.exit_code

@@ -1,13 +1,6 @@
 """Difference of two calibrations of one recording, and its expected covariance.
 
-Two estimates x and x_opt of the same parameters from the same data share most of their noise, so the root sum of
-squares of their sigmas says nothing about their difference d = x − x_opt. If x_opt is efficient, d is uncorrelated with
-x_opt (otherwise a combination of both would have a smaller variance), and::
-
-    cov(d) = P − P_opt
-
-(Hausman 1978, Econometrica 46, 1251). The diagonal of that matrix tests every parameter; its inverse tests all of them
-together. Where P is smaller than P_opt, the roles are exchanged: the absolute value is used.
+One matrix, :func:`expected_covariance`, tests every parameter by its diagonal and all of them together by its inverse.
 """
 
 from __future__ import annotations
@@ -19,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from scipy.special import chdtrc, ndtri
 
+from srt.comparison.modelled_effects import modelled_effects
 from srt.sensor_errors import NAMES
 
 if TYPE_CHECKING:
@@ -35,15 +29,7 @@ joint tests."""
 EXPECTED_SIGMA_FLOOR: Final = 0.05
 """Floor of an expected sigma, as a fraction of the larger sigma of the two estimates. The expected difference of two
 efficient estimators is zero; they still differ by their stopping rules (0.01 sigma), by terms of second order and by
-the treatment of shared noise. Differences below a twentieth of sigma do not matter."""
-
-DRIFT_MODEL_ERROR: Final = 0.11
-"""Variance by which two models of the same bias instability may differ, as a fraction of the variance by drift: closed
-form and least squares have its covariance over the windows, filter and graph Markov states. The spectrum of either
-ripples by 5.5 %. Where both estimates are nearly efficient, that is more than the variance of their difference."""
-
-CLEARLY_SMALLER: Final = 0.9
-"""Ratio of variances below which the reference is not the efficient estimate of a parameter: 5 % of a sigma."""
+the treatment of shared noise. Differences below a twentieth of sigma do not matter, of estimates or of sigmas."""
 
 _NAMED: Final = 3
 """Number of parameters that a sentence names; the others are counted."""
@@ -69,8 +55,7 @@ class EstimateDifference:
     limit : float
         Limit of a normalised difference, by :data:`FALSE_ALARM`.
     chi_square, p_value : float
-        Chi-square of all differences, with one degree of freedom per compared parameter. The floor on the
-        expected sigma can only raise the p-value.
+        Chi-square of all differences, with one degree of freedom per compared parameter.
     least_p_value : float
         Limit of the p-value, by :data:`FALSE_ALARM`.
     """
@@ -112,7 +97,7 @@ class EstimateDifference:
     @property
     def smaller_sigma(self) -> tuple[str, ...]:
         """Parameters for which the reference is not efficient: its variance is significantly larger."""
-        return _names(self.compared & (self.sigma_ratio**2 < CLEARLY_SMALLER))
+        return _names(self.compared & (self.sigma_ratio < 1.0 - EXPECTED_SIGMA_FLOOR))
 
     def as_dict(self) -> dict[str, Any]:
         """The JSON form; arrays in SI, None where not compared."""
@@ -164,38 +149,71 @@ def estimate_difference(
 
     ``tests`` counts the compared parameters of all ``estimators``, which share the false-alarm probability.
     """
-    scale = np.where(shared, np.fmax(other.sigma, reference.sigma), np.nan)
+    spread = np.full(len(NAMES), np.nan)
     difference = np.where(shared, other.errors.vector - reference.errors.vector, np.nan)
-    excess = other.covariance - reference.covariance
-    uncertain = DRIFT_MODEL_ERROR * np.maximum(_drift_variance(other), _drift_variance(reference))
-    spread = np.maximum(np.sqrt(np.abs(np.diag(excess)) + uncertain), EXPECTED_SIGMA_FLOOR * scale)
-    statistic, p_value = _joint(
-        (difference / scale)[shared],
-        (excess / np.outer(scale, scale))[np.ix_(shared, shared)],
-        float(np.max((uncertain / scale**2)[shared], initial=0.0)),
-    )
+    covariance = expected_covariance(other, reference, shared)
+    spread[shared] = np.sqrt(np.diag(covariance))
+    normalised = difference / spread
+    correlation = covariance / np.outer(spread[shared], spread[shared])
+    statistic = float(normalised[shared] @ np.linalg.solve(correlation, normalised[shared]))
     return EstimateDifference(
         estimator=name,
         reference=reference_name,
         compared=shared,
         difference=difference,
         expected_sigma=spread,
-        normalised=difference / spread,
+        normalised=normalised,
         sigma_ratio=np.where(shared, ratio_of(other.sigma, reference.sigma), np.nan),
         limit=_limit(tests),
         chi_square=statistic,
-        p_value=p_value,
+        p_value=float(chdtrc(max(int(shared.sum()), 1), statistic)),
         least_p_value=0.5 * FALSE_ALARM / estimators,
     )
 
 
-def _drift_variance(calibration: Calibration) -> Array:
-    """Part of the variance that bias instability causes, shape (27,); zero where none is modelled."""
-    parts = (
-        calibration.contributions.get(f"{sensor}_bias_instability", np.zeros(len(NAMES)))
-        for sensor in ("gyro", "accel")
-    )
-    return np.asarray(sum(part**2 for part in parts))
+def expected_covariance(a: Calibration, b: Calibration, compared: Mask) -> Array:
+    """Expected covariance of the difference of two estimates from the same data.
+
+    Parameters
+    ----------
+    a, b : Calibration
+        In either order.
+    compared : ndarray of bool, shape (27,)
+        n parameters that both observed.
+
+    Returns
+    -------
+    ndarray, shape (n, n), SI
+        Positive definite.
+
+    Notes
+    -----
+    The estimates share most of their noise, so the sum of their covariances Pa and Pb says nothing about their
+    difference. Let x be an estimate with a covariance P that neither exceeds. If x is efficient, xa − x and xb − x are
+    uncorrelated with x (otherwise a combination would have a smaller variance), so that their covariances are Pa − P
+    and Pb − P (Hausman 1978, Econometrica 46, 1251). Without a correlation between the two::
+
+        C = (Pa − P) + (Pb − P) = |Pa − Pb|,    P = (Pa + Pb − |Pa − Pb|) / 2
+
+    P is the largest such covariance: in each eigenvector of Pa − Pb the estimate with the smaller variance is
+    efficient. If b is efficient, then P = Pb and C = Pa − Pb. Errors that both covariances contain, such as those of
+    gravity and of the time base, cancel. The eigenvectors are those in units of the larger sigma of each parameter, and
+    the floor on the eigenvalues is the square of :data:`EXPECTED_SIGMA_FLOOR`.
+
+    Where the residuals of an estimate, with ν degrees of freedom, have set the scale of its covariance, by a factor on
+    all sigmas or by added noise, this covariance is itself uncertain by √(2/ν) of it. That may exceed Pa − Pb, and is
+    added. Estimates that have enlarged the same kinds of noise share this uncertainty, and nothing is added.
+    """
+    scale = np.fmax(a.sigma, b.sigma)[compared]
+    units = np.outer(scale, scale)
+    Pa, Pb = (calibration.covariance[np.ix_(compared, compared)] / units for calibration in (a, b))
+    eigenvalues, vectors = np.linalg.eigh(Pa - Pb)
+    variance = np.maximum(np.abs(eigenvalues), EXPECTED_SIGMA_FLOOR**2)
+    C = (vectors * variance) @ vectors.T
+    by_a, by_b = modelled_effects(a), modelled_effects(b)
+    if by_a.enlarged != by_b.enlarged:
+        C = C + by_a.relative_uncertainty * Pa + by_b.relative_uncertainty * Pb
+    return np.asarray(C * units)
 
 
 def _limit(count: int) -> float:
@@ -205,26 +223,6 @@ def _limit(count: int) -> float:
     """
     alone = -math.expm1(math.log1p(-0.5 * FALSE_ALARM) / max(count, 1))
     return float(-ndtri(0.5 * alone))
-
-
-def _joint(difference: Array, covariance: Array, uncertain: float) -> tuple[float, float]:
-    """Chi-square of differences in units of sigma, and its p-value.
-
-    Parameters
-    ----------
-    difference : ndarray, shape (n,)
-    covariance : ndarray, shape (n, n)
-        Expected covariance. The magnitude of its eigenvalues is used, with a floor: if the two estimates are equal,
-        both consist of rounding.
-    uncertain : float
-        Variance by which the expected one may be wrong.
-    """
-    if not difference.size:
-        return 0.0, 1.0
-    eigenvalues, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
-    variance = np.maximum(np.abs(eigenvalues) + uncertain, EXPECTED_SIGMA_FLOOR**2)
-    statistic = float(np.sum((vectors.T @ difference) ** 2 / variance))
-    return statistic, float(chdtrc(difference.size, statistic))
 
 
 def listing(names: Sequence[str]) -> str:

@@ -22,6 +22,7 @@ from srt.comparison.estimate_difference import (
     listing,
     ratio_of,
 )
+from srt.comparison.modelled_effects import joined, modelled_effects, verdicts_differ
 from srt.estimation.fixed_parameters import in_frame_of_poses
 from srt.estimation.options import Options
 from srt.estimation.registry import ESTIMATORS, automatic_estimator, find_estimator
@@ -160,8 +161,13 @@ class Comparison(Presented):
         return not self.failures and all(c.status in USABLE for c in self.calibrations.values())
 
     @property
+    def verdicts_differ(self) -> str:
+        """Sentence on usable estimates of which some are doubtful and others sound; empty if all have one verdict."""
+        return verdicts_differ({name: c for name, c in self.calibrations.items() if c.status in USABLE})
+
+    @property
     def verdict(self) -> str:
-        """The outcome in a sentence."""
+        """Agreement of the estimates in a sentence."""
         if self.reference is None:
             return "There is nothing to compare: no estimator gave a usable result."
         if not self.differences:
@@ -172,7 +178,7 @@ class Comparison(Presented):
         worst = max(self.differences.values(), key=lambda pair: float(np.nanmax(np.abs(pair.normalised))))
         assert worst.largest is not None
         return (
-            f"{_listing([self.reference, *self.differences])} agree: largest difference "
+            f"{joined([self.reference, *self.differences])} agree: largest difference "
             f"{abs(worst.normalised[worst.largest]):.1f} times its expected standard deviation "
             f"({NAMES[worst.largest]} of {worst.estimator}; limit {worst.limit:.1f})."
         )
@@ -197,6 +203,7 @@ class Comparison(Presented):
             "version": VERSION,
             "verdict": self.verdict,
             "agree": self.agree,
+            "verdicts_differ": self.verdicts_differ or None,
             "reference": self.reference,
             "false_alarm_probability": FALSE_ALARM,
             "notes": list(self.notes),
@@ -293,12 +300,6 @@ def compare(
     )
 
 
-def _listing(names: Iterable[str]) -> str:
-    """Join names as a sentence does: "a, b and c"."""
-    *first, last = names
-    return f"{', '.join(first)} and {last}" if first else last
-
-
 def _rank(name: str) -> int:
     """Rank by efficiency, the most efficient first; unknown estimators last."""
     return -ESTIMATORS.index(name) if name in ESTIMATORS else 1
@@ -327,8 +328,7 @@ def _notes(
             yield f"{name} is doubtful: {calibration.judgement.reason}"
     for name, pair in differences.items():
         if pair.smaller_sigma:
-            reference = calibrations[pair.reference]
-            enlarged = reference.verdict.get("added_noise") or (reference.noise.get("sigma_inflation") or 1.0) > 1.0
+            enlarged = modelled_effects(calibrations[pair.reference]).enlarged
             reason = "has sigmas that its residuals have enlarged" if enlarged else "is not efficient for them"
             yield (
                 f"{name} reports a smaller sigma than {pair.reference} for {listing(pair.smaller_sigma)}: "
@@ -341,4 +341,4 @@ def _notes(
         if holders and holders != tuple(usable):
             alone.setdefault(holders, []).append(parameter)
     for holders, parameters in alone.items():
-        yield f"Fixed by {_listing(holders)} and not by the others: {listing(parameters)}."
+        yield f"Fixed by {joined(holders)} and not by the others: {listing(parameters)}."

@@ -18,6 +18,8 @@ import srt.estimation.registry
 from srt.cli import main
 from srt.cli.calibrate import calibrate
 from srt.cli.compare import SHARED_OPTIONS, compare
+from srt.constants import MICRO_G
+from srt.recording.writing import write_recording
 from srt.sensor_errors import DISPLAY_FACTORS, INDEX, NAMES
 
 pytestmark = pytest.mark.usefixtures("plain_layout")
@@ -210,6 +212,72 @@ def test_disagreement_is_1_and_written_all_the_same(recording, calibrations, res
     assert rows_of(out)["accel_scale_z"][-1].endswith("*")
     assert "differs" in out
     assert "closed-form differs from least-squares: accel_scale_z by" in one_sentence(err)
+
+
+def test_a_drift_that_the_closed_form_does_not_model_makes_verdicts_differ_and_is_named(recording, tmp_path, capfd):
+    loaded = srt.load_recording(recording)
+    ramp = 20.0 * MICRO_G * np.linspace(-0.5, 0.5, len(loaded.time))[:, None]
+    write_recording(replace(loaded, accel=loaded.accel + ramp, data_sha256=None), tmp_path / "unit-7")
+    assert main(["compare", str(tmp_path / "unit-7"), *BOTH, "-o", str(tmp_path / "x.json")]) == 1
+    out, err = capfd.readouterr()
+    reason = (
+        "closed-form is doubtful, least-squares sound: least-squares models a bias drift of the accelerometers "
+        "(linear), closed-form does not."
+    )
+    assert f"srt: {tmp_path / 'unit-7'}: {reason}\n" in err
+    assert reason in " ".join(out.split())
+    document = json.loads((tmp_path / "x.json").read_text(encoding="utf-8"))
+    assert (document["agree"], document["verdicts_differ"]) == (True, reason)
+    assert "least-squares and closed-form agree" in document["verdict"]
+
+
+FORCE = {"added_noise": {"force_m_s2": {"added": 1e-4, "own": 1e-4}, "rate_rad_s": {"added": 0.0, "own": 1e-6}}}
+LINEAR = {"drift": [{"sensor": "gyro", "form": "linear", "modelled": True}]}
+FOUND = {"drift": [{"sensor": "gyro", "form": "linear", "modelled": False}]}
+G_SENSITIVE = {"g_sensitivity": {"matrix": np.zeros((3, 3)).tolist()}}
+
+
+@pytest.mark.parametrize(
+    ("of_closed_form", "of_others", "added", "sentence"),
+    [
+        (
+            *({}, {}, FORCE),
+            "least-squares, ekf and graph are doubtful, closed-form sound: least-squares, ekf and graph model added "
+            "noise of the specific forces, closed-form does not.",
+        ),
+        (
+            *(FOUND, LINEAR, {}),
+            "closed-form is doubtful, the others sound: least-squares, ekf and graph model a bias drift of the gyros "
+            "(linear), closed-form does not.",
+        ),
+        (
+            *(G_SENSITIVE, {}, {}),
+            "closed-form is doubtful, the others sound: closed-form models the g-sensitivity of the gyros, "
+            "least-squares, ekf and graph do not.",
+        ),
+        (
+            *({"unused_moves": 16}, {}, {}),
+            "closed-form is doubtful, the others sound: closed-form does not use the 16 recorded moves.",
+        ),
+        ({}, {}, {}, "closed-form is doubtful, the others sound, though all model the same effects."),
+    ],
+)
+def test_different_verdicts_are_1_and_what_only_some_of_the_estimators_model_is_named(
+    recording, calibrations, results, capfd, of_closed_form, of_others, added, sentence
+):
+    closed, best = calibrations["closed-form"], calibrations["least-squares"]
+    others = replace(
+        best,
+        diagnostics={**best.diagnostics, **of_others},
+        verdict={**best.verdict, **added, "sigma_factor": [1.0, 2.0]},
+    )
+    inflated = {**closed.noise, "sigma_inflation": 1.0 if added else 2.0}
+    results(
+        closed_form=replace(closed, diagnostics={**closed.diagnostics, **of_closed_form}, noise=inflated),
+        **dict.fromkeys(("least_squares", "ekf", "graph"), others),
+    )
+    assert main(["compare", str(recording), "-q"]) == 1
+    assert f"srt: {recording}: {sentence}\n" in capfd.readouterr().err
 
 
 def test_a_failed_estimator_stops_none_and_is_1(recording, calibrations, results, tmp_path, capfd):

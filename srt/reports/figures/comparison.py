@@ -83,7 +83,8 @@ def comparison_figure(comparison: Comparison, *, title: str | None = None) -> Fi
         _ratios(ratios, comparison, name, at, styles[name])
     _finish_differences(differences, comparison)
     _finish_ratios(ratios)
-    heading = textwrap.fill(f"{title}: {comparison.verdict}" if title else comparison.verdict, _HEADING_WIDTH)
+    outcome = f"{comparison.verdict} {comparison.verdicts_differ}".rstrip()
+    heading = textwrap.fill(f"{title}: {outcome}" if title else outcome, _HEADING_WIDTH)
     figure.suptitle(heading, fontsize=LARGE, color=INK, x=0.01, ha="left")
     figure.legend(
         handles=_handles(comparison, names, styles),

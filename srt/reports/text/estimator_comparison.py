@@ -40,6 +40,7 @@ def comparison_text(comparison: Comparison, *, title: str = "Comparison", detail
     parts = [
         [f"{title}{serial}: estimators side by side"],
         wrap(comparison.verdict),
+        wrap(comparison.verdicts_differ),
         [estimator_table(comparison, details=details)],
         [line for reason in reasons for line in wrap(reason)],
         [parameter_table(comparison, details=details)],
