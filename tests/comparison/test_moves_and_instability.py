@@ -1,4 +1,4 @@
-"""Nearly efficient estimators with different models of one bias instability do not disagree by these models."""
+"""Estimators with different models of one bias instability do not disagree by these models."""
 
 import pytest
 
@@ -9,7 +9,7 @@ from sims.scenarios.simulation import simulate
 
 @pytest.mark.parametrize("seed", [300, 301])
 def test_recorded_moves_with_bias_instability_raise_no_disagreement(seed):
-    """Moves bring least squares near the graph: the models of drift differ by more than the estimates should."""
+    """The closed form has the covariance of the instability over the windows, the others have Markov states."""
     pytest.importorskip("gtsam")
     scenario = scenario_from_dict(
         {
@@ -21,5 +21,5 @@ def test_recorded_moves_with_bias_instability_raise_no_disagreement(seed):
             "recording": {"sample_rate_hz": 50.0},
         }
     )
-    compared = srt.compare(simulate(scenario).recording, ("least-squares", "graph"))
+    compared = srt.compare(simulate(scenario).recording, ("closed-form", "least-squares", "graph"))
     assert compared.agree, compared.verdict
