@@ -113,6 +113,6 @@ def _calibration(job: Job, estimator: str, options: Options, display: Display) -
     recording = display.load(job.recording)
     with iteration_progress(job.name, quiet=display.quiet) as progress:
         calibration = srt.calibrate(recording, estimator, options=options, progress=progress, force=display.force)
-    for title, reason in calibration.provenance.get("voided", {}).items():
+    for title, reason in calibration.provenance.voided.items():
         warn(f"{job.recording}: {title} is void ({reason}).")
     return calibration

@@ -21,6 +21,7 @@ from srt.comparison.outliers import FALSE_ALARMS, MINIMUM_UNITS, FleetOutliers, 
 from srt.exceptions import DataError, InputError, SrtError
 from srt.model.platform_steps import many_recordings
 from srt.recording.atomic_file import atomic_path
+from srt.result.provenance import Alignment, Provenance, StatedSite
 from srt.result.verdict import USABLE
 from srt.sensor_errors import N_PARAMETERS, NAMES, SYMBOLS, UNITS
 
@@ -288,7 +289,8 @@ def _without_details(unit: FleetUnit) -> FleetUnit:
     verdict = {key: value for key, value in found.verdict.items() if key not in large}
     kept = replace(
         unit.calibration,
-        corrections=(), contributions={}, residuals=(), site={}, alignment={}, temperature=None, provenance={},
+        corrections=(), contributions={}, residuals=(), site=StatedSite(), alignment=Alignment(), temperature=None,
+        provenance=Provenance(),
         # The values that the verdict is made from stay.
         noise={k: v for k, v in found.noise.items() if k == "sigma_inflation"},
         diagnostics={k: v for k, v in found.diagnostics.items() if k in ("faults", "drift")}, verdict=verdict,

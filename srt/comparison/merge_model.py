@@ -111,7 +111,7 @@ def stack_estimates(calibrations: Sequence[Calibration]) -> StackedEstimates:
 
 def _gravity(calibrations: Sequence[Calibration]) -> list[Array]:
     """Effect of the error of gravity on every calibration, one column per stated gravity, shape (27, m) each."""
-    stated = [c.site.get("gravity_m_s2") for c in calibrations]
+    stated = [c.site.gravity_m_s2 for c in calibrations]
     columns = list(dict.fromkeys(stated))
     out = []
     for c, gravity in zip(calibrations, stated, strict=True):

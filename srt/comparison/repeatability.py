@@ -59,15 +59,15 @@ def repeatability(
 
 
 def _recording(title: str, calibration: Calibration) -> dict[str, Any]:
-    temperature = calibration.temperature or {}
+    temperature = calibration.temperature
     return {
         "name": title,
         "estimator": calibration.estimator,
         "status": calibration.status,
-        "date": calibration.provenance.get("date"),
-        "temperature_c": temperature.get("mean_c"),
-        "temperature_range_c": temperature.get("range_c"),
-        "data_sha256": calibration.provenance.get("data_sha256"),
+        "date": calibration.provenance.date,
+        "temperature_c": None if temperature is None else temperature.mean_c,
+        "temperature_range_c": None if temperature is None else temperature.range_c,
+        "data_sha256": calibration.provenance.data_sha256,
         "held": list(calibration.held),
         "U": None if calibration.U is None else calibration.U.tolist(),
         "U_sigma": calibration.U_sigma_rad,

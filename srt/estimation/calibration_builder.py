@@ -14,6 +14,7 @@ from srt.estimation.leave_one_out import verdict
 from srt.estimation.unseen_errors import clock_effect, unseen_errors
 from srt.model.rotations import rotation_vector
 from srt.result.calibration import Calibration, software
+from srt.result.provenance import Alignment, Provenance, SequenceTemperature, StatedSite, Temperature
 from srt.result.verdict import LARGEST_RATIO, USABLE, p_value_text
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES
 from srt.sequences.manoeuvres import end_attitude
@@ -80,11 +81,11 @@ def build_calibration(
         U=None if data.nominal is None else result.U,
         U_sigma_rad=None if data.nominal is None or fixture is None else fixture.alignment_sigma_rad,
         residuals=result.residuals,
-        site=site_document(data.recording),
+        site=stated_site(data.recording),
         noise=_noise(data, result, inflation)
         | {"chi_square": chi_square, "degrees_of_freedom": freedom}
         | _shared_errors(result, mask, inflation),
-        alignment=alignment_document(data.recording),
+        alignment=stated_alignment(data.recording),
         temperature=_temperature(data),
         provenance=_provenance(data, options),
         diagnostics={
@@ -214,28 +215,28 @@ def _sensor_noise(data: PreparedRecording) -> dict[str, float]:
     }
 
 
-def _provenance(data: PreparedRecording, options: Options) -> dict[str, Any]:
+def _provenance(data: PreparedRecording, options: Options) -> Provenance:
     applied = data.recording.applied
-    return {
-        "data_sha256": data.recording.data_sha256,
-        "software": software(),
-        "serial": data.recording.serial,
-        "date": data.recording.date,
-        "options": options.as_dict(),
-        "voided": dict(data.voided),
-        **({} if applied is None else {"applied": applied.document()}),
-    }
+    return Provenance(
+        data_sha256=data.recording.data_sha256,
+        software=software(),
+        serial=data.recording.serial,
+        date=data.recording.date,
+        options=options.as_dict(),
+        voided=data.voided,
+        applied=None if applied is None else applied.document(),
+    )
 
 
-def site_document(recording: Recording) -> dict[str, Any]:
+def stated_site(recording: Recording) -> StatedSite:
     """Site of a recording, as the result states it."""
     site = recording.site
-    return {
-        "latitude_deg": None if site.latitude_rad is None else float(np.degrees(site.latitude_rad)),
-        "gravity_m_s2": site.gravity_m_s2,
-        "gravity_sigma_m_s2": site.gravity_sigma_m_s2,
-        "latitude_sigma_deg": None if site.latitude_sigma_rad is None else float(np.degrees(site.latitude_sigma_rad)),
-    }
+    return StatedSite(
+        latitude_deg=None if site.latitude_rad is None else float(np.degrees(site.latitude_rad)),
+        gravity_m_s2=site.gravity_m_s2,
+        gravity_sigma_m_s2=site.gravity_sigma_m_s2,
+        latitude_sigma_deg=None if site.latitude_sigma_rad is None else float(np.degrees(site.latitude_sigma_rad)),
+    )
 
 
 def _noise(data: PreparedRecording, result: SolverResult, inflation: float) -> dict[str, Any]:
@@ -275,22 +276,22 @@ def _shared_errors(result: SolverResult, mask: Mask, inflation: float) -> dict[s
     return out
 
 
-def alignment_document(recording: Recording) -> dict[str, Any]:
+def stated_alignment(recording: Recording) -> Alignment:
     """Fixture of a recording, as the result states it."""
     fixture = recording.fixture
     if fixture is None:
-        return {"fixture": False}
-    wobble = {} if fixture.wobble_sigma_rad is None else {"wobble_sigma_mrad": fixture.wobble_sigma_rad * 1e3}
-    return {
-        "fixture": True,
-        "heading_deg": None if fixture.heading_rad is None else float(np.degrees(fixture.heading_rad)),
-        "alignment_sigma_mrad": fixture.alignment_sigma_rad * 1e3,
-        "rotation_sigma_mrad": fixture.rotation_sigma_rad * 1e3,
-        **wobble,
-    }
+        return Alignment(fixture=False)
+    return Alignment(
+        fixture=True,
+        heading_deg=None if fixture.heading_rad is None else float(np.degrees(fixture.heading_rad)),
+        alignment_sigma_mrad=fixture.alignment_sigma_rad * 1e3,
+        rotation_sigma_mrad=fixture.rotation_sigma_rad * 1e3,
+        wobble_sigma_mrad=None if fixture.wobble_sigma_rad is None else fixture.wobble_sigma_rad * 1e3,
+        nulls=("heading_deg",),
+    )
 
 
-def _temperature(data: PreparedRecording) -> dict[str, Any] | None:
+def _temperature(data: PreparedRecording) -> Temperature | None:
     T = data.recording.temperature
     if T is None:
         return None
@@ -299,15 +300,8 @@ def _temperature(data: PreparedRecording) -> dict[str, Any] | None:
     for k, name in enumerate(data.ids):
         part = T[samples[data.start[k], 0] : samples[data.end[k], 1]]
         low, high = float(part.min()), float(part.max())
-        rows.append(
-            {
-                "sequence": name,
-                "occurrence": data.occurrences[k],
-                "mean_c": float(part.mean()),
-                "range_c": high - low,
-            }
-        )
-    return {"mean_c": float(T.mean()), "range_c": float(T.max() - T.min()), "sequences": rows}
+        rows.append(SequenceTemperature(name, data.occurrences[k], float(part.mean()), high - low))
+    return Temperature(float(T.mean()), float(T.max() - T.min()), tuple(rows))
 
 
 def _warnings(data: PreparedRecording, result: SolverResult, observed: Mask) -> tuple[str, ...]:

@@ -11,7 +11,7 @@ import numpy as np
 
 from srt.exceptions import DataError, InputError, SrtError
 from srt.exporters.correction_difference import CorrectionDifference, Readings, compare_corrections
-from srt.exporters.export_model import APPLIED, ExportModel, ExportSettings
+from srt.exporters.export_model import ExportModel, ExportSettings
 from srt.exporters.linear_model import ASYMMETRY, FACTORS, LinearModel, linear_part
 from srt.exporters.noise_fields import unknown
 from srt.exporters.registry import exporter
@@ -280,7 +280,7 @@ def part_paths(chosen: Exporter, path: str | PathLike[str]) -> dict[str, Path]:
 
 def _replaced(chosen: Exporter, calibration: Calibration, stated: AppliedCorrection | None) -> AppliedCorrection | None:
     """Correction of the log that the file replaces; None if it works on the readings as they were logged."""
-    known = stated or applied_correction("The calibration", calibration.provenance.get(APPLIED))
+    known = stated or applied_correction("The calibration", calibration.provenance.applied)
     if known is not None and known.system == chosen.name:
         return known
     if not chosen.replaces or (known is not None and known.system == NOTHING):

@@ -30,8 +30,6 @@ _AXES: Final = {
     "accel": "those that the accelerometer matrix defines",
 }
 LAST_INSTANCE: Final = 9
-APPLIED: Final = "applied"
-"""Key of the provenance that holds the correction that the readings had before they were logged."""
 
 
 class FormatDescription(Protocol):
@@ -201,12 +199,14 @@ class ExportModel:
 
 def origin(calibration: Calibration) -> list[str]:
     """ASCII lines on the unit, the test and the software; texts keep only characters that cannot end a comment."""
-    known = calibration.temperature
+    known, source = calibration.temperature, calibration.provenance
     words = {
-        **{key: calibration.provenance.get(key) for key in ("serial", "date", "software")},
+        "serial": source.serial,
+        "date": source.date,
+        "software": source.software,
         "status": f"{calibration.status} ({calibration.estimator})",
-        "temperature": known and f"mean {known['mean_c']:.1f} degC, range {known['range_c']:.1f} degC in the test",
-        "SHA-256": calibration.provenance.get("data_sha256"),
+        "temperature": known and f"mean {known.mean_c:.1f} degC, range {known.range_c:.1f} degC in the test",
+        "SHA-256": source.data_sha256,
     }
     stated = {key: _UNSAFE.sub("_", str(value or "not stated"))[:200] for key, value in words.items()}
     return [f"{key + ':':<12} {value}" for key, value in stated.items()]

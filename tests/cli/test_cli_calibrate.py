@@ -215,7 +215,7 @@ def test_options_reach_the_estimator(recording, tmp_path):
     # This unit has asymmetries, and the residuals of a calibration without contradict it.
     assert main(["calibrate", str(recording), "-q", "-o", str(path), *flags]) == 1
     assert srt.load_calibration(path).status == "inconsistent"
-    kept = srt.load_calibration(path).provenance["options"]
+    kept = srt.load_calibration(path).provenance.options
     assert chosen.items() <= kept.items()
     assert kept["asymmetry"] is False
     assert kept["hold"] == ["gyro_scale_x", "accel_bias_x", "accel_bias_y", "accel_bias_z"]

@@ -20,6 +20,7 @@ from srt.comparison.merge_model import between_sigma, stack_estimates
 from srt.constants import DEG_PER_H
 from srt.recording.recording import Fixture
 from srt.reports.text.repeatability import repeatability_text
+from srt.result.provenance import Provenance, StatedSite, Temperature
 from srt.sensor_errors import GROUP_SLICES, INDEX, N_PARAMETERS, NAMES, SensorErrors
 
 TAIL = 2.3e-4
@@ -38,8 +39,8 @@ def made(vector, covariance, held=(), **changes):
         "errors": SensorErrors(vector),
         "covariance": np.where(np.outer(observed, observed), covariance, 0.0),
         "held": dict.fromkeys(held, "not shown"),
-        "site": {"gravity_m_s2": 9.80665},
-        "provenance": {"serial": "SN-1"},
+        "site": StatedSite(gravity_m_s2=9.80665),
+        "provenance": Provenance(serial="SN-1"),
     }
     return srt.Calibration(**(fields | changes))
 
@@ -136,7 +137,7 @@ def test_common_errors_are_not_averaged_down():
     merged = merge_calibrations(calibrations, between=False)
     expected = own / 16.0 + by_held + np.outer(effect, effect)
     np.testing.assert_allclose(merged.covariance, expected, rtol=1e-6, atol=1e-9 * np.diag(expected).max())
-    elsewhere = [replace(c, site={"gravity_m_s2": 9.8 + 1e-3 * n}) for n, c in enumerate(calibrations)]
+    elsewhere = [replace(c, site=StatedSite(gravity_m_s2=9.8 + 1e-3 * n)) for n, c in enumerate(calibrations)]
     apart = merge_calibrations(elsewhere, between=False)
     expected = own / 16.0 + by_held + np.outer(effect, effect) / 16.0
     np.testing.assert_allclose(apart.covariance, expected, rtol=1e-6, atol=1e-9 * np.diag(expected).max())
@@ -329,8 +330,8 @@ def test_file_and_text(tmp_path):
     calibrations = [
         replace(
             c,
-            temperature={"mean_c": 20.0 + n, "range_c": 2.0, "sequences": []},
-            provenance={**c.provenance, "date": f"2026-0{n + 1}-01", "data_sha256": f"{n}" * 64},
+            temperature=Temperature(20.0 + n, 2.0),
+            provenance=replace(c.provenance, date=f"2026-0{n + 1}-01", data_sha256=f"{n}" * 64),
         )
         for n, c in enumerate(calibrations_of(1))
     ]
@@ -343,9 +344,9 @@ def test_file_and_text(tmp_path):
     table = document["diagnostics"]["repeatability"]
     assert [row["date"] for row in table["recordings"]] == ["2026-01-01", "2026-02-01", "2026-03-01"]
     assert [row["temperature_c"] for row in table["recordings"]] == [20.0, 21.0, 22.0]
-    assert merged.temperature == {"mean_c": 21.0, "range_c": 4.0, "sequences": []}
-    assert len(merged.provenance["recordings"]) == 3
-    assert len(merged.provenance["data_sha256"]) == 64
+    assert merged.temperature == Temperature(21.0, 4.0)
+    assert len(merged.provenance.recordings) == 3
+    assert len(merged.provenance.data_sha256) == 64
     assert [row["sequence"] for row in merged.verdict["sequences"]] == ["first", "second", "third"]
     text = repeatability_text(again)
     assert max(map(len, text.splitlines())) <= 80
@@ -372,9 +373,9 @@ def pair(**changes):
     ("calibrations", "fragment"),
     [
         (pair()[:1], "two recordings"),
-        (pair(provenance={"serial": "SN-2"}), "different units: 1 has the serial SN-1, 2 has SN-2"),
+        (pair(provenance=Provenance(serial="SN-2")), "different units: 1 has the serial SN-1, 2 has SN-2"),
         (pair(estimator="merged"), "already merged"),
-        (pair(provenance={"options": {"prior": {"mean": {}}}}), "with a prior"),
+        (pair(provenance=Provenance(options={"prior": {"mean": {}}})), "with a prior"),
         (pair(covariance=np.zeros((N_PARAMETERS, N_PARAMETERS))), "sigma of gyro_scale_x is zero"),
         (pair(covariance=np.ones((N_PARAMETERS, N_PARAMETERS)) - 2.0 * np.eye(N_PARAMETERS, k=1)), "not positive"),
     ],
@@ -386,7 +387,7 @@ def test_incompatible_calibrations_are_refused(calibrations, fragment):
 
 def test_the_same_samples_do_not_count_twice():
     first, second = pair()
-    twice = [replace(c, provenance={"data_sha256": "a" * 64}) for c in (first, second)]
+    twice = [replace(c, provenance=Provenance(data_sha256="a" * 64)) for c in (first, second)]
     with pytest.raises(srt.InputError, match="a and b hold the same samples"):
         merge_calibrations(twice, ["a", "b"])
     with pytest.raises(srt.InputError, match="needs its own name"):
@@ -410,7 +411,7 @@ def test_calibration_without_convergence_is_left_out():
 
 
 def test_units_without_a_serial_are_taken_on_trust():
-    first, second = pair(provenance={})
+    first, second = pair(provenance=Provenance())
     merged = merge_calibrations([first, second], ["a", "b"])
-    assert merged.provenance["serial"] == "SN-1"
+    assert merged.provenance.serial == "SN-1"
     assert any("No serial is given with b" in w for w in merged.warnings)

@@ -15,6 +15,7 @@ from srt import exporters
 from srt.exporters import Readings
 from srt.model.rotations import rotation_matrix
 from srt.result.calibration import Calibration
+from srt.result.provenance import Provenance, StatedSite
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SensorErrors
 
 yaml = pytest.importorskip("yaml")
@@ -41,8 +42,8 @@ def calibrated(rng, *, asymmetry=False, size=0.1, **changes):
     given = {
         "U": U,
         "noise": NOISE,
-        "site": {"gravity_m_s2": 9.81},
-        "provenance": {"serial": "SN-7", "software": "test", "applied": {"system": "none"}},
+        "site": StatedSite(gravity_m_s2=9.81),
+        "provenance": Provenance(serial="SN-7", software="test", applied={"system": "none"}),
     }
     covariance = np.diag(rng.uniform(1e-12, 1e-10, N_PARAMETERS))
     return Calibration("closed-form", "converged", "Done.", SensorErrors(vector), covariance, **(given | changes))

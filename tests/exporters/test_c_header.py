@@ -16,6 +16,7 @@ from srt.model.rotations import rotation_matrix
 from srt.model.sensor_model import MIN_SINGULAR_VALUE, SIGNS, accel_triad, gyro_triad
 from srt.result.applier import Applier
 from srt.result.calibration import Calibration
+from srt.result.provenance import Provenance
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SensorErrors
 
 COMPILER = shutil.which("gcc") or shutil.which("cc")
@@ -56,7 +57,7 @@ def calibrated(vector, *, table=True, **provenance):
         SensorErrors(vector),
         np.zeros((N_PARAMETERS, N_PARAMETERS)),
         U=rotation_matrix(np.array([0.1, -0.2, 0.15])) if table else None,
-        provenance=provenance,
+        provenance=Provenance(**provenance),
     )
 
 

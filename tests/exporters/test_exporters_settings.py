@@ -14,6 +14,7 @@ import srt
 from srt import exporters
 from srt.exporters import ExportSettings, Readings, export, gtsam_preintegration, load, save
 from srt.model.sensor_model import gyro_triad
+from srt.result.provenance import Provenance, Temperature
 from srt.sensor_errors import GROUP_SLICES, SensorErrors
 
 
@@ -148,7 +149,7 @@ def test_a_writer_that_is_wrong_is_found_out(monkeypatch, sensor, name):
 
 
 def test_texts_of_a_file_cannot_break_out_of_its_comments():
-    made = export(calibrated(np.random.default_rng(23), provenance={"serial": "a\nimu1: [}\u2028"}), "kalibr")
+    made = export(calibrated(np.random.default_rng(23), provenance=Provenance(serial="a\nimu1: [}\u2028")), "kalibr")
     assert list(yaml.safe_load(made.texts[""])) == ["imu0"]
     made.texts[""].encode("ascii")
 
@@ -156,7 +157,7 @@ def test_texts_of_a_file_cannot_break_out_of_its_comments():
 @pytest.mark.parametrize("target", sorted(set(TARGETS) - {"vectornav", "imu_tk"}))
 def test_files_state_the_temperature_of_the_test(target):
     """All but the files that hold commands or numbers alone."""
-    changes = {"temperature": {"mean_c": 25.04, "range_c": 1.5, "sequences": []}}
+    changes = {"temperature": Temperature(25.04, 1.5)}
     rng = np.random.default_rng(29)
     for temperature, fragment in ((changes, "mean 25.0 degC, range 1.5 degC"), ({}, "not stated")):
         text = export(calibrated(rng, **temperature), target).texts[""]

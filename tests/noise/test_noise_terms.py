@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import json
+from dataclasses import replace
 
 import noise_terms as simulated
 import numpy as np
@@ -15,6 +16,7 @@ from srt.cli import main
 from srt.exporters import ExportSettings, export
 from srt.noise.likelihood_thresholds import normal_threshold
 from srt.noise.noise_terms import ALL_TERMS, noise_terms
+from srt.result.provenance import Provenance, StatedSite
 from srt.sensor_errors import SensorErrors
 
 pytest.importorskip("allantools")
@@ -129,7 +131,12 @@ def shelf(tmp_path_factory):
     recording = srt.Recording(dt * np.arange(1, n + 1), x[:, :3], x[:, 3:], srt.Site(9.8), serial="SN-7")
     srt.write_recording(recording, folder / "rec", samples_format="npz")
     calibration = srt.Calibration(
-        "hand", "converged", "Done.", SensorErrors(np.full(27, 1e-3)), 1e-12 * np.eye(27), provenance={"serial": "SN-7"}
+        "hand",
+        "converged",
+        "Done.",
+        SensorErrors(np.full(27, 1e-3)),
+        1e-12 * np.eye(27),
+        provenance=Provenance(serial="SN-7"),
     )
     calibration.save(folder / "unit.json")
     with contextlib.redirect_stdout(io.StringIO()) as out:
@@ -182,7 +189,7 @@ def test_gtsam_gets_the_noise_the_walks_and_the_inflation(shelf):
 
     calibration = srt.load_calibration(shelf / "unit.json")
     noise = {**calibration.noise, "gyro_noise_rad_per_sqrt_s": [1e-2] * 3, "accel_noise_m_s2_sqrt_s": [1e-1] * 3}
-    calibration = replace(calibration, noise=noise, site={"gravity_m_s2": 9.8})
+    calibration = replace(calibration, noise=noise, site=StatedSite(gravity_m_s2=9.8))
     plain, inflated = (
         json.loads(export(calibration, "gtsam", settings=ExportSettings(inflate=factor)).texts[""])
         for factor in (None, 3.0)
@@ -234,9 +241,7 @@ def test_an_axis_without_the_term_takes_the_white_noise_of_the_test():
 
 def test_another_unit_and_a_moving_log_are_refused(shelf, tmp_path, capfd):
     calibration = srt.load_calibration(shelf / "unit.json")
-    other = {**calibration.provenance, "serial": "SN-8"}
-    from dataclasses import replace
-
+    other = replace(calibration.provenance, serial="SN-8")
     replace(calibration, provenance=other).save(tmp_path / "other.json")
     before = (tmp_path / "other.json").read_bytes()
     assert main(["noise", str(shelf / "rec"), "--into", str(tmp_path / "other.json")]) == 2

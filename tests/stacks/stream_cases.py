@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 import srt
+from srt.result.provenance import Temperature
 from srt.sensor_errors import N_PARAMETERS, SensorErrors
 from srt.stacks.stream_correction import StreamCorrector, StreamOptions
 
@@ -15,7 +16,7 @@ CALIBRATION = srt.Calibration(
     "Done.",
     SensorErrors(RNG.normal(0.0, 0.01, N_PARAMETERS)),
     1e-8 * np.eye(N_PARAMETERS),
-    temperature={"mean_c": 25.0, "range_c": 2.0, "sequences": []},
+    temperature=Temperature(25.0, 2.0),
     diagnostics={"g_sensitivity": {"matrix": RNG.normal(0.0, 1e-4, (3, 3)).tolist()}},
 )
 N = 40

@@ -435,7 +435,7 @@ def _left(residuals: Iterable[Residual]) -> list[Residual]:
 
 def _change_notes(source: CalibrationFile, change: ParameterChanges) -> Iterator[str]:
     old = change.old
-    dates = [plain(s.calibration.provenance.get("date")) or "a date not stated" for s in (old, source)]
+    dates = [plain(s.calibration.provenance.date) or "a date not stated" for s in (old, source)]
     yield f"Before: {plain(old.name)}, of {dates[0]}, SHA-256 {old.sha256}; now of {dates[1]}."
     temperatures = [temperature(s.calibration) for s in (old, source)]
     yield f"Temperature before: {temperatures[0]}; now: {temperatures[1]}."

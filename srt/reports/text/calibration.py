@@ -282,7 +282,7 @@ def source_label(source: str) -> str:
 
 
 def _heading(calibration: Calibration, title: str) -> Iterable[str]:
-    serial = calibration.provenance.get("serial")
+    serial = calibration.provenance.serial
     yield from wrap(f"{title}{f' (serial {serial})' if serial else ''}: {calibration.estimator}")
     # Only the first sentence: the fixed parameters follow the table, with the reasons.
     message = calibration.message.split(" Fixed, not observed:")[0]
@@ -293,7 +293,7 @@ def _heading(calibration: Calibration, title: str) -> Iterable[str]:
         yield from wrap(f"Largest correction of each iteration: {steps}.")
     temperature = calibration.temperature
     if temperature is not None:
-        yield f"Temperature {temperature['mean_c']:.1f} °C, range {temperature['range_c']:.1f} °C."
+        yield f"Temperature {temperature.mean_c:.1f} °C, range {temperature.range_c:.1f} °C."
 
 
 def _held(calibration: Calibration) -> Iterable[str]:

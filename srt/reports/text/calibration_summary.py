@@ -89,7 +89,7 @@ def calibration_text(
 
 def verdict_lines(calibration: Calibration, title: str) -> Iterator[str]:
     """Heading, status, and agreement of the measurements."""
-    serial = calibration.provenance.get("serial")
+    serial = calibration.provenance.serial
     yield f"{title}{f' (serial {serial})' if serial else ''}: {calibration.estimator}"
     message = calibration.message.split(" Fixed, not observed:")[0].split(" Held, not observed:")[0]
     yield message if calibration.status == "converged" else f"Status {calibration.status.replace('_', ' ')}: {message}"
