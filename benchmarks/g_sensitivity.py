@@ -151,7 +151,7 @@ def _observed(unit: Simulation, found: Calibration) -> float:
     Gamma = unit.imu.gyro_g_sensitivity.copy()
     if "g_sensitivity" in found.diagnostics:
         Gamma -= np.array(found.diagnostics["g_sensitivity"]["matrix"])
-    own = np.array(found.noise["gyro_bias_by_sequence_rad_s"])
+    own = np.asarray(found.noise.gyro_bias_by_sequence_rad_s)
     bias = unit.truth.vector[_BIAS] - found.errors.vector[_BIAS]
     return float(np.mean((bias - own[:, None] + force @ Gamma.T) ** 2))
 

@@ -329,7 +329,9 @@ def _notes(
     for name, pair in differences.items():
         if pair.smaller_sigma:
             reference = calibrations[pair.reference]
-            enlarged = reference.verdict.get("added_noise") or (reference.noise.get("sigma_inflation") or 1.0) > 1.0
+            enlarged = (reference.verdict and reference.verdict.added_noise) or (
+                reference.noise.sigma_inflation or 1
+            ) > 1
             reason = "has sigmas that its residuals have enlarged" if enlarged else "is not efficient for them"
             yield (
                 f"{name} reports a smaller sigma than {pair.reference} for {listing(pair.smaller_sigma)}: "

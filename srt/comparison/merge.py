@@ -17,6 +17,7 @@ from srt.estimation.leave_one_out import SequenceDiagnostics, consistency_tests,
 from srt.exceptions import DataError, InputError
 from srt.model.rotations import rotation_vector
 from srt.result.calibration import G_SENSITIVITY, Calibration, software
+from srt.result.noise_figures import NoiseFigures
 from srt.result.provenance import Alignment, Provenance, StatedSite, Temperature
 from srt.result.verdict import DOUBTFUL, USABLE
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES, SensorErrors
@@ -53,7 +54,7 @@ def merge_calibrations(
     -------
     Calibration
         Estimator "merged"; covariance of the unit's mean over the recordings, ``diagnostics["repeatability"]`` with the
-        values of each, ``verdict["sequences"]`` with the recordings in place of sequences. U is kept if all
+        values of each, ``verdict.sequences`` with the recordings in place of sequences. U is kept if all
         recordings agree on it (the unit was mounted in the same way), otherwise None.
 
     Raises
@@ -118,24 +119,24 @@ def _merged(
         U=U,
         U_sigma_rad=U_sigma,
         site=_shared([c.site for c in members]),
-        noise={"between_recordings": dict(zip(GROUP_SLICES, sizes.tolist(), strict=True))},
+        noise=NoiseFigures(between_recordings=dict(zip(GROUP_SLICES, sizes.tolist(), strict=True))),
         alignment=_shared([c.alignment for c in members]),
         temperature=_temperature(members),
         provenance=_provenance(members),
         diagnostics={
             "repeatability": repeatability(stack, used, left_out, vector, sizes, (statistic, freedom, p_value))
         },
-        verdict=verdict(
-            _recording_diagnostics(stack, within, within + scatter, titles, vector),
-            covariance,
-            observed,
-            statistic,
-            freedom,
-        )
-        | {
-            "between_recordings": bool(sizes.any()),
-            "doubtful_recordings": [title for title, c in used.items() if c.judgement.word == DOUBTFUL],
-        },
+        verdict=replace(
+            verdict(
+                _recording_diagnostics(stack, within, within + scatter, titles, vector),
+                covariance,
+                observed,
+                statistic,
+                freedom,
+            ),
+            between_recordings=bool(sizes.any()),
+            doubtful_recordings=tuple(title for title, c in used.items() if c.judgement.word == DOUBTFUL),
+        ),
         warnings=_warnings(used, left_out, sizes, p_value, U_note),
     )
 

@@ -154,8 +154,8 @@ def asymmetry_omitted(evidence: Evidence) -> Iterator[Finding]:
     if free is None or free.status not in USABLE:
         return
     part = GROUP_SLICES["gyro_asymmetry"]
-    chi_square, freedom = free.noise["chi_square"], free.noise["degrees_of_freedom"]
-    inflation = max(1.0, chi_square / freedom) if freedom > 0 else 1.0
+    chi_square, freedom = free.noise.chi_square, free.noise.degrees_of_freedom
+    inflation = max(1.0, chi_square / freedom) if freedom and chi_square is not None else 1.0
     sigma = np.sqrt(inflation * free.sigma[part] ** 2 + _of_g_sensitivity(evidence.data, fit) ** 2)
     off = free.errors.vector[part] - held.errors.vector[part]
     with np.errstate(invalid="ignore"):

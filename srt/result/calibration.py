@@ -16,8 +16,10 @@ import numpy as np
 from srt.exceptions import InputError
 from srt.presentation import Presented
 from srt.result.applier import BLOCK, Applier
+from srt.result.consistency import Consistency
 from srt.result.document import from_document, to_document
 from srt.result.json_file import load_json_file, require_json, save_json_file
+from srt.result.noise_figures import NoiseFigures
 from srt.result.provenance import Alignment, Provenance, StatedSite, Temperature
 from srt.result.verdict import Verdict, verdict_on
 from srt.sensor_errors import INDEX, N_PARAMETERS, NAMES, SYMBOLS, UNITS, SensorErrors
@@ -92,15 +94,14 @@ class Calibration(Presented):
     U_sigma_rad : float or None
     residuals : tuple of Residual
     site : StatedSite
-    noise : dict
+    noise : NoiseFigures
     alignment : Alignment
     temperature : Temperature or None
     provenance : Provenance
     diagnostics : dict
         Further output of the estimator, such as the innovations of every sequence; JSON values.
-    verdict : dict
-        Consistency of the measurements, :func:`srt.estimation.leave_one_out.verdict`; JSON values, empty if unknown.
-        :attr:`judgement` states it in words.
+    verdict : Consistency or None
+        Consistency of the measurements; None if unknown. :attr:`judgement` states it in words.
     warnings : tuple of str
     """
 
@@ -116,12 +117,12 @@ class Calibration(Presented):
     U_sigma_rad: float | None = None
     residuals: tuple[Residual, ...] = ()
     site: StatedSite = field(default_factory=StatedSite)
-    noise: Mapping[str, Any] = field(default_factory=dict)
+    noise: NoiseFigures = field(default_factory=NoiseFigures)
     alignment: Alignment = field(default_factory=Alignment)
     temperature: Temperature | None = None
     provenance: Provenance = field(default_factory=Provenance)
     diagnostics: Mapping[str, Any] = field(default_factory=dict)
-    verdict: Mapping[str, Any] = field(default_factory=dict)
+    verdict: Consistency | None = None
     warnings: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -252,18 +253,14 @@ class Calibration(Presented):
             },
             "formula": FORMULA + (FORMULA_G_SENSITIVE if G_SENSITIVITY in self.diagnostics else ""),
             "site": to_document(self.site),
-            "noise": {**self.noise, "contributions": {k: v.tolist() for k, v in self.contributions.items()}},
+            "noise": {**to_document(self.noise), "contributions": to_document(self.contributions)},
             "alignment": to_document(self.alignment),
             "temperature": to_document(self.temperature),
             "residuals": to_document(self.residuals),
             "provenance": to_document(self.provenance),
             "diagnostics": dict(self.diagnostics),
-            "verdict": self._verdict_dict(),
+            "verdict": {} if self.verdict is None else to_document(self.judgement) | to_document(self.verdict),
         }
-
-    def _verdict_dict(self) -> dict[str, Any]:
-        judgement = self.judgement
-        return {"word": judgement.word, "reason": judgement.reason, **self.verdict} if self.verdict else {}
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the JSON form with its digest, whole or not at all. Raises InputError if the path cannot be written."""
@@ -309,7 +306,9 @@ def _from_dict(document: dict[str, Any]) -> Calibration:
     for i, p in enumerate(parameters):
         if p["observed"] and not math.isclose(p["sigma"], math.sqrt(covariance[i, i]), rel_tol=1e-6, abs_tol=1e-300):
             raise InputError(f"the sigma of {p['name']} does not agree with the covariance.")
-    noise = dict(document["noise"])
+    noise, verdict = (dict(document.get(key, {})) for key in ("noise", "verdict"))
+    for key in ("word", "reason"):  # they follow from the rest
+        verdict.pop(key, None)
     contributions = {k: np.array(v, dtype=np.float64) for k, v in noise.pop("contributions", {}).items()}
     frame, temperature = document["frame"], document["temperature"]
     return Calibration(
@@ -325,12 +324,12 @@ def _from_dict(document: dict[str, Any]) -> Calibration:
         U_sigma_rad=frame["U_sigma"],
         residuals=tuple(from_document(Residual, r, f"residuals.{i}") for i, r in enumerate(document["residuals"])),
         site=from_document(StatedSite, document["site"], "site"),
-        noise=noise,
+        noise=from_document(NoiseFigures, noise, "noise"),
         alignment=from_document(Alignment, document["alignment"], "alignment"),
         temperature=None if temperature is None else from_document(Temperature, temperature, "temperature"),
         provenance=from_document(Provenance, document["provenance"], "provenance"),
         diagnostics=document.get("diagnostics", {}),
-        verdict={k: v for k, v in document.get("verdict", {}).items() if k not in ("word", "reason")},
+        verdict=from_document(Consistency, verdict, "verdict") if verdict else None,
         warnings=from_document(tuple[str, ...], document.get("warnings", []), "warnings"),
     )
 

@@ -61,9 +61,7 @@ def to_document(value: object) -> Any:
         part = getattr(value, name)
         if name == _FURTHER:
             out |= to_document(part)
-        elif name == _NULLS:
-            continue
-        elif part is not None or required or name in nulls:
+        elif name != _NULLS and (part is not None or required or name in nulls):
             out[key] = to_document(part)
     return out
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from srt.exceptions import InputError
+from srt.result.consistency import SequenceResult
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -16,7 +17,9 @@ class StatedSite:
     gravity_m_s2: float | None = None
     gravity_sigma_m_s2: float | None = None
     latitude_sigma_deg: float | None = None
-    nulls: tuple[str, ...] = ("latitude_deg", "gravity_m_s2", "gravity_sigma_m_s2", "latitude_sigma_deg")
+    nulls: tuple[str, ...] = field(
+        default=("latitude_deg", "gravity_m_s2", "gravity_sigma_m_s2", "latitude_sigma_deg"), compare=False
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,15 +42,13 @@ class Alignment:
     alignment_sigma_mrad: float | None = None
     rotation_sigma_mrad: float | None = None
     wobble_sigma_mrad: float | None = None
-    nulls: tuple[str, ...] = ()
+    nulls: tuple[str, ...] = field(default=(), compare=False)
 
 
-@dataclass(frozen=True, slots=True)
-class SequenceTemperature:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SequenceTemperature(SequenceResult):
     """Mean and range of the temperature in a sequence, °C."""
 
-    sequence: str
-    occurrence: int
     mean_c: float
     range_c: float
 
@@ -100,4 +101,4 @@ class Provenance:
     voided: Mapping[str, str] = field(default_factory=dict)
     applied: Mapping[str, Any] | None = None
     recordings: "tuple[Provenance, ...] | None" = None
-    nulls: tuple[str, ...] = ("data_sha256", "software", "serial", "date")
+    nulls: tuple[str, ...] = field(default=("data_sha256", "software", "serial", "date"), compare=False)

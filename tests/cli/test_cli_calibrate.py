@@ -127,7 +127,7 @@ def test_summary_says_what_to_do(calibration):
     found = replace(
         calibration,
         warnings=("The residuals are larger than the noise explains. " * 8, "Another one. " * 20),
-        noise={**calibration.noise, "estimated": ["gyro_noise", "gyro_quantization"]},
+        noise=replace(calibration.noise, estimated=("gyro_noise", "gyro_quantization")),
     )
     lines = calibration_summary(found, title="x", source="unit-7", truth=calibration.errors).splitlines()
     assert len(lines) + 3 <= 45  # the command adds three: an empty line, files written, and the hint at --details

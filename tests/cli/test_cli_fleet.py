@@ -119,7 +119,7 @@ def test_table_has_a_row_per_unit_and_fits(made):
     symbol = SYMBOLS[INDEX["accel_scale_y"]]
     for number, name in enumerate(UNITS[:-1]):
         found = srt.load_calibration(output / f"{name}.json")
-        ratio = found.verdict["chi_square"] / found.verdict["degrees_of_freedom"]
+        ratio = found.verdict.chi_square / found.verdict.degrees_of_freedom
         assert rows[name][:3] == [f"SN-{number}", "converged", found.judgement.word]
         assert float(rows[name][3]) == pytest.approx(ratio, abs=0.0051)
         assert rows[name][5:] == [str(len(found.warnings)), symbol if name == ODD else "no"]

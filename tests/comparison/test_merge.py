@@ -20,6 +20,7 @@ from srt.comparison.merge_model import between_sigma, stack_estimates
 from srt.constants import DEG_PER_H
 from srt.recording.recording import Fixture
 from srt.reports.text.repeatability import repeatability_text
+from srt.result.noise_figures import NoiseFigures
 from srt.result.provenance import Provenance, StatedSite, Temperature
 from srt.sensor_errors import GROUP_SLICES, INDEX, N_PARAMETERS, NAMES, SensorErrors
 
@@ -110,7 +111,7 @@ def test_common_gravity_is_an_unknown_of_all_recordings():
         # Any other gravity looks like other scales, so that nothing in a recording tells of it.
         part, values = recorded(rng, x + 1.3 * effect, np.arange(N_PARAMETERS))
         found, P = alone(part, values)
-        calibrations.append(made(found, P + np.outer(effect, effect), noise={"gravity_effect": effect.tolist()}))
+        calibrations.append(made(found, P + np.outer(effect, effect), noise=NoiseFigures(gravity_effect=effect)))
         H.append(np.column_stack([part, part @ effect]))
         z.append(values)
     prior = np.eye(1, N_PARAMETERS + 1, N_PARAMETERS)
@@ -129,7 +130,7 @@ def test_common_errors_are_not_averaged_down():
     effect[SCALE] = 1e-5
     shift = 1e-5 * rng.standard_normal((N_PARAMETERS, 2))
     by_held = shift @ shift.T
-    noise = {"gravity_effect": effect.tolist(), "held_values_covariance": by_held.tolist()}
+    noise = NoiseFigures(gravity_effect=effect, held_values_covariance=by_held)
     calibrations = [
         made(1e-3 * rng.standard_normal(N_PARAMETERS), own + by_held + np.outer(effect, effect), noise=noise)
         for _ in range(16)
@@ -148,7 +149,7 @@ def test_contributions_add_up_to_sigma():
     rng = np.random.default_rng(4)
     calibrations = [made(1e-4 * rng.standard_normal(N_PARAMETERS), random_covariance(rng)) for _ in range(3)]
     merged = merge_calibrations(calibrations)
-    assert max(merged.noise["between_recordings"].values()) > 0.0
+    assert max(merged.noise.between_recordings.values()) > 0.0
     total = np.sqrt(sum(part**2 for part in merged.contributions.values()))
     np.testing.assert_allclose(total, merged.sigma, rtol=1e-9)
 
@@ -159,7 +160,7 @@ def test_sigmas_of_before_know_gravity_by_its_size_alone():
     merged = merge_calibrations([first, second], between=False)
 
     def bare(c):
-        return replace(c, noise={k: v for k, v in c.noise.items() if k != "gravity_effect"})
+        return replace(c, noise=replace(c.noise, gravity_effect=None))
 
     old = merge_calibrations([bare(first), bare(second)], between=False)
     np.testing.assert_allclose(old.sigma[SCALE], merged.sigma[SCALE], rtol=1e-3)
@@ -198,10 +199,10 @@ def test_turn_on_scatter_is_in_the_covariance():
     values = np.zeros((4, N_PARAMETERS))
     values[:, GROUP_SLICES["accel_bias"]] = 1e-4 * rng.standard_normal((4, 3))
     merged = merge_calibrations([made(v, P) for v in values])
-    tau = merged.noise["between_recordings"]["accel_bias"]
+    tau = merged.noise.between_recordings["accel_bias"]
     np.testing.assert_allclose(merged.sigma[GROUP_SLICES["accel_bias"]], np.hypot(tau, 1e-7) / 2.0, rtol=1e-6)
     np.testing.assert_allclose(merged.sigma[GROUP_SLICES["gyro_scale"]], 0.5e-7, rtol=1e-6)
-    assert merged.noise["between_recordings"]["gyro_scale"] == 0.0
+    assert merged.noise.between_recordings["gyro_scale"] == 0.0
     assert any("accel bias from recording to recording" in w for w in merged.warnings)
 
 
@@ -212,8 +213,8 @@ def test_a_recording_that_differs_stands_out():
     i = INDEX["gyro_scale_y"]
     values[2, i] += 20.0 * np.sqrt(P[i, i])
     merged = merge_calibrations([made(v, P) for v in values], ["a", "b", "c", "d"])
-    worst = max(merged.verdict["sequences"], key=lambda row: row["chi_square"])
-    assert worst["sequence"] == "c"
+    worst = max(merged.verdict.sequences, key=lambda row: row.chi_square)
+    assert worst.sequence == "c"
     row = merged.diagnostics["repeatability"]["parameters"][i]
     assert row["largest_deviation"]["recording"] == "c"
     # 20 of a sigma, and what is left of a value from the mean of four has three quarters of its variance.
@@ -291,7 +292,7 @@ def test_estimators_may_be_mixed():
     """A filter's and a closed form's calibration, of two recordings: gravity is common to them all the same."""
     pytest.importorskip("filterpy")
     both = [srt.calibrate(r, e, checks=False) for r, e in zip(recordings(2, 2)[0], ("ekf", "closed-form"), strict=True)]
-    gravity = [np.array(c.noise["gravity_effect"]) for c in both]
+    gravity = [c.noise.gravity_effect for c in both]
     np.testing.assert_allclose(gravity[0][SCALE], gravity[1][SCALE], rtol=0.02)
     merged = merge_calibrations(both, between=False)
     np.testing.assert_allclose(merged.contributions["gravity"][SCALE], gravity[1][SCALE], rtol=0.02)
@@ -347,7 +348,7 @@ def test_file_and_text(tmp_path):
     assert merged.temperature == Temperature(21.0, 4.0)
     assert len(merged.provenance.recordings) == 3
     assert len(merged.provenance.data_sha256) == 64
-    assert [row["sequence"] for row in merged.verdict["sequences"]] == ["first", "second", "third"]
+    assert [row.sequence for row in merged.verdict.sequences] == ["first", "second", "third"]
     text = repeatability_text(again)
     assert max(map(len, text.splitlines())) <= 80
     for word in ("first", "2026-02-01", "22.0", "scatter:", "p:", "farthest:", "All parameters together"):

@@ -251,7 +251,7 @@ def test_a_bias_that_wanders_besides():
         )
         gyro[part] += rng.standard_normal(3) * size
     found = srt.calibrate(replace(recording, gyro=gyro), "closed-form", gyro_bias="g-sensitive", checks=False)
-    wander = np.sqrt(np.mean(np.array(found.noise["gyro_bias_wander_rad_s"]) ** 2))
+    wander = np.sqrt(np.mean(found.noise.gyro_bias_wander_rad_s**2))
     assert abs(wander / size - 1.0) < 3.5 / math.sqrt(78.0) + 0.1
     stated = found.diagnostics["g_sensitivity"]
     error = (np.array(stated["matrix"]) - GAMMA).ravel()

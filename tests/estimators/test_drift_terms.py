@@ -97,7 +97,7 @@ def test_ramps_on_a_fixture_are_named_and_modelled(estimator):
     drifted = np.array(sizes["gyro"]["change_rad_s"]) / np.sqrt(12.0)
     assert np.all(found.sigma[-3:] > np.abs(drifted))
     assert np.all(found.sigma[-3:] < np.hypot(drifted, 1.5 * quiet.sigma[-3:]))
-    assert found.noise["degrees_of_freedom"] == quiet.noise["degrees_of_freedom"] - 6
+    assert found.noise.degrees_of_freedom == quiet.noise.degrees_of_freedom - 6
 
 
 def test_filter_is_the_block_solution_with_drift():

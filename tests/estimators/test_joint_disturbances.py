@@ -161,8 +161,8 @@ def spoiled(case, seed, name, which):
 
 def named_sequence(calibration):
     """The sequence that contradicts the others; None if there is none."""
-    worst = calibration.verdict["contradicting"]
-    return None if worst is None else worst["sequence"]
+    worst = calibration.verdict.contradicting
+    return None if worst is None else worst.sequence
 
 
 def named_windows(calibration, recording):

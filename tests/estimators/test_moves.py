@@ -14,6 +14,7 @@ from srt.estimation.options import Options
 from srt.model.prior import Prior
 from srt.procedure import sigmas_with_moves
 from srt.recording.recording import SequenceLabel
+from srt.result.noise_figures import NoiseFigures
 from srt.sensor_errors import GROUP_SLICES
 from srt.sequences.moves import recorded_moves
 
@@ -197,7 +198,7 @@ def test_a_result_that_json_cannot_hold_is_not_made():
     rows = [{"probability": 1.0}, {"probability": float("nan")}]
     with pytest.raises(srt.InputError, match=r"diagnostics\.filter\.1\.probability is nan"):
         replace(result, diagnostics={"filter": rows})
-    with pytest.raises(srt.InputError, match=r"noise\.sigma is a ndarray"):
-        replace(result, noise={"sigma": np.ones(3)})
+    with pytest.raises(srt.InputError, match=r"noise\.gravity_effect\.1 is inf"):
+        replace(result, noise=NoiseFigures(gravity_effect=np.array([1.0, np.inf])))
     with pytest.raises(srt.InputError, match="covariance"):
         replace(result, covariance=np.full((27, 27), np.inf))

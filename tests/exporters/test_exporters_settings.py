@@ -14,6 +14,7 @@ import srt
 from srt import exporters
 from srt.exporters import ExportSettings, Readings, export, gtsam_preintegration, load, save
 from srt.model.sensor_model import gyro_triad
+from srt.result.noise_figures import NoiseFigures
 from srt.result.provenance import Provenance, Temperature
 from srt.sensor_errors import GROUP_SLICES, SensorErrors
 
@@ -105,7 +106,7 @@ def test_noise_and_rate_go_into_the_file_where_known():
         "rostopic": "/imu/raw",
         "time_offset": 0.0,
     }
-    without = export(replace(calibration, noise={}), "openvins")
+    without = export(replace(calibration, noise=NoiseFigures()), "openvins")
     assert len(without.unknown) == 5
     assert "noise_density" not in without.texts[""]
     # A number with an exponent and no point is a word in YAML 1.1.
@@ -228,7 +229,7 @@ def test_gtsam_refusals(options, fragment):
 def test_gtsam_needs_the_noise():
     pytest.importorskip("gtsam")
     with pytest.raises(srt.InputError, match="white noise"):
-        gtsam_preintegration(calibrated(np.random.default_rng(27), noise={}), readings="raw")
+        gtsam_preintegration(calibrated(np.random.default_rng(27), noise=NoiseFigures()), readings="raw")
 
 
 def test_opencv_opens_the_file_of_openvins(tmp_path):

@@ -11,6 +11,7 @@ import srt
 from srt.reports.certificate import calibration_file
 from srt.reports.certificate.figures import certificate_figures
 from srt.result.calibration import Residual
+from srt.result.consistency import Consistency
 from srt.result.provenance import Alignment, Provenance, StatedSite, Temperature
 from srt.sensor_errors import DISPLAY_FACTORS, NAMES, SensorErrors
 
@@ -46,13 +47,7 @@ def calibration(seed=1, held=(), sequences=3, **changes):
             date="2026-05-04",
             options={"hold": []},
         ),
-        "verdict": {
-            "chi_square": 44.0,
-            "degrees_of_freedom": 44,
-            "probability": 0.47,
-            "sequences": [],
-            "parameters": [],
-        },
+        "verdict": Consistency(chi_square=44.0, degrees_of_freedom=44, probability=0.47),
     }
     return srt.Calibration(**(given | changes))
 

@@ -243,7 +243,7 @@ def test_limits_are_met_or_not(saved, tmp_path, plain_page):
 def test_no_limit_is_passed_by_a_doubtful_calibration(saved, tmp_path, plain_page):
     """chi-square 379 for 44 degrees of freedom: sigmas were too small by 2.9 before they were enlarged."""
     result = calibration()
-    evidence = result.verdict | {"chi_square": 379.0, "degrees_of_freedom": 44, "probability": 5e-55}
+    evidence = replace(result.verdict, chi_square=379.0, degrees_of_freedom=44, probability=5e-55)
     wide = limits(tmp_path, "[value]\ngyro_scale_ppm = 1e9")
     made = make_certificate(saved(replace(result, verdict=evidence)), limits=wide)
     assert (made.outcome, made.failed) == ("doubtful", ())

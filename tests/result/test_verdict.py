@@ -14,6 +14,8 @@ from srt.diagnosis.faults import FAULTS
 from srt.estimation import calibration_builder
 from srt.estimation.leave_one_out import verdict
 from srt.result.calibration import STATUSES
+from srt.result.consistency import AddedNoise, ChiSquareTest
+from srt.result.noise_figures import NoiseFigures
 from srt.result.verdict import DOUBTFUL, FAILED, NOT_IN_RESIDUALS, SOUND, USABLE
 from srt.sensor_errors import N_PARAMETERS, SensorErrors
 
@@ -24,13 +26,12 @@ UNIT = srt.Calibration("ekf", "converged", "It ended.", SensorErrors(np.zeros(N_
 def judged(statistic, freedom, *, status="converged", diagnostics=None, noise=None, **evidence):
     """Verdict on a calibration whose residuals have a chi-square against the noise of the sensors."""
     own = verdict([], np.eye(N_PARAMETERS), OBSERVED, statistic, freedom)
-    tested = {key: own[key] for key in ("chi_square", "degrees_of_freedom", "probability")}
+    test = ChiSquareTest(chi_square=statistic, degrees_of_freedom=freedom, probability=own.probability)
     found = srt.Calibration(
         "closed-form", status, "It ended.", SensorErrors(np.zeros(N_PARAMETERS)), np.eye(N_PARAMETERS)
     )
-    return replace(
-        found, verdict=own | {"own_noise": tested} | evidence, diagnostics=diagnostics or {}, noise=noise or {}
-    ).judgement
+    evidence = replace(own, own_noise=test, **evidence)
+    return replace(found, verdict=evidence, diagnostics=diagnostics or {}, noise=NoiseFigures(**noise or {})).judgement
 
 
 @pytest.mark.parametrize(
@@ -54,8 +55,8 @@ def test_agreement_with_the_sensors_noise_comes_first(statistic, freedom, word, 
 
 
 def test_added_noise_and_the_factor_are_told_after_the_agreement():
-    added = {"rotation_rad": {"added": 1e-3, "own": 1e-4}, "force_m_s2": {"added": 0.0, "own": 1e-4}}
-    found = judged(200.0, 44, added_noise=added, sigma_factor=[1.0, 2.5])
+    added = {"rotation_rad": AddedNoise(added=1e-3, own=1e-4), "force_m_s2": AddedNoise(added=0.0, own=1e-4)}
+    found = judged(200.0, 44, added_noise=added, sigma_factor=(1.0, 2.5))
     assert found.word == DOUBTFUL
     assert found.reason.endswith(
         "Added noise, 1-sigma: 0.057° per rotation (own noise: 0.0057° per rotation). The sigmas are 1 to 2.5 times "
@@ -128,6 +129,8 @@ def test_residuals_of_three_times_the_sensors_noise_are_no_calibration(ratio, st
         status="converged", message="It ended.", diagnostics={}, sensor_noise_fit=fit, chi_square=44.0,
         degrees_of_freedom=44,
     )  # fmt: skip
-    found, message = calibration_builder._status(result, {}, {"contradicting": None}, free=False)
+    found, message = calibration_builder._status(
+        result, {}, verdict([], np.eye(N_PARAMETERS), OBSERVED, 44.0, 44), free=False
+    )
     assert found == status
     assert ("3.1 times as large" in message) == (status == "inconsistent")

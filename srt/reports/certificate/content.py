@@ -324,7 +324,8 @@ def residual_table(calibration: Calibration) -> CertificateTable | None:
     """
     if not calibration.residuals:
         return None
-    judged = {(row["sequence"], row["occurrence"]): row for row in calibration.verdict.get("sequences", ())}
+    tests = () if calibration.verdict is None else calibration.verdict.sequences
+    judged = {(row.sequence, row.occurrence): row for row in tests}
     by_turn: dict[tuple[str, int], list[Residual]] = {}
     for residual in calibration.residuals:
         by_turn.setdefault((residual.sequence, residual.occurrence), []).append(residual)
@@ -352,12 +353,12 @@ def residual_table(calibration: Calibration) -> CertificateTable | None:
             cells += [CertificateCell("-"), CertificateCell("-"), CertificateCell("solved for")]
         if judged:
             row = judged.get(turn)
-            freedom = 0 if row is None else row["degrees_of_freedom"]
+            freedom = 0 if row is None else row.degrees_of_freedom
             cells += [
-                CertificateCell(f"{row['chi_square']:.1f} / {freedom}")
+                CertificateCell(f"{row.chi_square:.1f} / {freedom}")
                 if row and freedom
                 else CertificateCell("not checkable"),
-                CertificateCell(probability_text(row["probability"]) or "-") if row else CertificateCell("-"),
+                CertificateCell(probability_text(row.probability) or "-") if row else CertificateCell("-"),
             ]
         rows.append(tuple(cells))
     note = (

@@ -107,8 +107,7 @@ def _notes(calibration: Calibration) -> Iterator[str]:
 
 def _advice(calibration: Calibration, source: str, with_moves: tuple[float, float] | None) -> Iterator[str]:
     """Next steps for the user."""
-    noise = calibration.noise
-    estimated = [key for name, key in _STATED_NOISE.items() if name in noise.get("estimated", ())]
+    estimated = [key for name, key in _STATED_NOISE.items() if name in (calibration.noise.estimated or ())]
     if any(key.startswith(("gyro_noise", "accel_noise")) for key in estimated) or (
         estimated and calibration.judgement.word != SOUND
     ):
