@@ -25,6 +25,7 @@ from sims.robustness.summary import summarise
 from srt.cli.robustness import header_of
 from srt.comparison.fleet import FleetUnit, assemble_fleet
 from srt.reports.text.fleet import fleet_text
+from srt.result.diagnostics import Diagnostics
 from srt.result.noise_figures import NoiseFigures
 from srt.result.provenance import Provenance
 from srt.sensor_errors import SensorErrors
@@ -55,7 +56,7 @@ def fleet(units: int) -> None:
         contributions={},
         residuals=(),
         noise=NoiseFigures(),
-        diagnostics={},
+        diagnostics=Diagnostics(),
         provenance=Provenance(),
     )
     rng = np.random.default_rng(0)

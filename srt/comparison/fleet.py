@@ -21,6 +21,7 @@ from srt.comparison.outliers import FALSE_ALARMS, MINIMUM_UNITS, FleetOutliers, 
 from srt.exceptions import DataError, InputError, SrtError
 from srt.model.platform_steps import many_recordings
 from srt.recording.atomic_file import atomic_path
+from srt.result.diagnostics import Diagnostics
 from srt.result.noise_figures import NoiseFigures
 from srt.result.provenance import Alignment, Provenance, StatedSite
 from srt.result.verdict import USABLE
@@ -293,7 +294,7 @@ def _without_details(unit: FleetUnit) -> FleetUnit:
         provenance=Provenance(),
         # The values that the verdict is made from stay.
         noise=NoiseFigures(sigma_inflation=found.noise.sigma_inflation),
-        diagnostics={k: v for k, v in found.diagnostics.items() if k in ("faults", "drift")}, verdict=verdict,
+        diagnostics=Diagnostics(faults=found.diagnostics.faults, drift=found.diagnostics.drift), verdict=verdict,
     )  # fmt: skip
     return replace(unit, calibration=kept)
 

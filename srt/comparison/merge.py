@@ -16,7 +16,8 @@ from srt.comparison.repeatability import repeatability
 from srt.estimation.leave_one_out import SequenceDiagnostics, consistency_tests, leave_one_out_estimates, verdict
 from srt.exceptions import DataError, InputError
 from srt.model.rotations import rotation_vector
-from srt.result.calibration import G_SENSITIVITY, Calibration, software
+from srt.result.calibration import Calibration, software
+from srt.result.diagnostics import Diagnostics
 from srt.result.noise_figures import NoiseFigures
 from srt.result.provenance import Alignment, Provenance, StatedSite, Temperature
 from srt.result.verdict import DOUBTFUL, USABLE
@@ -53,7 +54,7 @@ def merge_calibrations(
     Returns
     -------
     Calibration
-        Estimator "merged"; covariance of the unit's mean over the recordings, ``diagnostics["repeatability"]`` with the
+        Estimator "merged"; covariance of the unit's mean over the recordings, ``diagnostics.repeatability`` with the
         values of each, ``verdict.sequences`` with the recordings in place of sequences. U is kept if all
         recordings agree on it (the unit was mounted in the same way), otherwise None.
 
@@ -123,9 +124,9 @@ def _merged(
         alignment=_shared([c.alignment for c in members]),
         temperature=_temperature(members),
         provenance=_provenance(members),
-        diagnostics={
-            "repeatability": repeatability(stack, used, left_out, vector, sizes, (statistic, freedom, p_value))
-        },
+        diagnostics=Diagnostics(
+            repeatability=repeatability(stack, used, left_out, vector, sizes, (statistic, freedom, p_value))
+        ),
         verdict=replace(
             verdict(
                 _recording_diagnostics(stack, within, within + scatter, titles, vector),
@@ -271,7 +272,7 @@ def _warnings(
             + (f"; the scatter of {', '.join(groups)} from recording to recording is in the merged sigmas." if groups
                else ", and the merged sigmas do not include this.")
         )  # fmt: skip
-    following = [title for title, c in used.items() if G_SENSITIVITY in c.diagnostics]
+    following = [title for title, c in used.items() if c.g_sensitivity is not None]
     if following:
         said.append(f"The gyro g-sensitivity is not merged: {', '.join(following)} have it.")
     nameless = [title for title, c in used.items() if c.provenance.serial is None]

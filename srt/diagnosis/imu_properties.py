@@ -100,10 +100,10 @@ def gyro_bias_drift(evidence: Evidence) -> Iterator[Finding]:
 def accel_bias_drift(evidence: Evidence) -> Iterator[Finding]:
     """Report the drift of the accelerometer biases that a calibration estimates from its residuals."""
     result = evidence.result
-    for drift in () if result is None else result.diagnostics.get("drift", ()):
-        if drift["sensor"] == "accel":
-            x, y, z = (value / (1e3 * MICRO_G) for value in drift["change_m_s2"])
-            yield finding("accel_bias_drift", form=drift["form"], x_mg=x, y_mg=y, z_mg=z)
+    for drift in () if result is None else result.diagnostics.drift or ():
+        if drift.change_m_s2 is not None:
+            x, y, z = (drift.change_m_s2 / (1e3 * MICRO_G)).tolist()
+            yield finding("accel_bias_drift", form=drift.form, x_mg=x, y_mg=y, z_mg=z)
             return
 
 

@@ -91,12 +91,12 @@ def build_calibration(
         alignment=stated_alignment(data.recording),
         temperature=_temperature(data),
         provenance=_provenance(data, options),
-        diagnostics={
-            **result.diagnostics,
+        diagnostics=replace(
+            result.diagnostics,
             # Far from a solution the covariance may be singular.
-            "asymmetry": asymmetry_choice(result.errors, covariance, observed) if result.status == "converged" else {},
-            "unseen_errors": unseen_errors(data, observed),
-        },
+            asymmetry=asymmetry_choice(result.errors, covariance, observed) if result.status == "converged" else {},
+            unseen_errors=unseen_errors(data, observed),
+        ),
         verdict=evidence,
         warnings=(*warnings, *_warnings(data, result, observed)),
     )
@@ -148,7 +148,7 @@ def _status(
     if result.status != "converged":
         return result.status, result.message
     suspect = None if evidence is None else evidence.contradicting
-    robust = "weights" in result.diagnostics  # a robust loss has reduced the weight of what contradicts
+    robust = result.diagnostics.weights is not None  # a robust loss has reduced the weight of what contradicts
     if suspect is not None and not robust:
         again = f" (occurrence {suspect.occurrence})" if suspect.occurrence > 1 else ""
         to_check = f"its label, windows and rotation{', and the stated rates about its axis' if rated else ''}"

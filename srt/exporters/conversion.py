@@ -19,7 +19,6 @@ from srt.model.sensor_model import Triad, accel_triad, gyro_triad, outside_model
 from srt.recording.applied import NOTHING, AppliedCorrection, applied_correction
 from srt.recording.atomic_file import atomic_path
 from srt.result.applier import Applier
-from srt.result.calibration import G_SENSITIVITY
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -390,7 +389,7 @@ def _check(chosen: Exporter, readings: Readings, expected: Correction, found: Co
 
 def _losses(chosen: Exporter, calibration: Calibration) -> tuple[str, ...]:
     asymmetry = () if chosen.asymmetry or not _asymmetric(calibration) else ("scale-factor asymmetry",)
-    sensitivity = ("g-sensitivity",) if G_SENSITIVITY in calibration.diagnostics and not chosen.g_sensitivity else ()
+    sensitivity = ("g-sensitivity",) if calibration.g_sensitivity is not None and not chosen.g_sensitivity else ()
     return (*asymmetry, *sensitivity, *chosen.losses, "covariance")
 
 

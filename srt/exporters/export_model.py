@@ -12,7 +12,6 @@ from srt.exceptions import InputError
 from srt.exporters.linear_model import LinearModel
 from srt.model.rotations import rotation_vector
 from srt.recording.schema import LARGEST_ELEMENT
-from srt.result.calibration import G_SENSITIVITY
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -145,7 +144,7 @@ class ExportModel:
     def heading(self, item: FormatDescription) -> list[str]:
         """ASCII lines for a comment: unit, origin, formula, axes and losses."""
         lost: tuple[str, ...] = () if item.asymmetry else ("scale-factor asymmetry",)
-        lost += ("g-sensitivity",) if G_SENSITIVITY in self.calibration.diagnostics and not item.g_sensitivity else ()
+        lost += ("g-sensitivity",) if self.calibration.g_sensitivity is not None and not item.g_sensitivity else ()
         return [
             f"{item.title}; generated, do not edit.",
             *origin(self.calibration),

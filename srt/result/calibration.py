@@ -17,6 +17,7 @@ from srt.exceptions import InputError
 from srt.presentation import Presented
 from srt.result.applier import BLOCK, Applier
 from srt.result.consistency import Consistency
+from srt.result.diagnostics import Diagnostics
 from srt.result.document import from_document, to_document
 from srt.result.json_file import load_json_file, require_json, save_json_file
 from srt.result.noise_figures import NoiseFigures
@@ -35,8 +36,6 @@ if TYPE_CHECKING:
 
 FORMAT: Final = "srt-calibration"
 VERSION: Final = 1
-G_SENSITIVITY: Final = "g_sensitivity"
-"""Key of gyro g-sensitivity in the diagnostics."""
 STATUSES: Final = ("converged", "partial", "inconsistent", "not_converged", "outside_model")
 
 FORMULA: Final = (
@@ -98,8 +97,8 @@ class Calibration(Presented):
     alignment : Alignment
     temperature : Temperature or None
     provenance : Provenance
-    diagnostics : dict
-        Further output of the estimator, such as the innovations of every sequence; JSON values.
+    diagnostics : Diagnostics
+        Further output of the estimator, such as the innovations of every sequence.
     verdict : Consistency or None
         Consistency of the measurements; None if unknown. :attr:`judgement` states it in words.
     warnings : tuple of str
@@ -121,7 +120,7 @@ class Calibration(Presented):
     alignment: Alignment = field(default_factory=Alignment)
     temperature: Temperature | None = None
     provenance: Provenance = field(default_factory=Provenance)
-    diagnostics: Mapping[str, Any] = field(default_factory=dict)
+    diagnostics: Diagnostics = field(default_factory=Diagnostics)
     verdict: Consistency | None = None
     warnings: tuple[str, ...] = ()
 
@@ -155,14 +154,14 @@ class Calibration(Presented):
     @property
     def g_sensitivity(self) -> Array | None:
         """Gyro g-sensitivity Γ, ω̃ = Mg ω + Γ f + b, MARS axes, shape (3, 3), rad/s per m/s²; None if not estimated."""
-        stated = self.diagnostics.get(G_SENSITIVITY)
-        return None if stated is None else np.array(stated["matrix"], dtype=np.float64)
+        stated = self.diagnostics.g_sensitivity
+        return None if stated is None else stated.matrix
 
     @property
     def g_sensitivity_covariance(self) -> Array | None:
         """Covariance of Γ by rows, shape (9, 9); None if not estimated, or for files of earlier versions."""
-        stated = self.diagnostics.get(G_SENSITIVITY, {}).get("covariance")
-        return None if stated is None else np.array(stated, dtype=np.float64)
+        stated = self.diagnostics.g_sensitivity
+        return None if stated is None else stated.covariance
 
     @property
     def observed(self) -> Mask:
@@ -251,14 +250,14 @@ class Calibration(Presented):
                 "U": None if self.U is None else self.U.tolist(),
                 "U_sigma": self.U_sigma_rad,
             },
-            "formula": FORMULA + (FORMULA_G_SENSITIVE if G_SENSITIVITY in self.diagnostics else ""),
+            "formula": FORMULA + ("" if self.diagnostics.g_sensitivity is None else FORMULA_G_SENSITIVE),
             "site": to_document(self.site),
             "noise": {**to_document(self.noise), "contributions": to_document(self.contributions)},
             "alignment": to_document(self.alignment),
             "temperature": to_document(self.temperature),
             "residuals": to_document(self.residuals),
             "provenance": to_document(self.provenance),
-            "diagnostics": dict(self.diagnostics),
+            "diagnostics": to_document(self.diagnostics),
             "verdict": {} if self.verdict is None else to_document(self.judgement) | to_document(self.verdict),
         }
 
@@ -328,7 +327,7 @@ def _from_dict(document: dict[str, Any]) -> Calibration:
         alignment=from_document(Alignment, document["alignment"], "alignment"),
         temperature=None if temperature is None else from_document(Temperature, temperature, "temperature"),
         provenance=from_document(Provenance, document["provenance"], "provenance"),
-        diagnostics=document.get("diagnostics", {}),
+        diagnostics=from_document(Diagnostics, document.get("diagnostics", {}), "diagnostics"),
         verdict=from_document(Consistency, verdict, "verdict") if verdict else None,
         warnings=from_document(tuple[str, ...], document.get("warnings", []), "warnings"),
     )

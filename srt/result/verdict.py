@@ -11,14 +11,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import TYPE_CHECKING, Final, Protocol
 
 from scipy.special import stdtrit
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterator
 
     from srt.result.consistency import ChiSquareTest, Consistency
+    from srt.result.diagnostics import Diagnostics
     from srt.result.noise_figures import NoiseFigures
 
 USABLE: Final = ("converged", "partial")
@@ -68,7 +69,7 @@ class Judged(Protocol):
         """Noise as used, with the factor on the sigmas."""
 
     @property
-    def diagnostics(self) -> Mapping[str, Any]:
+    def diagnostics(self) -> Diagnostics:
         """Further results."""
 
 
@@ -95,13 +96,13 @@ class Verdict:
 def verdict_on(calibration: Judged) -> Verdict:
     """Verdict on a calibration, from its status and the chi-square of its residuals."""
     evidence = calibration.verdict
-    faults = calibration.diagnostics.get("faults", ())
-    overridden = [f for f in faults if f["effect"].startswith("exit")]
-    wrong = [f for f in faults if f["fault"] in NOT_IN_RESIDUALS]
+    faults = calibration.diagnostics.faults or ()
+    overridden = [f for f in faults if f.effect.startswith("exit")]
+    wrong = [f for f in faults if f.fault in NOT_IN_RESIDUALS]
     if calibration.status not in USABLE:
         return Verdict(FAILED, _failure(calibration))
     if overridden:
-        return Verdict(DOUBTFUL, f"A fault that stops a calibration was overridden: {overridden[0]['sentence']}")
+        return Verdict(DOUBTFUL, f"A fault that stops a calibration was overridden: {overridden[0].sentence}")
     if evidence is None:
         return Verdict(DOUBTFUL, "The file does not say how well the measurements agree.")
     p = evidence.sensor_noise_test.probability
@@ -109,17 +110,17 @@ def verdict_on(calibration: Judged) -> Verdict:
         return Verdict(DOUBTFUL, "No measurement is redundant: their agreement cannot be tested.")
     agreement = f"{_agreement(p, merged=evidence.own_noise is None)} ({_chi_square(evidence.sensor_noise_test, p)})."
     added = " ".join(_added(evidence, p, calibration.noise.sigma_inflation or 1.0))
-    found = [f"A fault was found that residuals need not show: {wrong[0]['sentence']}"] if wrong else []
+    found = [f"A fault was found that residuals need not show: {wrong[0].sentence}"] if wrong else []
     word = DOUBTFUL if added or found else SOUND
     return Verdict(word, " ".join([*found, agreement, *_modelled(calibration), added]).rstrip())
 
 
 def _modelled(calibration: Judged) -> Iterator[str]:
     """Sentence on the effects that were estimated besides the 27 errors."""
-    drift = [row for row in calibration.diagnostics.get("drift", ()) if row["modelled"]]
+    drift = [row for row in calibration.diagnostics.drift or () if row.modelled]
     sensors = {"gyro": "the gyros", "accel": "the accelerometers"}
-    names = [f"a bias drift of {sensors[row['sensor']]} ({row['form']})" for row in drift]
-    names += ["the g-sensitivity of the gyros"] * ("g_sensitivity" in calibration.diagnostics)
+    names = [f"a bias drift of {sensors[row.sensor]} ({row.form})" for row in drift]
+    names += ["the g-sensitivity of the gyros"] * (calibration.diagnostics.g_sensitivity is not None)
     if names:
         yield f"Modelled besides the 27 errors: {', '.join(names)}."
 

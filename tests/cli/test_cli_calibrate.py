@@ -137,7 +137,7 @@ def test_summary_says_what_to_do(calibration):
     assert "To do: state gyro_noise_deg_per_sqrt_h in [imu] of recording.toml" in head
     assert "'srt inspect unit-7 --deep'" in head
     assert max(map(len, lines)) <= 80
-    moved = replace(calibration, diagnostics={**calibration.diagnostics, "unused_moves": 16})
+    moved = replace(calibration, diagnostics=replace(calibration.diagnostics, unused_moves=16))
     head = " ".join(calibration_summary(moved, title="x").split("\n\n")[0].split())
     assert "To do: 16 recorded moves are not used by the closed form: '--estimator least-squares' uses them." in head
     head = " ".join(calibration_summary(moved, title="x", with_moves=(0.36, 0.604)).split("\n\n")[0].split())
@@ -193,7 +193,7 @@ def test_result_file_is_the_librarys(recording, calibration, tmp_path, capfd):
     path = tmp_path / "result.json"
     assert main(["calibrate", str(recording), "-o", str(path), "--plot", str(tmp_path / "x.svg")]) == 0
     # The command looks for faults too, and found none.
-    expected = calibration.to_dict() | {"diagnostics": {**calibration.diagnostics, "faults": []}}
+    expected = replace(calibration, diagnostics=replace(calibration.diagnostics, faults=())).to_dict()
     assert srt.load_calibration(path).to_dict() == expected
     assert sorted(p.name for p in tmp_path.iterdir()) == ["result.json", "x.svg"]
     assert str(path) in capfd.readouterr().out

@@ -22,6 +22,7 @@ from srt.recording.recording import Fixture
 from srt.reports.text.repeatability import repeatability_text
 from srt.result.noise_figures import NoiseFigures
 from srt.result.provenance import Provenance, StatedSite, Temperature
+from srt.result.repeatability import OmittedRecording
 from srt.sensor_errors import GROUP_SLICES, INDEX, N_PARAMETERS, NAMES, SensorErrors
 
 TAIL = 2.3e-4
@@ -95,9 +96,9 @@ def test_merged_is_the_joint_least_squares_solution(held):
     # The joint solution's chi-square is that within the recordings and that between them.
     within = sum(float(np.sum((v - h @ c.errors.vector) ** 2)) for h, v, c in zip(H, z, calibrations, strict=True))
     whole = float(np.sum((np.concatenate(z) - np.concatenate(H) @ joint) ** 2))
-    table = merged.diagnostics["repeatability"]
-    assert table["chi_square"] == pytest.approx(whole - within, rel=1e-8)
-    assert table["degrees_of_freedom"] == 3 * N_PARAMETERS - len(held) - N_PARAMETERS
+    table = merged.diagnostics.repeatability
+    assert table.chi_square == pytest.approx(whole - within, rel=1e-8)
+    assert table.degrees_of_freedom == 3 * N_PARAMETERS - len(held) - N_PARAMETERS
 
 
 def test_common_gravity_is_an_unknown_of_all_recordings():
@@ -215,13 +216,13 @@ def test_a_recording_that_differs_stands_out():
     merged = merge_calibrations([made(v, P) for v in values], ["a", "b", "c", "d"])
     worst = max(merged.verdict.sequences, key=lambda row: row.chi_square)
     assert worst.sequence == "c"
-    row = merged.diagnostics["repeatability"]["parameters"][i]
-    assert row["largest_deviation"]["recording"] == "c"
+    row = merged.diagnostics.repeatability.parameters[i]
+    assert row.largest_deviation.recording == "c"
     # 20 of a sigma, and what is left of a value from the mean of four has three quarters of its variance.
     expected = (values[2, i] - values[:, i].mean()) / np.sqrt(0.75 * P[i, i])
-    assert row["largest_deviation"]["sigmas"] == pytest.approx(expected, rel=1e-6)
-    assert row["spread"] == pytest.approx(np.std(values[:, i], ddof=1))
-    assert row["probability"] < 1e-6
+    assert row.largest_deviation.sigmas == pytest.approx(expected, rel=1e-6)
+    assert row.spread == pytest.approx(np.std(values[:, i], ddof=1))
+    assert row.probability < 1e-6
     assert any("differ by more than their sigmas explain" in w for w in merged.warnings)
 
 
@@ -270,10 +271,10 @@ def test_merged_units_are_consistent(estimator, count):
         calibrations = calibrations_of(seed, estimator)
         merged = merge_calibrations(calibrations, between=False)
         nees += accuracy_trials.score(merged, truth).nees * N_PARAMETERS
-        table = merged.diagnostics["repeatability"]
-        assert table["degrees_of_freedom"] == 2 * N_PARAMETERS
-        statistics.append(table["chi_square"])
-        probabilities.append([row["probability"] for row in table["parameters"]])
+        table = merged.diagnostics.repeatability
+        assert table.degrees_of_freedom == 2 * N_PARAMETERS
+        statistics.append(table.chi_square)
+        probabilities.append([row.probability for row in table.parameters])
         wider = merge_calibrations(calibrations)
         assert np.all(wider.sigma >= merged.sigma * (1.0 - 1e-9))
         # Gravity alone keeps the sigmas of the scales from falling by √3.
@@ -324,7 +325,7 @@ def test_the_table_frame_is_kept_where_all_agree():
     assert any("disagree on the mounting of the unit" in w for w in other.warnings)
     none = merge_calibrations([calibrations[0], replace(calibrations[1], U=None, U_sigma_rad=None)])
     assert none.U is None
-    assert [row["U"] is None for row in none.diagnostics["repeatability"]["recordings"]] == [False, True]
+    assert [row.U is None for row in none.diagnostics.repeatability.recordings] == [False, True]
 
 
 def test_file_and_text(tmp_path):
@@ -400,7 +401,7 @@ def test_calibration_without_convergence_is_left_out():
     third = replace(first, errors=SensorErrors(np.full(N_PARAMETERS, 1e-7)))
     merged = merge_calibrations([first, second, third], ["a", "b", "c"], between=False)
     np.testing.assert_allclose(merged.errors.vector, 0.5e-7, rtol=1e-12)
-    assert merged.diagnostics["repeatability"]["left_out"] == [{"name": "b", "status": "not_converged"}]
+    assert merged.diagnostics.repeatability.left_out == (OmittedRecording(name="b", status="not_converged"),)
     assert any(w.startswith("b is not converged") for w in merged.warnings)
     single = merge_calibrations([first, second], ["a", "b"])
     assert single.status == "converged"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from g_sensitive import with_g_sensitivity
 
 import srt
 from srt.result.provenance import Temperature
@@ -17,7 +18,7 @@ CALIBRATION = srt.Calibration(
     SensorErrors(RNG.normal(0.0, 0.01, N_PARAMETERS)),
     1e-8 * np.eye(N_PARAMETERS),
     temperature=Temperature(25.0, 2.0),
-    diagnostics={"g_sensitivity": {"matrix": RNG.normal(0.0, 1e-4, (3, 3)).tolist()}},
+    diagnostics=with_g_sensitivity(RNG.normal(0.0, 1e-4, (3, 3))),
 )
 N = 40
 Y = np.column_stack([RNG.normal(size=(N, 3)), 9.8 * RNG.normal(size=(N, 3))])

@@ -6,9 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from g_sensitive import with_g_sensitivity
 
 import srt
 from srt.model.rotations import rotation_matrix, rotation_vector
+from srt.result.diagnostics import Diagnostics
 from srt.result.noise_figures import NoiseFigures
 from srt.sensor_errors import N_PARAMETERS, SensorErrors
 from srt.stacks.preintegration import POSITION, ROTATION, VELOCITY, preintegrate
@@ -31,7 +33,7 @@ GAMMA = RNG.normal(0.0, 1e-4, (3, 3))
 def calibrated(*, g_sensitive=False):
     root = RNG.normal(size=(N_PARAMETERS, N_PARAMETERS)) / 6.0 + np.eye(N_PARAMETERS)
     P = SIGMA[:, None] * (root @ root.T) * SIGMA
-    diagnostics = {"g_sensitivity": {"matrix": GAMMA.tolist()}} if g_sensitive else {}
+    diagnostics = with_g_sensitivity(GAMMA) if g_sensitive else Diagnostics()
     errors = SensorErrors(RNG.normal(0.0, 0.01, N_PARAMETERS))
     return srt.Calibration("hand", "converged", "", errors, P, noise=NoiseFigures(**NOISE), diagnostics=diagnostics)
 

@@ -23,7 +23,6 @@ from srt.reports.certificate.unit_description import (
     unit_description,
 )
 from srt.reports.text.tables import decimals_for, fixed, text_table, wrap
-from srt.result.calibration import G_SENSITIVITY
 from srt.result.verdict import DOUBTFUL, USABLE, probability_text
 from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, GROUP_SLICES, INDEX, NAMES, SYMBOLS
 
@@ -256,18 +255,19 @@ def g_sensitivity_table(calibration: Calibration) -> CertificateTable | None:
     ----------
     calibration : Calibration
     """
-    stated = calibration.diagnostics.get(G_SENSITIVITY)
+    stated = calibration.diagnostics.g_sensitivity
     if stated is None:
         return None
+    shown = stated.matrix_deg_per_h_per_g.tolist(), stated.sigma_deg_per_h_per_g.tolist()
     rows = []
     for i, axis in enumerate("xyz"):
         cells = [CertificateCell(f"gyro {axis}")]
         for j in range(3):
-            value, sigma = (stated[f"{name}_deg_per_h_per_g"][i][j] for name in ("matrix", "sigma"))
+            value, sigma = (table[i][j] for table in shown)
             decimals = decimals_for(sigma)
             cells += [
-                CertificateCell(fixed(value, decimals), stated["matrix"][i][j]),
-                CertificateCell(f"± {fixed(sigma, decimals)}", stated["sigma"][i][j]),
+                CertificateCell(fixed(value, decimals), float(stated.matrix[i, j])),
+                CertificateCell(f"± {fixed(sigma, decimals)}", float(stated.sigma[i, j])),
             ]
         rows.append(tuple(cells))
     head = ("°/h per g", "along x", "sigma", "along y", "sigma", "along z", "sigma")

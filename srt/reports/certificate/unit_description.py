@@ -10,7 +10,7 @@ import numpy as np
 from srt.estimation.options import Options
 from srt.model.sensor_model import accel_triad, gyro_triad
 from srt.reports.certificate.tables import CertificateCell, CertificateTable, plain
-from srt.result.calibration import G_SENSITIVITY, VERSION, software
+from srt.result.calibration import VERSION, software
 from srt.sensor_errors import GROUP_SLICES, NAMES
 
 if TYPE_CHECKING:
@@ -153,8 +153,8 @@ def _sentences(calibration: Calibration, course: RecordingHistory | None) -> Ite
         yield "Accelerometers were tested up to 1 g: a quadratic term is not known, and grows beyond 1 g."
     fastest = "" if course is None else f" (up to {course.turned_deg_s:.3g} °/s)"
     yield (f"Gyros were tested at the rates of the rotations{fastest}: the scale factor at other rates is not known.")
-    for row in calibration.diagnostics.get("unseen_errors", ()):
-        yield f"{plain(row['sentence'])} No residual shows such an error."
+    for row in calibration.diagnostics.unseen_errors or ():
+        yield f"{plain(row.sentence)} No residual shows such an error."
     known = calibration.temperature
     yield (
         "The temperature of the test was not recorded; the temperature dependence is not known."
@@ -162,7 +162,7 @@ def _sentences(calibration: Calibration, course: RecordingHistory | None) -> Ite
         else f"The temperature dependence is not known: the test was made at {known.mean_c:.1f} °C, within "
         f"{known.range_c:.1f} °C."
     )
-    followed = G_SENSITIVITY in calibration.diagnostics
+    followed = calibration.g_sensitivity is not None
     yield (
         f"{'The' if followed else 'Gyro g-sensitivity, and the'} dependence of all sensors on vibration, pressure, "
         f"supply and magnetic field, {'is' if followed else 'are'} not among the parameters; the "
@@ -187,7 +187,7 @@ def _sentences(calibration: Calibration, course: RecordingHistory | None) -> Ite
     )
     if calibration.site.latitude_deg is None:
         yield "The Earth rate is in the gyro biases, as no latitude is stated; their sigmas hold it."
-    if "unseen_errors" not in calibration.diagnostics:
+    if calibration.diagnostics.unseen_errors is None:
         yield "Gravity is taken as stated: its error is a common error of all accelerometer scale factors."
 
 

@@ -117,7 +117,7 @@ def _advice(calibration: Calibration, source: str, with_moves: tuple[float, floa
         )
     if source and (calibration.judgement.word != SOUND or calibration.warnings):
         yield f"To do: look for faults of the recording with 'srt inspect {source} --deep'."
-    if moves := calibration.diagnostics.get("unused_moves"):
+    if moves := calibration.diagnostics.unused_moves:
         low, high = (0.0, 0.0) if with_moves is None else with_moves
         gain = f"gives {low:.2f}-{high:.2f} of these sigmas" if high else "uses them"
         yield f"To do: {moves} recorded moves are not used by the closed form: '--estimator least-squares' {gain}."

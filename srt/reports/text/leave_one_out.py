@@ -54,8 +54,8 @@ def sequence_table(calibration: Calibration, verdict: Consistency, *, full: bool
     The extended Kalman filter adds the normalised innovation squared, a robust loss the weight of each sequence.
     """
     rows = verdict.sequences
-    innovations = calibration.diagnostics.get("filter") or calibration.diagnostics.get("live")
-    weights = calibration.diagnostics.get("weights")
+    innovations = calibration.diagnostics.filter or calibration.diagnostics.live
+    weights = calibration.diagnostics.weights
     word = _word(calibration)
     headers, alignment = [word, "chi2 / dof", "p", "shift if\nomitted"], "lrrl"
     if innovations:
@@ -78,11 +78,11 @@ def sequence_table(calibration: Calibration, verdict: Consistency, *, full: bool
         cells.append(_influence(row.largest_influence))
         if innovations:
             cells += [
-                f"{innovations[i]['nis']:.1f} / {innovations[i]['degrees_of_freedom']}",
-                probability_text(innovations[i]["probability"]),
+                f"{innovations[i].nis:.1f} / {innovations[i].degrees_of_freedom}",
+                probability_text(innovations[i].probability),
             ]
         if weights:
-            cells.append(fixed(weights[i]["weight"], 2))
+            cells.append(fixed(weights[i].weight, 2))
         table.append(cells)
     lines = [text_table(headers, table, alignment), *([left_off] if left_off else [])]
     lines += _notes(rows, word, innovations=bool(innovations))
