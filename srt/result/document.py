@@ -21,6 +21,7 @@ from srt.exceptions import InputError, clipped, did_you_mean
 _Kind = TypeVar("_Kind")
 
 _FURTHER, _NULLS = "further", "nulls"
+_PLAIN: Final = frozenset({float, int, str, bool, NoneType})
 _SCALARS: Final[dict[Any, tuple[Any, str]]] = {
     float: (int | float, "a finite number"), int: (int, "an integer"), str: (str, "a text"),
     bool: (bool, "true or false"),
@@ -46,23 +47,29 @@ def _fields(kind: Any) -> tuple[_Field, ...]:
 
 def to_document(value: object) -> Any:
     """JSON values of an object: dataclasses and mappings as dictionaries, arrays and tuples as lists."""
+    kind: Any = type(value)
+    if kind in _PLAIN:  # most values; a result is converted whenever it is made, to check it
+        return value
+    if isinstance(value, list | tuple):
+        return [part if type(part) in _PLAIN else to_document(part) for part in value]
     if isinstance(value, np.ndarray):
         return value.tolist()
-    if isinstance(value, list | tuple):
-        return [to_document(part) for part in value]
+    if is_dataclass(value):
+        return _fields_document(value, kind)
     if isinstance(value, Mapping):
-        return {key: to_document(part) for key, part in value.items()}
-    if not is_dataclass(value):
-        return value
+        return {key: part if type(part) in _PLAIN else to_document(part) for key, part in value.items()}
+    return value
+
+
+def _fields_document(value: object, kind: Any) -> dict[str, Any]:
     out: dict[str, Any] = {}
-    kind: Any = type(value)
     nulls = getattr(value, _NULLS, ())
     for name, key, _, required in _fields(kind):
         part = getattr(value, name)
         if name == _FURTHER:
             out |= to_document(part)
         elif name != _NULLS and (part is not None or required or name in nulls):
-            out[key] = to_document(part)
+            out[key] = part if type(part) in _PLAIN else to_document(part)
     return out
 
 
