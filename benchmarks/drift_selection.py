@@ -23,8 +23,8 @@ def selected(seed: int, estimator: str) -> tuple[str, ...]:
     """Sensors and forms that one unit selects."""
     grade = tuple(GRADES)[seed % len(GRADES)]
     recording, _ = noisy_recording(FIRST_SEED + seed, grade, sample_rate_hz=20.0, instability=True)
-    found = srt.calibrate(recording, estimator, checks=False).diagnostics.get("drift", ())
-    return tuple(f"{grade}, {term['sensor']}: {term['form']}" for term in found)
+    found = srt.calibrate(recording, estimator, checks=False).diagnostics.drift or ()
+    return tuple(f"{grade}, {term.sensor}: {term.form}" for term in found)
 
 
 def main() -> int:

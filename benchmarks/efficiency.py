@@ -27,7 +27,7 @@ import sys
 import time
 from dataclasses import dataclass
 from functools import cache, partial
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from accuracy_trials import GRADES, IN_G, SITE, Trial, fixture_recording, normalised, run, score
@@ -139,8 +139,8 @@ def calibrate_unit(
     if seed % innovations_every:
         return UnitTrials(trials)
     informed = srt.calibrate(recording, "ekf", prior=prior_of_units(), checks=False)
-    rows: list[dict[str, Any]] = informed.diagnostics["filter"]
-    return UnitTrials(trials, tuple(np.array(row["innovations"]) for row in rows))
+    rows = informed.diagnostics.filter or ()
+    return UnitTrials(trials, tuple(row.innovations for row in rows))
 
 
 @dataclass(frozen=True, slots=True)

@@ -73,7 +73,7 @@ def trial(grade: str, form: str, size: float, unit: int) -> list[tuple[str, floa
     out = []
     for estimator in ESTIMATORS:
         found = srt.calibrate(recording, estimator, checks=False)
-        named = frozenset(term["sensor"] for term in found.diagnostics.get("drift", ()))
+        named = frozenset(term.sensor for term in found.diagnostics.drift or ())
         out.append((found.status, outcome(found, case).nees, int(found.observed.sum()), named))
     return out
 

@@ -149,17 +149,19 @@ def _observed(unit: Simulation, found: Calibration) -> float:
     """Observed mean square of the residual bias of each gyro in the windows, (rad/s)²."""
     force = _forces(unit)
     Gamma = unit.imu.gyro_g_sensitivity.copy()
-    if "g_sensitivity" in found.diagnostics:
-        Gamma -= np.array(found.diagnostics["g_sensitivity"]["matrix"])
-    own = np.array(found.noise["gyro_bias_by_sequence_rad_s"])
+    if found.g_sensitivity is not None:
+        Gamma -= found.g_sensitivity
+    own = np.asarray(found.noise.gyro_bias_by_sequence_rad_s)
     bias = unit.truth.vector[_BIAS] - found.errors.vector[_BIAS]
     return float(np.mean((bias - own[:, None] + force @ Gamma.T) ** 2))
 
 
 def _nees(unit: Simulation, found: Calibration) -> float:
-    stated = found.diagnostics["g_sensitivity"]
-    error = (np.array(stated["matrix"]) - unit.imu.gyro_g_sensitivity).ravel()
-    return float(error @ np.linalg.solve(np.array(stated["covariance"]), error)) / 9.0
+    estimate, covariance = found.g_sensitivity, found.g_sensitivity_covariance
+    assert estimate is not None
+    assert covariance is not None
+    error = (estimate - unit.imu.gyro_g_sensitivity).ravel()
+    return float(error @ np.linalg.solve(covariance, error)) / 9.0
 
 
 def main() -> None:

@@ -82,7 +82,7 @@ def drifting_unit(seed: int, grade: str, form: str, size: str, estimator: str) -
     sigma = found.sigma[seen]
     correlation = found.covariance[np.ix_(seen, seen)] / np.outer(sigma, sigma)
     nees = float(error / sigma @ np.linalg.solve(correlation, error / sigma))
-    named = {term["sensor"] for term in found.diagnostics.get("drift", ())}
+    named = {term.sensor for term in found.diagnostics.drift or ()}
     return found.status, nees, len(seen), named, float(found.sigma[GROUP_SLICES["accel_scale"]].max())
 
 
@@ -129,19 +129,19 @@ def asymmetric_unit(seed: int, grade: str, share: float, turns: int, estimator: 
     errors |= {name: 10.0 * share * value for name, value in errors.items() if "asymmetry" in name}
     unit = recording(hand_turns(rng, shortest_s=1.0, count=turns), 5.0, errors, GRADES[grade], rng)
     found = srt.calibrate(unit, estimator, checks=False)
-    out = np.full((len(RULES), 3, 2, 3), np.nan)
+    out, tests = np.full((len(RULES), 3, 2, 3), np.nan), found.diagnostics.asymmetry or {}
     if found.status not in ("converged", "partial"):
         return out
     for r, limit in enumerate(RULES.values()):
         for g, group in enumerate(("gyro_scale", "accel_bias", "accel_scale")):
-            test = found.diagnostics["asymmetry"].get("gyro_asymmetry" if group == "gyro_scale" else "accel_asymmetry")
+            test = tests.get("gyro_asymmetry" if group == "gyro_scale" else "accel_asymmetry")
             for i, name in enumerate(NAMES[GROUP_SLICES[group]]):
                 k = NAMES.index(name)
                 if test is None or not found.observed[k]:
                     continue
-                other = test["without"][name]
-                chosen = test["probability"] <= limit and limit > 0.0
-                value, sigma = (found.errors[name], found.sigma[k]) if chosen else (other["value"], other["sigma"])
+                other = test.without[name]
+                chosen = test.probability <= limit and limit > 0.0
+                value, sigma = (found.errors[name], found.sigma[k]) if chosen else (other.value, other.sigma)
                 out[r, g, :, i] = value - errors[name], sigma
     return out
 

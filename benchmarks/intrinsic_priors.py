@@ -17,6 +17,7 @@ from gtsam.symbol_shorthand import V, X
 from scipy.spatial.transform import Rotation
 
 from srt.result.calibration import Calibration
+from srt.result.noise_figures import NoiseFigures
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SensorErrors
 from srt.stacks.gtsam_factor import ErrorVariable, preintegrated_factor
 from srt.stacks.preintegration import PreintegratedReadings, preintegrate
@@ -94,7 +95,9 @@ def calibration(rng: np.random.Generator) -> Calibration:
     sigma = np.empty(N_PARAMETERS)
     for group, value in SIGMA.items():
         sigma[GROUP_SLICES[group]] = value
-    noise = {"gyro_noise_rad_per_sqrt_s": [GYRO_NOISE] * 3, "accel_noise_m_s2_sqrt_s": [ACCEL_NOISE] * 3}
+    noise = NoiseFigures(
+        gyro_noise_rad_per_sqrt_s=np.full(3, GYRO_NOISE), accel_noise_m_s2_sqrt_s=np.full(3, ACCEL_NOISE)
+    )
     errors = SensorErrors(10.0 * sigma * rng.standard_normal(N_PARAMETERS))
     return Calibration("bench", "converged", "", errors, np.diag(sigma**2), noise=noise)
 

@@ -206,7 +206,7 @@ SUBJECTS = (
             ("_MANY: Final = 30", "_MANY: Final = 300"),
             ("p > 1.0 - MISFIT_PROBABILITY", "p > 1.0 + MISFIT_PROBABILITY"),
             ("word = DOUBTFUL if added or found else SOUND", "word = DOUBTFUL if added else SOUND"),
-            ('f["effect"].startswith("exit")', 'f["effect"].startswith("no")'),
+            ('f.effect.startswith("exit")', 'f.effect.startswith("no")'),
             ("stdtrit(freedom, 0.975)", "stdtrit(freedom, 0.95)"),
             ("    if overridden:", "    if False:"),
         ),

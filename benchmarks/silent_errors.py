@@ -182,8 +182,8 @@ def trial(name: str, unit: int) -> list[tuple[float, bool, bool]]:
     out = []
     for estimator in ESTIMATORS:
         result = srt.calibrate(recording, estimator, checks=False)
-        unseen = {e["source"] for e in result.diagnostics["unseen_errors"] if e["sigma"] is None}
-        drifting = {term["sensor"] for term in result.diagnostics.get("drift", ())}
+        unseen = {e.source for e in result.diagnostics.unseen_errors or () if e.sigma is None}
+        drifting = {term.sensor for term in result.diagnostics.drift or ()}
         named = bool(findings & set(row.findings)) or row.unseen in unseen or row.drift in drifting
         out.append((outcome(result, case).nees, named, result.status == "inconsistent"))
     return out

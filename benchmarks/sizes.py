@@ -25,6 +25,9 @@ from sims.robustness.summary import summarise
 from srt.cli.robustness import header_of
 from srt.comparison.fleet import FleetUnit, assemble_fleet
 from srt.reports.text.fleet import fleet_text
+from srt.result.diagnostics import Diagnostics
+from srt.result.noise_figures import NoiseFigures
+from srt.result.provenance import Provenance
 from srt.sensor_errors import SensorErrors
 
 PART = 1000
@@ -47,7 +50,15 @@ def fleet(units: int) -> None:
     """Outlier test of a fleet and its tables, from the calibrations on."""
     recording, _ = accuracy_trials.noisy_recording(1, "navigation", sample_rate_hz=50.0)
     found = srt.calibrate(recording, "closed-form", checks=False)
-    kept = replace(found, corrections=(), contributions={}, residuals=(), noise={}, diagnostics={}, provenance={})
+    kept = replace(
+        found,
+        corrections=(),
+        contributions={},
+        residuals=(),
+        noise=NoiseFigures(),
+        diagnostics=Diagnostics(),
+        provenance=Provenance(),
+    )
     rng = np.random.default_rng(0)
     made = []
     for number in range(units):

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from srt.estimation.convergence import PARAMETER_UNITS
+from srt.result.diagnostics import Targets
 from srt.sensor_errors import INDEX
 
 if TYPE_CHECKING:
@@ -43,7 +44,7 @@ def compare_with_targets(sigma: Array, targets: Mapping[str, float]) -> tuple[bo
     return reliable, reliable and ratio[worst] <= 1.0, worst
 
 
-def targets_met(sequences: list[str], sigma: Array, targets: Mapping[str, float]) -> dict[str, Any]:
+def targets_met(sequences: list[str], sigma: Array, targets: Mapping[str, float]) -> Targets:
     """First sequence after which all targets are met.
 
     Parameters
@@ -54,12 +55,6 @@ def targets_met(sequences: list[str], sigma: Array, targets: Mapping[str, float]
         Standard deviations after each sequence.
     targets : mapping of str to float
         Requested standard deviation by parameter, SI.
-
-    Returns
-    -------
-    dict
-        ``met_after``: id of that sequence, None if the targets are never met; ``limiting``: parameter with the largest
-        ratio of final sigma to target; ``shortfall``: that ratio.
     """
     met_after, limiting = None, None
     for name, row in zip(sequences, sigma, strict=True):
@@ -67,4 +62,4 @@ def targets_met(sequences: list[str], sigma: Array, targets: Mapping[str, float]
         if met and met_after is None:
             met_after = name
     short = None if limiting is None else float(sigma[-1, INDEX[limiting]]) / targets[limiting]
-    return {"wanted": dict(targets), "met_after": met_after, "limiting": limiting, "shortfall": short}
+    return Targets(wanted=targets, met_after=met_after, limiting=limiting, shortfall=short)

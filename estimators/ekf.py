@@ -54,9 +54,9 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
     live = LiveFilter(options)
     reports = []
     for report in run_live(recording, live):
-        reports.append(report.as_dict())
+        reports.append(report.result)
         if progress is not None:
             progress(len(reports), float(np.max(report.sigma / PARAMETER_UNITS)))
     # The reports are of the sequences alone; the result includes the moves between them.
     calibration = run(open_joint_model(recording, options), solver, None)
-    return replace(calibration, diagnostics={**calibration.diagnostics, "live": reports})
+    return replace(calibration, diagnostics=replace(calibration.diagnostics, live=tuple(reports)))

@@ -19,6 +19,7 @@ from estimators.factor_graph import FactorGraph
 from srt.joint.iteration import run
 from srt.joint.recording_opening import open_joint_model
 from srt.joint.solver import JointSolver, LinearSolution
+from srt.result.diagnostics import Diagnostics, SequenceWeight
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -165,22 +166,16 @@ class GraphSolver(JointSolver):
         """Weights by kind and number of measurement; empty without a robust loss."""
         return {} if self.loss == "squared" else {(kind, number): weight for kind, number, weight in self.measured}
 
-    def diagnostics(self, joint: JointModel) -> dict[str, Any]:
+    def diagnostics(self, joint: JointModel) -> Diagnostics:
         """Weights of the sequences under a robust loss."""
         if self.loss == "squared" or not self.measured:
-            return {}
-        data = joint.data
-        return {
-            "loss": self.loss,
-            "weights": [
-                {
-                    "sequence": data.ids[k],
-                    "occurrence": data.occurrences[k],
-                    "weight": float(self.sequence_weights[k]),
-                }
-                for k in joint.order.tolist()
-            ],
-        }
+            return Diagnostics()
+        ids, occurrences, weights = joint.data.ids, joint.data.occurrences, self.sequence_weights
+        rows = (
+            SequenceWeight(sequence=ids[k], occurrence=occurrences[k], weight=float(weights[k]))
+            for k in joint.order.tolist()
+        )
+        return Diagnostics(loss=self.loss, weights=tuple(rows))
 
 
 def sequence_weights(built: FactorGraph, values: Any, loss: str) -> Array:

@@ -13,7 +13,7 @@ The state is in units in which the prior is white. Forms of the filter: square-r
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -24,6 +24,7 @@ from estimators.square_root_filter import SquareRootFilter
 from srt.estimation.goodness_of_fit import chi_square_probability
 from srt.joint.linear_system import FIXTURE, N_ERRORS, global_columns
 from srt.joint.solver import JointSolver, LinearSolution
+from srt.result.diagnostics import Diagnostics, Innovation
 from srt.sensor_errors import N_PARAMETERS
 
 if TYPE_CHECKING:
@@ -240,35 +241,35 @@ class KalmanSolver(JointSolver):
         self.last = found
         return LinearSolution(found.delta, found.correction, found.covariance)
 
-    def diagnostics(self, joint: JointModel) -> dict[str, Any]:
+    def diagnostics(self, joint: JointModel) -> Diagnostics:
         """Innovations and standard deviations by sequence."""
-        return {} if self.last is None else filter_diagnostics(joint, self.last)
+        return filter_diagnostics(joint, self.last)
 
 
-def filter_diagnostics(joint: JointModel, found: FilterRun) -> dict[str, Any]:
-    """Innovations and standard deviations by sequence, and the targets met, as JSON values."""
-    out: dict[str, Any] = {"filter": history(joint, found)}
-    targets = joint.options.targets
-    if targets:
-        ids = [joint.data.ids[k] for k in found.sequences]
-        out["targets"] = targets_met(ids, found.sigma, targets)
-    return out
+def filter_diagnostics(joint: JointModel, found: FilterRun | None) -> Diagnostics:
+    """Innovations and standard deviations by sequence, and the targets met."""
+    if found is None:
+        return Diagnostics()
+    targets, ids = joint.options.targets, [joint.data.ids[k] for k in found.sequences]
+    return Diagnostics(
+        filter=history(joint, found), targets=targets_met(ids, found.sigma, targets) if targets else None
+    )
 
 
-def history(joint: JointModel, found: FilterRun) -> list[dict[str, Any]]:
-    """Innovations and standard deviations after every sequence, as JSON values."""
+def history(joint: JointModel, found: FilterRun) -> tuple[Innovation, ...]:
+    """Innovations and standard deviations after every sequence."""
     data, rows = joint.data, []
     for i, k in enumerate(found.sequences):
         nis, freedom = float(found.nis[i]), len(found.innovations[i])
         rows.append(
-            {
-                "sequence": data.ids[k],
-                "occurrence": data.occurrences[k],
-                "nis": nis,
-                "degrees_of_freedom": freedom,
-                "probability": chi_square_probability(nis, freedom),
-                "innovations": found.innovations[i].tolist(),
-                "sigma": found.sigma[i].tolist(),
-            }
+            Innovation(
+                sequence=data.ids[k],
+                occurrence=data.occurrences[k],
+                nis=nis,
+                degrees_of_freedom=freedom,
+                probability=chi_square_probability(nis, freedom),
+                innovations=found.innovations[i],
+                sigma=found.sigma[i],
+            )
         )
-    return rows
+    return tuple(rows)

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -29,6 +29,7 @@ from srt.joint.solution_analysis import whole_solution
 from srt.joint.solver import IterationState
 from srt.model.gyro_stream import gyro_stream
 from srt.model.sensor_model import Triad, to_mars
+from srt.result.diagnostics import LiveEstimate
 from srt.sensor_errors import GROUP_SLICES, NAMES
 from srt.sequences.checked_preparation import prepare_checked
 from srt.sequences.manoeuvres import end_attitude
@@ -86,22 +87,23 @@ class LiveReport:
     met: bool
     limiting: str | None
 
-    def as_dict(self) -> dict[str, Any]:
-        """JSON values."""
-        return {
-            "sequence": self.sequence,
-            "occurrence": self.occurrence,
-            "status": self.status,
-            "values": self.errors.vector.tolist(),
-            "sigma": self.sigma.tolist(),
-            "nis": self.nis,
-            "degrees_of_freedom": self.freedom,
-            "probability": chi_square_probability(self.nis, self.freedom),
-            "innovations": self.innovations.tolist(),
-            "promised": self.promised,
-            "targets_met": self.met,
-            "limiting": self.limiting,
-        }
+    @property
+    def result(self) -> LiveEstimate:
+        """Estimate as the result states it."""
+        return LiveEstimate(
+            sequence=self.sequence,
+            occurrence=self.occurrence,
+            status=self.status,
+            values=self.errors.vector,
+            sigma=self.sigma,
+            nis=self.nis,
+            degrees_of_freedom=self.freedom,
+            probability=chi_square_probability(self.nis, self.freedom),
+            innovations=self.innovations,
+            promised=self.promised,
+            targets_met=self.met,
+            limiting=self.limiting,
+        )
 
 
 class LiveFilter:

@@ -14,7 +14,7 @@ difference of more than 1 sigma is reported.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -32,6 +32,7 @@ from srt.joint.linearisation import Linearisation, linearise
 from srt.joint.solution_analysis import FixedParameters, make_calibration, whole_solution
 from srt.joint.solver import IterationState, JointSolver, LinearSolution
 from srt.model.sensor_model import outside_model
+from srt.result.diagnostics import Optimum
 from srt.sensor_errors import NAMES, SensorErrors
 
 if TYPE_CHECKING:
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
     from srt.joint.joint_state import JointState
     from srt.model.prior import Prior
     from srt.result.calibration import Calibration
+    from srt.result.diagnostics import Diagnostics
     from srt.types import Array, Mask
 
 
@@ -110,16 +112,15 @@ class SequentialFilter(JointSolver):
         self.prior: Prior = prior
         self.form, self.free = form, free
         self.last: FilterRun | None = None
-        self.optimum: dict[str, Any] = {}
+        self.optimum: Optimum | None = None
 
     def solve(self, point: Linearisation) -> LinearSolution:
         """Unavailable, as these filters choose their own linearisation points."""
         raise NotImplementedError
 
-    def diagnostics(self, joint: JointModel) -> dict[str, Any]:
+    def diagnostics(self, joint: JointModel) -> Diagnostics:
         """Innovations and standard deviations by sequence, and the comparison with the optimum."""
-        out = {} if self.last is None else filter_diagnostics(joint, self.last)
-        return out | ({"optimum": self.optimum} if self.optimum else {})
+        return replace(filter_diagnostics(joint, self.last), optimum=self.optimum)
 
     def process(self, joint: JointModel, progress: Progress | None) -> IterationState:
         """Process all sequences in time order, starting from the prior mean."""
@@ -204,11 +205,11 @@ class SequentialFilter(JointSolver):
         distance = np.where(self.free, np.abs(E @ solution.delta) / sigma, 0.0)
         worst = int(np.argmax(distance))
         ratio = (np.sqrt(np.diag(iteration.covariance)) / sigma)[self.free]
-        self.optimum = {
-            "distance_sigma": float(distance[worst]),
-            "parameter": NAMES[worst],
-            "sigma_ratio": [float(ratio.min()), float(ratio.max())],
-        }
+        self.optimum = Optimum(
+            distance_sigma=float(distance[worst]),
+            parameter=NAMES[worst],
+            sigma_ratio=(float(ratio.min()), float(ratio.max())),
+        )
         if distance[worst] <= _OPTIMUM_SIGMAS:
             iteration.status, iteration.message = "converged", f"Processed {joint.data.K} sequences once."
         else:
@@ -240,4 +241,4 @@ def run_sequentially(solver: SequentialFilter, joint: JointModel, progress: Prog
         {name: reason_on_request(name, uncertain, joint.data) for name in options.fixed_names}, uncertain
     )
     with threadpool_limits(limits=1, user_api="blas"):
-        return make_calibration(joint, solver, solver.process(joint, progress), fixed, {})
+        return make_calibration(joint, solver, solver.process(joint, progress), fixed, None)

@@ -63,7 +63,7 @@ def calibrate(
     Returns
     -------
     Calibration
-        With the findings among its warnings, and in ``diagnostics["faults"]``.
+        With the findings among its warnings, and in ``diagnostics.faults``.
 
     Raises
     ------
@@ -93,7 +93,7 @@ def calibrate(
     return replace(
         result,
         warnings=(*warnings, *result.warnings),
-        diagnostics={**result.diagnostics, "faults": diagnosis.as_dicts()},
+        diagnostics=replace(result.diagnostics, faults=diagnosis.faults),
     )
 
 
@@ -112,7 +112,7 @@ def sigmas_with_moves(recording: Recording, result: Calibration, options: Option
     (float, float) or None
         Over the parameters that both estimate; None for a result without unused moves, or if least squares has none.
     """
-    if not result.diagnostics.get("unused_moves") or result.status not in USABLE:
+    if not result.diagnostics.unused_moves or result.status not in USABLE:
         return None
     try:
         whole = estimate(recording, "least-squares", options)

@@ -129,7 +129,7 @@ def score(simulation: Simulation, choice: EstimatorChoice, *, fixed_point: bool,
         "playbacks": len(found.corrections),
         "calibrate_s": time.thread_time() - began,
         # Normalised innovations of a filter, over their degrees of freedom, in the order of time
-        "nis": [row["nis"] / row["degrees_of_freedom"] for row in found.diagnostics.get("filter", ())],
+        "nis": [row.nis / row.degrees_of_freedom for row in found.diagnostics.filter or ()],
         **errors_of(found, truth),
     }
     if found.status in USABLE and fixed_point:

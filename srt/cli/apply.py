@@ -201,8 +201,6 @@ def load_fit(path: Path, *, force: bool, trust: bool) -> Calibration:
     from srt.result.verdict import USABLE
 
     calibration = load_calibration(path, trust=trust)
-    if not isinstance(calibration.provenance, dict) or not isinstance(calibration.estimator, str):
-        raise InputError(f"The calibration {path} does not say where it comes from: it was edited or truncated.")
     if force:
         return calibration
     if calibration.status not in USABLE:
@@ -220,7 +218,7 @@ def load_fit(path: Path, *, force: bool, trust: bool) -> Calibration:
 
 def check_match(calibration: Calibration, recording: Recording, calibration_file: Path, recording_path: Path) -> None:
     """Raise InputError for the recording of another unit; a serial that is not stated matches any."""
-    serial = calibration.provenance.get("serial")
+    serial = calibration.provenance.serial
     if None not in (serial, recording.serial) and serial != recording.serial:
         raise InputError(
             f"The calibration {calibration_file} is of the unit {serial}, but the recording {recording_path} of "

@@ -369,8 +369,7 @@ def report_problems(job: Job, calibration: Calibration) -> int:
         return DataError.exit_code
     if judgement.word == DOUBTFUL:
         warn(f"{job.recording}: {judgement}")
-    voided = calibration.provenance.get("voided", {})
-    clauses = [f"{title} is void ({reason})" for title, reason in voided.items()]
+    clauses = [f"{title} is void ({reason})" for title, reason in calibration.provenance.voided.items()]
     if calibration.held:
         clauses.append(f"fixed, not observed: {held_summary(calibration)}")
     if clauses:

@@ -65,8 +65,10 @@ def run_merging(
         (name,) = found
         raise DataError(f"Only {name} can be calibrated, and there is nothing to merge it with.")
     merged = merge_calibrations(list(found.values()), list(found))
-    for row in merged.diagnostics["repeatability"]["left_out"]:
-        warn(f"{row['name']} is {row['status'].replace('_', ' ')}, and was left out: {found[row['name']].message}")
+    repeated = merged.diagnostics.repeatability
+    assert repeated is not None
+    for row in repeated.left_out:
+        warn(f"{row.name} is {row.status.replace('_', ' ')}, and was left out: {found[row.name].message}")
     if output is not None:
         merged.save(output)
     if not display.quiet:
@@ -92,8 +94,7 @@ def run_merging(
         warn(str(merged.judgement))
     if merged.held:
         warn(f"fixed, not observed: {held_summary(merged)}.")
-    repeated = merged.diagnostics["repeatability"]
-    ratio = math.sqrt(repeated["chi_square"] / max(repeated["degrees_of_freedom"], 1))
+    ratio = math.sqrt(repeated.chi_square / max(repeated.degrees_of_freedom, 1))
     if ratio > _DIFFERENT_UNITS and not display.force:
         say(
             f"The recordings differ by {ratio:.3g} times their sigmas (RMS over all parameters): are they of one unit? "
@@ -113,6 +114,6 @@ def _calibration(job: Job, estimator: str, options: Options, display: Display) -
     recording = display.load(job.recording)
     with iteration_progress(job.name, quiet=display.quiet) as progress:
         calibration = srt.calibrate(recording, estimator, options=options, progress=progress, force=display.force)
-    for title, reason in calibration.provenance.get("voided", {}).items():
+    for title, reason in calibration.provenance.voided.items():
         warn(f"{job.recording}: {title} is void ({reason}).")
     return calibration

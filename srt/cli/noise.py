@@ -45,6 +45,8 @@ def noise(
     from srt.noise.allan import allan_deviation
     from srt.noise.noise_terms import noise_terms
     from srt.recording.atomic_file import atomic_write_text
+    from srt.result.document import to_document
+    from srt.result.noise_figures import LogNoise
     from srt.sequences.rest_detection import undisturbed_rest
 
     for file, suffixes, what in (
@@ -67,13 +69,14 @@ def noise(
         from srt.reports.text.noise import noise_report
 
         show(noise_report(terms, allan, title=str(log)))
-    document = {"length_s": terms.length_s, "samples_sha256": recording.data_sha256, "channels": terms.figures()}
+    found = LogNoise(length_s=terms.length_s, samples_sha256=recording.data_sha256, channels=terms.figures())
     if json_file is not None:
+        document = to_document(found)
         atomic_write_text(json_file, json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
     if calibration is not None and into is not None:
         from dataclasses import replace
 
-        replace(calibration, noise={**calibration.noise, "terms": document}).save(into)
+        replace(calibration, noise=replace(calibration.noise, terms=found)).save(into)
     if plot is not None:
         from srt.reports.figures.noise import noise_figure
         from srt.reports.figures.style import save_figure

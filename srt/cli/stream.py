@@ -114,7 +114,7 @@ def run_stream(calibration: Calibration, frame: Any, given: dict[str, Any], *, c
         None if given[name] is None else given[name] * si
         for name, si in (("gyro_range_deg_s", DEG), ("accel_range_g", STANDARD_GRAVITY_M_S2))
     ]
-    gravity = calibration.site.get("gravity_m_s2", STANDARD_GRAVITY_M_S2) if check_size else None
+    gravity = (calibration.site.gravity_m_s2 or STANDARD_GRAVITY_M_S2) if check_size else None
     options = StreamOptions(
         units[0], units[1], dt, ranges[0], ranges[1], gravity=gravity, covariance=given["covariance"]
     )

@@ -7,7 +7,7 @@ and one chi-square for each triad shows a drift of its biases. ``least-squares``
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -29,6 +29,7 @@ from srt.model import closed_form
 from srt.model.table1 import SEQUENCES
 from srt.noise.drift_forms import FALSE_ALARM, LINEAR, drift_test
 from srt.result.calibration import Residual
+from srt.result.diagnostics import Diagnostics
 from srt.sensor_errors import NAMES
 from srt.sequences.checked_preparation import prepare_checked
 from srt.sequences.moves import recorded_moves
@@ -41,6 +42,7 @@ if TYPE_CHECKING:
     from srt.noise.drift_forms import DriftTest
     from srt.recording.recording import Recording
     from srt.result.calibration import Calibration
+    from srt.result.diagnostics import GSensitivity
     from srt.sequences.preparation import PreparedRecording
     from srt.types import Array, Mask
 
@@ -82,7 +84,7 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
     result = _result(data, options, formulas, solution, np.array([name in fixed for name in NAMES]))
     if not options.ignore_moves:
         moves = len(recorded_moves(recording, labels))
-        result = replace(result, diagnostics={**result.diagnostics, "unused_moves": moves})
+        result = replace(result, diagnostics=replace(result.diagnostics, unused_moves=moves))
     return build_calibration("closed-form", data, options, result, fixed, warnings=warnings)
 
 
@@ -131,14 +133,12 @@ def _result(
         with_squares = _chi_square(solution, fixed, extra=squares)[0]
         statistic = statistic if is_misfit(with_squares, freedom) else with_squares
     covariance = dict(solution.covariance)
-    diagnostics, notes = _g_sensitivity(data, solution, automatic=options.gyro_bias != G_SENSITIVE)
+    followed, notes = _g_sensitivity(data, solution, automatic=options.gyro_bias != G_SENSITIVE)
     drift: tuple[DriftEstimate, ...] = ()
+    search = DriftSearch()
     if solution.status == "converged" and not fixed.all():
         drift, search, possible = _drift(data, solution, fixed)
         covariance["accel_bias_instability"] = covariance["accel_bias_instability"] + possible
-        diagnostics = {**diagnostics, **search.diagnostics()}
-    if drift:
-        diagnostics = {**diagnostics, "drift": [term.as_dict() for term in drift]}
     return SolverResult(
         errors=solution.errors,
         U=solution.U,
@@ -155,7 +155,11 @@ def _result(
         wander=solution.wander,
         bias_by_sequence=solution.bias_by_sequence,
         end_attitude=solution.measurements.integrals.C_end,
-        diagnostics=diagnostics,
+        diagnostics=Diagnostics(
+            g_sensitivity=followed,
+            possible_accel_drift_sigma_m_s2=search.possible or None,
+            drift=tuple(term.result for term in drift) or None,
+        ),
         drift=drift,
         sequences=() if solution.status == "outside_model" else sequence_diagnostics(data, formulas, solution, fixed),
         notes=notes,
@@ -186,12 +190,12 @@ def _drift(
 
 def _g_sensitivity(
     data: PreparedRecording, solution: Solution, *, automatic: bool
-) -> tuple[dict[str, Any], tuple[str, ...]]:
-    """Diagnostics of the g-sensitivity of the gyros, and warnings."""
+) -> tuple[GSensitivity | None, tuple[str, ...]]:
+    """Estimated g-sensitivity of the gyros, and warnings."""
     m = solution.measurements
     if m.poses is None:
         size = g_sensitivity_report.significant_g_sensitivity(data, m.force, m.rest_rate, m.integrated)
-        return {}, g_sensitivity_report.warnings(None, size, automatic=automatic)
+        return None, g_sensitivity_report.warnings(None, size, automatic=automatic)
     rest = RestRates(m.poses, m.force, m.rest_rate, m.pool, m.window_sequence, m.gyro)
     # Γ is linear in the rates of the windows.
     W = len(m.pool)
@@ -200,7 +204,9 @@ def _g_sensitivity(
     projection["rate"] = of_rates.reshape(9, W, 3)
     by_source = disturbances(m, data, solution.wander).values()
     by_draw = np.concatenate([effect(projection, source) for source in by_source], axis=1)
-    found = g_sensitivity_report.diagnostics(data, rest, solution.g_sensitivity, by_draw @ by_draw.T, solution.wander)
+    found = g_sensitivity_report.estimated_g_sensitivity(
+        data, rest, solution.g_sensitivity, by_draw @ by_draw.T, solution.wander
+    )
     return found, g_sensitivity_report.warnings(m.poses.unobserved, None, automatic=automatic)
 
 

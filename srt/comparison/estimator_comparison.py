@@ -29,6 +29,7 @@ from srt.estimation.registry import ESTIMATORS, automatic_estimator, find_estima
 from srt.exceptions import DataError, InputError, SrtError
 from srt.presentation import Presented
 from srt.recording.atomic_file import atomic_write_text
+from srt.result.document import to_document
 from srt.result.verdict import DOUBTFUL, USABLE
 from srt.sensor_errors import NAMES, SYMBOLS, UNITS
 from srt.sequences.recognition import label_sequences
@@ -196,7 +197,7 @@ class Comparison(Presented):
 
     def as_dict(self) -> dict[str, Any]:
         """The JSON form: SI, in the order of the parameters; None for absent values, and no NaN."""
-        first = next(iter(self.calibrations.values()), None)
+        origin: dict[str, Any] = next((to_document(c.provenance) for c in self.calibrations.values()), {})
         kept = ("data_sha256", "serial", "date", "software", "options")
         return {
             "format": FORMAT,
@@ -212,7 +213,7 @@ class Comparison(Presented):
             "estimators": [self._estimate_dict(name) for name in self.calibrations],
             "failed": [{"name": name, "message": text} for name, text in self.failures.items()],
             "left_out": [{"name": name, "message": text} for name, text in self.left_out.items()],
-            "provenance": {} if first is None else {k: v for k, v in first.provenance.items() if k in kept},
+            "provenance": {k: v for k, v in origin.items() if k in kept},
         }
 
     def save(self, path: str | PathLike[str]) -> None:
@@ -275,7 +276,7 @@ def compare(
     known = [*calibrations, *failures]
     if reference is not None and reference not in known:
         raise InputError(f"The reference {reference!r} is not among the estimators compared: {', '.join(known)}.")
-    if len({c.provenance.get("data_sha256") for c in calibrations.values()} - {None}) > 1:
+    if len({c.provenance.data_sha256 for c in calibrations.values()} - {None}) > 1:
         raise InputError("The calibrations are of different recordings (data_sha256), and cannot be compared.")
     usable = [name for name, c in calibrations.items() if c.status in USABLE]
     chosen = reference if reference in usable else min(usable, key=_rank, default=None)

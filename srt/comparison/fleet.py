@@ -21,6 +21,9 @@ from srt.comparison.outliers import FALSE_ALARMS, MINIMUM_UNITS, FleetOutliers, 
 from srt.exceptions import DataError, InputError, SrtError
 from srt.model.platform_steps import many_recordings
 from srt.recording.atomic_file import atomic_path
+from srt.result.diagnostics import Diagnostics
+from srt.result.noise_figures import NoiseFigures
+from srt.result.provenance import Alignment, Provenance, StatedSite
 from srt.result.verdict import USABLE
 from srt.sensor_errors import N_PARAMETERS, NAMES, SYMBOLS, UNITS
 
@@ -209,7 +212,7 @@ class Fleet:
         }
         if unit.calibration is not None:
             verdict = unit.calibration.verdict
-            out |= {key: verdict.get(key) for key in ("chi_square", "degrees_of_freedom", "probability")}
+            out |= {key: getattr(verdict, key, None) for key in ("chi_square", "degrees_of_freedom", "probability")}
             judgement = unit.calibration.judgement
             out |= {"verdict": judgement.word, "reason": judgement.reason}
             out |= {"estimator": unit.calibration.estimator, "warnings": list(unit.calibration.warnings)}
@@ -284,14 +287,14 @@ def _without_details(unit: FleetUnit) -> FleetUnit:
     if unit.calibration is None:
         return unit
     found = unit.calibration
-    large = ("sequences", "parameters", "weakest_combination")
-    verdict = {key: value for key, value in found.verdict.items() if key not in large}
+    verdict = found.verdict and replace(found.verdict, sequences=(), parameters=(), weakest_combination=None)
     kept = replace(
         unit.calibration,
-        corrections=(), contributions={}, residuals=(), site={}, alignment={}, temperature=None, provenance={},
+        corrections=(), contributions={}, residuals=(), site=StatedSite(), alignment=Alignment(), temperature=None,
+        provenance=Provenance(),
         # The values that the verdict is made from stay.
-        noise={k: v for k, v in found.noise.items() if k == "sigma_inflation"},
-        diagnostics={k: v for k, v in found.diagnostics.items() if k in ("faults", "drift")}, verdict=verdict,
+        noise=NoiseFigures(sigma_inflation=found.noise.sigma_inflation),
+        diagnostics=Diagnostics(faults=found.diagnostics.faults, drift=found.diagnostics.drift), verdict=verdict,
     )  # fmt: skip
     return replace(unit, calibration=kept)
 

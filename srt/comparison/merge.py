@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any, Final
+from dataclasses import fields, replace
+from typing import TYPE_CHECKING, Final, TypeVar
 
 import numpy as np
 from scipy.special import chdtrc
@@ -15,7 +16,10 @@ from srt.comparison.repeatability import repeatability
 from srt.estimation.leave_one_out import SequenceDiagnostics, consistency_tests, leave_one_out_estimates, verdict
 from srt.exceptions import DataError, InputError
 from srt.model.rotations import rotation_vector
-from srt.result.calibration import G_SENSITIVITY, Calibration, software
+from srt.result.calibration import Calibration, software
+from srt.result.diagnostics import Diagnostics
+from srt.result.noise_figures import NoiseFigures
+from srt.result.provenance import Alignment, Provenance, StatedSite, Temperature
 from srt.result.verdict import DOUBTFUL, USABLE
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES, SensorErrors
 
@@ -24,6 +28,8 @@ if TYPE_CHECKING:
 
     from srt.types import Array, Indices
 
+
+_Stated = TypeVar("_Stated", StatedSite, Alignment)
 
 ESTIMATOR: Final = "merged"
 UNLIKELY: Final = 1e-3
@@ -48,8 +54,8 @@ def merge_calibrations(
     Returns
     -------
     Calibration
-        Estimator "merged"; covariance of the unit's mean over the recordings, ``diagnostics["repeatability"]`` with the
-        values of each, ``verdict["sequences"]`` with the recordings in place of sequences. U is kept if all
+        Estimator "merged"; covariance of the unit's mean over the recordings, ``diagnostics.repeatability`` with the
+        values of each, ``verdict.sequences`` with the recordings in place of sequences. U is kept if all
         recordings agree on it (the unit was mounted in the same way), otherwise None.
 
     Raises
@@ -114,24 +120,24 @@ def _merged(
         U=U,
         U_sigma_rad=U_sigma,
         site=_shared([c.site for c in members]),
-        noise={"between_recordings": dict(zip(GROUP_SLICES, sizes.tolist(), strict=True))},
+        noise=NoiseFigures(between_recordings=dict(zip(GROUP_SLICES, sizes.tolist(), strict=True))),
         alignment=_shared([c.alignment for c in members]),
         temperature=_temperature(members),
         provenance=_provenance(members),
-        diagnostics={
-            "repeatability": repeatability(stack, used, left_out, vector, sizes, (statistic, freedom, p_value))
-        },
-        verdict=verdict(
-            _recording_diagnostics(stack, within, within + scatter, titles, vector),
-            covariance,
-            observed,
-            statistic,
-            freedom,
-        )
-        | {
-            "between_recordings": bool(sizes.any()),
-            "doubtful_recordings": [title for title, c in used.items() if c.judgement.word == DOUBTFUL],
-        },
+        diagnostics=Diagnostics(
+            repeatability=repeatability(stack, used, left_out, vector, sizes, (statistic, freedom, p_value))
+        ),
+        verdict=replace(
+            verdict(
+                _recording_diagnostics(stack, within, within + scatter, titles, vector),
+                covariance,
+                observed,
+                statistic,
+                freedom,
+            ),
+            between_recordings=bool(sizes.any()),
+            doubtful_recordings=tuple(title for title, c in used.items() if c.judgement.word == DOUBTFUL),
+        ),
         warnings=_warnings(used, left_out, sizes, p_value, U_note),
     )
 
@@ -165,12 +171,12 @@ def _check(calibrations: Sequence[Calibration], titles: Sequence[str]) -> None:
         raise InputError(f"Merging needs at least two recordings of a unit (given: {len(calibrations)}).")
     if len(set(titles)) != len(calibrations):
         raise InputError(f"Each of the recordings to merge needs its own name: {', '.join(titles)}.")
-    serials = {t: c.provenance.get("serial") for t, c in zip(titles, calibrations, strict=True)}
+    serials = {t: c.provenance.serial for t, c in zip(titles, calibrations, strict=True)}
     first = next((t for t in titles if serials[t] is not None), titles[0])
     for title, c in zip(titles, calibrations, strict=True):
         if c.estimator == ESTIMATOR:
             raise InputError(f"{title} is already merged: merge its recordings instead.")
-        if (c.provenance.get("options") or {}).get("prior") is not None:
+        if c.provenance.options.get("prior") is not None:
             raise InputError(
                 f"{title} was calibrated with a prior, which would count once per recording: "
                 "calibrate it without a prior."
@@ -181,7 +187,7 @@ def _check(calibrations: Sequence[Calibration], titles: Sequence[str]) -> None:
             )
     hashes: dict[str, str] = {}
     for title, c in zip(titles, calibrations, strict=True):
-        data = c.provenance.get("data_sha256")
+        data = c.provenance.data_sha256
         if data is not None and hashes.setdefault(data, title) != title:
             raise InputError(f"{hashes[data]} and {title} hold the same samples, which must not count twice.")
 
@@ -211,46 +217,39 @@ def _mounting(members: Sequence[Calibration]) -> tuple[Array | None, float | Non
     return mean, float(np.sqrt(variance.max())), ""
 
 
-def _shared(tables: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+def _shared(stated: Sequence[_Stated]) -> _Stated:
     """Values that are equal in all recordings; None for values that differ."""
-    keys = dict.fromkeys(key for table in tables for key in table)
-    return {k: tables[0].get(k) if all(t.get(k) == tables[0].get(k) for t in tables) else None for k in keys}
+    first = stated[0]
+    names: list[str] = [f.name for f in fields(first) if f.name != "nulls"]
+    differing: list[str] = [k for k in names if any(getattr(s, k) != getattr(first, k) for s in stated)]
+    nulls = dict.fromkeys([*differing, *(key for s in stated for key in s.nulls)])
+    return replace(first, **dict.fromkeys(differing), nulls=tuple(nulls))
 
 
-def _temperature(members: Sequence[Calibration]) -> dict[str, Any] | None:
+def _temperature(members: Sequence[Calibration]) -> Temperature | None:
     """Mean over the recordings that state the value, and the range that includes all their means and ranges."""
     known = [c.temperature for c in members if c.temperature is not None]
     if not known:
         return None
-    means = np.array([t["mean_c"] for t in known])
-    half = 0.5 * np.array([t["range_c"] for t in known])
-    return {
-        "mean_c": float(means.mean()),
-        "range_c": float((means + half).max() - (means - half).min()),
-        "sequences": [],
-    }
+    means = np.array([t.mean_c for t in known])
+    half = 0.5 * np.array([t.range_c for t in known])
+    return Temperature(float(means.mean()), float((means + half).max() - (means - half).min()))
 
 
-def _provenance(members: Sequence[Calibration]) -> dict[str, Any]:
-    hashes = [c.provenance.get("data_sha256") for c in members]
+def _provenance(members: Sequence[Calibration]) -> Provenance:
+    origins = [c.provenance for c in members]
+    hashes = [origin.data_sha256 for origin in origins]
     whole = None if None in hashes else hashlib.sha256("".join(map(str, hashes)).encode()).hexdigest()
-    dates = {c.provenance.get("date") for c in members}
-    return {
-        "data_sha256": whole,
-        "software": software(),
-        "serial": next((s for c in members if (s := c.provenance.get("serial")) is not None), None),
-        "date": dates.pop() if len(dates) == 1 else None,
-        "options": {},
-        "voided": {},
-        **_common_applied(members),
-        "recordings": [dict(c.provenance) for c in members],
-    }
-
-
-def _common_applied(members: Sequence[Calibration]) -> dict[str, Any]:
-    """Correction that all recordings had before they were logged, if it is the same."""
-    applied = [c.provenance.get("applied") for c in members]
-    return {"applied": applied[0]} if applied[0] and all(each == applied[0] for each in applied) else {}
+    dates, applied = {origin.date for origin in origins}, origins[0].applied
+    return Provenance(
+        data_sha256=whole,
+        software=software(),
+        serial=next((origin.serial for origin in origins if origin.serial is not None), None),
+        date=dates.pop() if len(dates) == 1 else None,
+        # The correction that all recordings had before they were logged.
+        applied=applied if applied and all(origin.applied == applied for origin in origins) else None,
+        recordings=tuple(origins),
+    )
 
 
 def _warnings(
@@ -273,12 +272,12 @@ def _warnings(
             + (f"; the scatter of {', '.join(groups)} from recording to recording is in the merged sigmas." if groups
                else ", and the merged sigmas do not include this.")
         )  # fmt: skip
-    following = [title for title, c in used.items() if G_SENSITIVITY in c.diagnostics]
+    following = [title for title, c in used.items() if c.g_sensitivity is not None]
     if following:
         said.append(f"The gyro g-sensitivity is not merged: {', '.join(following)} have it.")
-    nameless = [title for title, c in used.items() if c.provenance.get("serial") is None]
+    nameless = [title for title, c in used.items() if c.provenance.serial is None]
     if nameless and len(used) > 1:
         said.append(f"No serial is given with {', '.join(nameless)}: one unit is assumed.")
-    if len({c.site.get("gravity_m_s2") for c in used.values()}) > 1:
+    if len({c.site.gravity_m_s2 for c in used.values()}) > 1:
         said.append("The stated gravity differs between recordings: its errors are assumed independent.")
     return (*said, *([U_note] if U_note else []))

@@ -111,14 +111,13 @@ def stack_estimates(calibrations: Sequence[Calibration]) -> StackedEstimates:
 
 def _gravity(calibrations: Sequence[Calibration]) -> list[Array]:
     """Effect of the error of gravity on every calibration, one column per stated gravity, shape (27, m) each."""
-    stated = [c.site.get("gravity_m_s2") for c in calibrations]
+    stated = [c.site.gravity_m_s2 for c in calibrations]
     columns = list(dict.fromkeys(stated))
     out = []
     for c, gravity in zip(calibrations, stated, strict=True):
         root = np.zeros((N_PARAMETERS, len(columns)))
-        effect = c.noise.get("gravity_effect")
-        if effect is not None:
-            root[:, columns.index(gravity)] = effect
+        if c.noise.gravity_effect is not None:
+            root[:, columns.index(gravity)] = c.noise.gravity_effect
         elif "gravity" in c.contributions:
             # Older files give only its size: the effect is the same for the three scale factors.
             scale = GROUP_SLICES["accel_scale"]
@@ -132,7 +131,8 @@ def _held_values(calibrations: Sequence[Calibration]) -> list[Array]:
     unit = prior_sigma()
     out = []
     for c in calibrations:
-        P = np.array(c.noise.get("held_values_covariance", np.diag(_sizes(c, "held_values") ** 2)))
+        P = c.noise.held_values_covariance
+        P = np.diag(_sizes(c, "held_values") ** 2) if P is None else P
         values, vectors = np.linalg.eigh(P / np.outer(unit, unit))
         out.append(unit[:, None] * (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
     return out

@@ -52,17 +52,18 @@ class ModelledEffects:
 
 def modelled_effects(calibration: Calibration) -> ModelledEffects:
     """Effects in the model of a calibration."""
-    diagnostics, noise = calibration.diagnostics, calibration.noise
-    drift = [row for row in diagnostics.get("drift", ()) if row["modelled"]]
-    added = {kind for kind, row in (calibration.verdict.get("added_noise") or {}).items() if row["added"] > 0.0}
-    names = [f"a bias drift of {_SENSORS[row['sensor']]} ({row['form']})" for row in drift]
-    names += ["the g-sensitivity of the gyros"] * ("g_sensitivity" in diagnostics)
+    diagnostics, noise, evidence = calibration.diagnostics, calibration.noise, calibration.verdict
+    drift = [term for term in diagnostics.drift or () if term.modelled]
+    by_kind = {} if evidence is None or evidence.added_noise is None else evidence.added_noise
+    added = {kind for kind, size in by_kind.items() if size.added > 0.0}
+    names = [f"a bias drift of {_SENSORS[term.sensor]} ({term.form})" for term in drift]
+    names += ["the g-sensitivity of the gyros"] * (diagnostics.g_sensitivity is not None)
     names += [f"added noise of {measured}" for kind, measured in _ADDED.items() if kind in added]
     return ModelledEffects(
         names=tuple(names),
-        unused_moves=int(diagnostics.get("unused_moves") or 0),
-        enlarged=frozenset(added | ({"all"} if (noise.get("sigma_inflation") or 1.0) > 1.0 else set())),
-        freedom=int(noise.get("degrees_of_freedom") or 0),
+        unused_moves=diagnostics.unused_moves or 0,
+        enlarged=frozenset(added | ({"all"} if (noise.sigma_inflation or 1.0) > 1.0 else set())),
+        freedom=noise.degrees_of_freedom or 0,
     )
 
 

@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.special import chdtrc
 
 from srt.comparison.merge_model import estimate
+from srt.result.repeatability import (
+    Deviation,
+    GroupRepeatability,
+    MergedRecording,
+    OmittedRecording,
+    ParameterRepeatability,
+    Repeatability,
+)
 from srt.sensor_errors import GROUP_SLICES, NAMES
 
 if TYPE_CHECKING:
@@ -25,8 +33,8 @@ def repeatability(
     merged: Array,
     sizes: Array,
     agreement: tuple[float, int, float | None],
-) -> dict[str, Any]:
-    """Table of the repeatability, as JSON values.
+) -> Repeatability:
+    """Table of the repeatability.
 
     Parameters
     ----------
@@ -39,76 +47,70 @@ def repeatability(
         One sigma between recordings, by group.
     agreement : (float, int, float or None)
         Chi-square of all, degrees of freedom, probability.
-
-    Returns
-    -------
-    dict
-        "recordings" and "left_out", "chi_square" with its degrees of freedom and probability, "groups", "parameters".
-        Chi-square uses the sigmas within recordings, without the errors common to all.
     """
     statistic, freedom, probability = agreement
-    return {
-        "recordings": [_recording(title, c) for title, c in used.items()],
-        "left_out": [{"name": title, "status": status} for title, status in left_out.items()],
-        "chi_square": statistic,
-        "degrees_of_freedom": freedom,
-        "probability": probability,
-        "groups": [_group(stack, name, float(size)) for name, size in zip(GROUP_SLICES, sizes, strict=True)],
-        "parameters": [_parameter(stack, list(used), i, float(merged[i])) for i in np.unique(stack.parameter)],
-    }
+    return Repeatability(
+        recordings=tuple(_recording(title, c) for title, c in used.items()),
+        left_out=tuple(OmittedRecording(name=title, status=status) for title, status in left_out.items()),
+        chi_square=statistic,
+        degrees_of_freedom=freedom,
+        probability=probability,
+        groups=tuple(_group(stack, name, float(size)) for name, size in zip(GROUP_SLICES, sizes, strict=True)),
+        parameters=tuple(_parameter(stack, list(used), i, float(merged[i])) for i in np.unique(stack.parameter)),
+    )
 
 
-def _recording(title: str, calibration: Calibration) -> dict[str, Any]:
-    temperature = calibration.temperature or {}
-    return {
-        "name": title,
-        "estimator": calibration.estimator,
-        "status": calibration.status,
-        "date": calibration.provenance.get("date"),
-        "temperature_c": temperature.get("mean_c"),
-        "temperature_range_c": temperature.get("range_c"),
-        "data_sha256": calibration.provenance.get("data_sha256"),
-        "held": list(calibration.held),
-        "U": None if calibration.U is None else calibration.U.tolist(),
-        "U_sigma": calibration.U_sigma_rad,
-    }
+def _recording(title: str, calibration: Calibration) -> MergedRecording:
+    temperature = calibration.temperature
+    return MergedRecording(
+        name=title,
+        estimator=calibration.estimator,
+        status=calibration.status,
+        date=calibration.provenance.date,
+        temperature_c=None if temperature is None else temperature.mean_c,
+        temperature_range_c=None if temperature is None else temperature.range_c,
+        data_sha256=calibration.provenance.data_sha256,
+        held=tuple(calibration.held),
+        U=calibration.U,
+        U_sigma=calibration.U_sigma_rad,
+    )
 
 
-def _group(stack: StackedEstimates, name: str, size: float) -> dict[str, Any]:
+def _group(stack: StackedEstimates, name: str, size: float) -> GroupRepeatability:
     rows = np.flatnonzero(np.isin(stack.parameter, np.arange(len(NAMES))[GROUP_SLICES[name]]))
     statistic, freedom = _agreement(stack, rows)[:2]
-    return {
-        "group": name,
-        "chi_square": statistic,
-        "degrees_of_freedom": freedom,
-        "probability": _probability(statistic, freedom),
-        "between_sigma": size,
-    }
+    return GroupRepeatability(
+        group=name,
+        chi_square=statistic,
+        degrees_of_freedom=freedom,
+        probability=_probability(statistic, freedom),
+        between_sigma=size,
+    )
 
 
-def _parameter(stack: StackedEstimates, titles: list[str], i: int, merged: float) -> dict[str, Any]:
+def _parameter(stack: StackedEstimates, titles: list[str], i: int, merged: float) -> ParameterRepeatability:
     rows = np.flatnonzero(stack.parameter == i)
     values = dict(zip(stack.recording[rows].tolist(), stack.y[rows].tolist(), strict=True))
     sigma = np.sqrt(np.diag(stack.covariance)[rows])
     sigmas = dict(zip(stack.recording[rows].tolist(), sigma.tolist(), strict=True))
     statistic, freedom, mean, normalised = _agreement(stack, rows)
     farthest = int(np.argmax(np.abs(normalised)))
-    return {
-        "name": NAMES[i],
-        "values": [values.get(r) for r in range(len(titles))],
-        "sigmas": [sigmas.get(r) for r in range(len(titles))],
-        "weighted_mean": float(mean[0]),
-        "merged": merged,
-        "spread": float(np.std(stack.y[rows], ddof=1)) if freedom else None,
-        "chi_square": statistic,
-        "degrees_of_freedom": freedom,
-        "probability": _probability(statistic, freedom),
-        "largest_deviation": (
-            {"recording": titles[stack.recording[rows[farthest]]], "sigmas": float(normalised[farthest])}
+    return ParameterRepeatability(
+        name=NAMES[i],
+        values=tuple(values.get(r) for r in range(len(titles))),
+        sigmas=tuple(sigmas.get(r) for r in range(len(titles))),
+        weighted_mean=float(mean[0]),
+        merged=merged,
+        spread=float(np.std(stack.y[rows], ddof=1)) if freedom else None,
+        chi_square=statistic,
+        degrees_of_freedom=freedom,
+        probability=_probability(statistic, freedom),
+        largest_deviation=(
+            Deviation(recording=titles[stack.recording[rows[farthest]]], sigmas=float(normalised[farthest]))
             if freedom
             else None
         ),
-    }
+    )
 
 
 def _agreement(stack: StackedEstimates, rows: Indices) -> tuple[float, int, Array, Array]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 from srt.diagnosis.faults import FAULTS, RANK, STAGES, Effect
+from srt.result import diagnostics
 
 if TYPE_CHECKING:
     from srt.diagnosis.evidence import Evidence
@@ -22,12 +23,10 @@ spikes 5e-6. The test of an omitted asymmetry, which only runs with the option t
 """
 
 
-@dataclass(frozen=True, slots=True)
-class RunnerUp:
-    """Fault that explains the same data nearly as well, and its difference of log-likelihood from the best fault."""
+class RunnerUp(diagnostics.RunnerUp):
+    """Fault that explains the same data nearly as well, with its sentence."""
 
-    fault: str
-    log_likelihood_lower: float
+    __slots__ = ()
 
     @property
     def sentence(self) -> str:

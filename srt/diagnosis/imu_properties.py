@@ -100,10 +100,10 @@ def gyro_bias_drift(evidence: Evidence) -> Iterator[Finding]:
 def accel_bias_drift(evidence: Evidence) -> Iterator[Finding]:
     """Report the drift of the accelerometer biases that a calibration estimates from its residuals."""
     result = evidence.result
-    for drift in () if result is None else result.diagnostics.get("drift", ()):
-        if drift["sensor"] == "accel":
-            x, y, z = (value / (1e3 * MICRO_G) for value in drift["change_m_s2"])
-            yield finding("accel_bias_drift", form=drift["form"], x_mg=x, y_mg=y, z_mg=z)
+    for drift in () if result is None else result.diagnostics.drift or ():
+        if drift.change_m_s2 is not None:
+            x, y, z = (drift.change_m_s2 / (1e3 * MICRO_G)).tolist()
+            yield finding("accel_bias_drift", form=drift.form, x_mg=x, y_mg=y, z_mg=z)
             return
 
 
@@ -154,8 +154,8 @@ def asymmetry_omitted(evidence: Evidence) -> Iterator[Finding]:
     if free is None or free.status not in USABLE:
         return
     part = GROUP_SLICES["gyro_asymmetry"]
-    chi_square, freedom = free.noise["chi_square"], free.noise["degrees_of_freedom"]
-    inflation = max(1.0, chi_square / freedom) if freedom > 0 else 1.0
+    chi_square, freedom = free.noise.chi_square, free.noise.degrees_of_freedom
+    inflation = max(1.0, chi_square / freedom) if freedom and chi_square is not None else 1.0
     sigma = np.sqrt(inflation * free.sigma[part] ** 2 + _of_g_sensitivity(evidence.data, fit) ** 2)
     off = free.errors.vector[part] - held.errors.vector[part]
     with np.errstate(invalid="ignore"):

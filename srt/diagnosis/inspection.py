@@ -23,6 +23,7 @@ from srt.presentation import Presented
 from srt.recording.folder import TOML_NAME
 from srt.recording.recording import Recording
 from srt.recording.schema import IMU_KEYS, in_file_unit
+from srt.result.document import to_document
 from srt.sequences.plausibility import check_interval
 from srt.sequences.recognition import recognise
 from srt.sequences.rest_detection import longest_rest
@@ -484,7 +485,7 @@ class Inspection(Presented):
             "turns": [asdict(turn) for turn in self.turns],
             "summary": self.summary,
             "calibrated": self.calibrated,
-            "findings": self.diagnosis.as_dicts(),
+            "findings": to_document(self.diagnosis.faults),
             "not_looked_for": list(self.not_looked_for),
             "verdict": None if self.diagnosis.judgement is None else asdict(self.diagnosis.judgement),
         }

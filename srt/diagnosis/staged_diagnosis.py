@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any, Final
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
 
 from srt.arguments import require_type
 from srt.diagnosis import (
@@ -27,6 +27,7 @@ from srt.diagnosis.evidence import Evidence, plain
 from srt.diagnosis.faults import STAGES
 from srt.diagnosis.findings import Finding, sort_by_cause, stage_checks
 from srt.recording.recording import Recording
+from srt.result.diagnostics import Fault
 
 if TYPE_CHECKING:
     from srt.estimation.options import Options
@@ -79,18 +80,19 @@ class Diagnosis:
         """First finding of a fatal fault; None if the recording can be calibrated."""
         return next((f for f in self.findings if f.effect.startswith("exit")), None)
 
-    def as_dicts(self) -> list[dict[str, Any]]:
-        """Findings as JSON values."""
-        return [
-            {
-                "fault": f.fault,
-                "effect": f.effect,
-                "sentence": f.sentence,
-                "details": {name: plain(value) for name, value in f.details.items()},
-                "runner_up": None if f.runner_up is None else asdict(f.runner_up),
-            }
+    @property
+    def faults(self) -> tuple[Fault, ...]:
+        """Findings as a result states them."""
+        return tuple(
+            Fault(
+                fault=f.fault,
+                effect=f.effect,
+                sentence=f.sentence,
+                details={name: plain(value) for name, value in f.details.items()},
+                runner_up=f.runner_up,
+            )
             for f in self.findings
-        ]
+        )
 
 
 class StagedDiagnosis:

@@ -7,11 +7,12 @@ with a fixed at zero, without another iteration.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from scipy.special import chdtrc
 
+from srt.result.diagnostics import AsymmetryTest, Estimate
 from srt.sensor_errors import GROUP_SLICES, NAMES
 
 if TYPE_CHECKING:
@@ -22,20 +23,14 @@ _AFFECTED: Final = {"gyro_asymmetry": ("gyro_scale",), "accel_asymmetry": ("acce
 """Groups that are reported without the asymmetries: those that |ω| and |f| resemble."""
 
 
-def asymmetry_choice(errors: SensorErrors, covariance: Array, observed: Mask) -> dict[str, Any]:
-    """Test of each group of asymmetries, and the estimates without it, as JSON values by group.
+def asymmetry_choice(errors: SensorErrors, covariance: Array, observed: Mask) -> dict[str, AsymmetryTest]:
+    """Test of each group of asymmetries, and the estimates without it, by group; none where none is estimated.
 
     Parameters
     ----------
     errors : SensorErrors
     covariance : ndarray, shape (27, 27), SI
     observed : ndarray of bool, shape (27,)
-
-    Returns
-    -------
-    dict
-        By group: ``estimated`` names, ``chi_square``, ``degrees_of_freedom``, ``probability``, and ``without``: value
-        and sigma (SI) of the parameters that it affects most. A group of which none is estimated is absent.
     """
     out = {}
     for group, affected in _AFFECTED.items():
@@ -52,13 +47,13 @@ def asymmetry_choice(errors: SensorErrors, covariance: Array, observed: Mask) ->
         statistic = float(z @ np.linalg.solve(C[:n, :n], z))
         value = errors.vector[x] - sigma[x] * (gain @ z)
         left = sigma[x] * np.sqrt(np.maximum(1.0 - np.einsum("xa,ax->x", gain, C[:n, n:]), 0.0))
-        out[group] = {
-            "estimated": [NAMES[i] for i in a],
-            "chi_square": statistic,
-            "degrees_of_freedom": n,
-            "probability": float(chdtrc(n, statistic)),
-            "without": {
-                NAMES[i]: {"value": float(v), "sigma": float(s)} for i, v, s in zip(x, value, left, strict=True)
+        out[group] = AsymmetryTest(
+            estimated=tuple(NAMES[i] for i in a),
+            chi_square=statistic,
+            degrees_of_freedom=n,
+            probability=float(chdtrc(n, statistic)),
+            without={
+                NAMES[i]: Estimate(value=float(v), sigma=float(s)) for i, v, s in zip(x, value, left, strict=True)
             },
-        }
+        )
     return out

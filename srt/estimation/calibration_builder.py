@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any, Final
+from dataclasses import replace
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -14,6 +15,9 @@ from srt.estimation.leave_one_out import verdict
 from srt.estimation.unseen_errors import clock_effect, unseen_errors
 from srt.model.rotations import rotation_vector
 from srt.result.calibration import Calibration, software
+from srt.result.consistency import AddedNoise, ChiSquareTest
+from srt.result.noise_figures import NoiseFigures
+from srt.result.provenance import Alignment, Provenance, SequenceTemperature, StatedSite, Temperature
 from srt.result.verdict import LARGEST_RATIO, USABLE, p_value_text
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES
 from srt.sequences.manoeuvres import end_attitude
@@ -24,6 +28,7 @@ if TYPE_CHECKING:
     from srt.estimation.options import Options
     from srt.estimation.solver_result import SolverResult
     from srt.recording.recording import Recording
+    from srt.result.consistency import Consistency
     from srt.sequences.preparation import PreparedRecording
     from srt.types import Array, Mask
 
@@ -64,9 +69,10 @@ def build_calibration(
     fixture = data.recording.fixture
     chi_square, freedom = result.chi_square, result.degrees_of_freedom
     free = fixture is None
-    evidence = verdict(result.sequences, covariance, observed, chi_square, freedom, free=free) if observed.any() else {}
-    if evidence:
-        evidence |= _agreement(data, result, covariance, observed, inflation)
+    evidence = None
+    if observed.any():
+        evidence = verdict(result.sequences, covariance, observed, chi_square, freedom, free=free)
+        evidence = _with_sensor_noise(evidence, data, result, covariance, observed, inflation)
     status, message = _status(result, fixed, evidence, free=free, rated=any(label.rate for label in data.labels))
     return Calibration(
         estimator=estimator,
@@ -80,19 +86,17 @@ def build_calibration(
         U=None if data.nominal is None else result.U,
         U_sigma_rad=None if data.nominal is None or fixture is None else fixture.alignment_sigma_rad,
         residuals=result.residuals,
-        site=site_document(data.recording),
-        noise=_noise(data, result, inflation)
-        | {"chi_square": chi_square, "degrees_of_freedom": freedom}
-        | _shared_errors(result, mask, inflation),
-        alignment=alignment_document(data.recording),
+        site=stated_site(data.recording),
+        noise=_noise(data, result, mask, inflation),
+        alignment=stated_alignment(data.recording),
         temperature=_temperature(data),
         provenance=_provenance(data, options),
-        diagnostics={
-            **result.diagnostics,
+        diagnostics=replace(
+            result.diagnostics,
             # Far from a solution the covariance may be singular.
-            "asymmetry": asymmetry_choice(result.errors, covariance, observed) if result.status == "converged" else {},
-            "unseen_errors": unseen_errors(data, observed),
-        },
+            asymmetry=asymmetry_choice(result.errors, covariance, observed) if result.status == "converged" else {},
+            unseen_errors=unseen_errors(data, observed),
+        ),
         verdict=evidence,
         warnings=(*warnings, *_warnings(data, result, observed)),
     )
@@ -134,7 +138,7 @@ def _birge_ratio(result: SolverResult) -> float:
 
 
 def _status(
-    result: SolverResult, fixed: Mapping[str, str], evidence: Mapping[str, Any], *, free: bool, rated: bool = False
+    result: SolverResult, fixed: Mapping[str, str], evidence: Consistency | None, *, free: bool, rated: bool = False
 ) -> tuple[str, str]:
     """Status and message: outside_model, not_converged, inconsistent, partial, converged, in this order.
 
@@ -143,18 +147,20 @@ def _status(
     """
     if result.status != "converged":
         return result.status, result.message
-    suspect = evidence.get("contradicting")
-    robust = "weights" in result.diagnostics  # a robust loss has reduced the weight of what contradicts
+    suspect = None if evidence is None else evidence.contradicting
+    robust = result.diagnostics.weights is not None  # a robust loss has reduced the weight of what contradicts
     if suspect is not None and not robust:
-        again = f" (occurrence {suspect['occurrence']})" if suspect["occurrence"] > 1 else ""
+        again = f" (occurrence {suspect.occurrence})" if suspect.occurrence > 1 else ""
         to_check = f"its label, windows and rotation{', and the stated rates about its axis' if rated else ''}"
         return "inconsistent", (
-            f"Sequence {suspect['sequence']}{again} contradicts all others "
-            f"({p_value_text(suspect['probability'])}): check {to_check}, and leave it out or repeat it."
+            f"Sequence {suspect.sequence}{again} contradicts all others "
+            f"({p_value_text(suspect.probability)}): check {to_check}, and leave it out or repeat it."
         )
-    explained = robust or not evidence or (free and not is_misfit(result.chi_square, result.degrees_of_freedom))
+    explained = robust or evidence is None or (free and not is_misfit(result.chi_square, result.degrees_of_freedom))
     statistic, freedom = result.sensor_noise_fit
-    ratio, grown = np.sqrt(statistic / max(freedom, 1)), evidence.get("sigma_factor", [1.0, 1.0])[1]
+    ratio, grown = np.sqrt(statistic / max(freedom, 1)), 1.0
+    if evidence is not None and evidence.sigma_factor is not None:
+        grown = evidence.sigma_factor[1]
     if is_misfit(statistic, freedom) and max(ratio, grown) > LARGEST_RATIO and not explained:
         # The noise of the rotations can be exceeded by far where that of the windows, in most residuals, is not.
         size = (
@@ -172,33 +178,37 @@ def _status(
     return result.status, result.message
 
 
-def _agreement(
-    data: PreparedRecording, result: SolverResult, covariance: Array, observed: Mask, inflation: float
-) -> dict[str, Any]:
-    """Agreement of the residuals with the noise of the sensors, and what was added to it, as JSON values."""
+def _with_sensor_noise(
+    evidence: Consistency,
+    data: PreparedRecording,
+    result: SolverResult,
+    covariance: Array,
+    observed: Mask,
+    inflation: float,
+) -> Consistency:
+    """Add the agreement of the residuals with the noise of the sensors, and what was added to it."""
     statistic, freedom = result.sensor_noise_fit
-    out: dict[str, Any] = {
-        "own_noise": {
-            "chi_square": statistic,
-            "degrees_of_freedom": freedom,
-            "probability": chi_square_probability(statistic, freedom),
-        }
+    noise = {
+        kind: AddedNoise(added=size, own=own)
+        for (kind, own), size in zip(_sensor_noise(data).items(), result.unmodelled, strict=True)
+        if size > 0.0 or kind != "wobble_rad"
     }
-    if any(result.unmodelled):
-        own = _sensor_noise(data)
-        out["added_noise"] = {
-            kind: {"added": size, "own": own[kind]}
-            for kind, size in zip(own, result.unmodelled, strict=True)
-            if size > 0.0 or kind != "wobble_rad"
-        }
     added = sum((P for source, P in result.covariance.items() if source.endswith("excess")), np.zeros_like(covariance))
     variance = np.diag(covariance)[observed]
     own_part = np.maximum(variance / inflation**2 - np.diag(added)[observed], 0.0)
     with np.errstate(divide="ignore", invalid="ignore"):
         factor = np.sqrt(variance / own_part)
     factor = factor[np.isfinite(factor)]
-    out["sigma_factor"] = [float(factor.min()), float(factor.max())] if factor.size else [1.0, 1.0]
-    return out
+    return replace(
+        evidence,
+        own_noise=ChiSquareTest(
+            chi_square=statistic,
+            degrees_of_freedom=freedom,
+            probability=chi_square_probability(statistic, freedom),
+        ),
+        added_noise=noise if any(result.unmodelled) else None,
+        sigma_factor=(float(factor.min()), float(factor.max())) if factor.size else (1.0, 1.0),
+    )
 
 
 def _sensor_noise(data: PreparedRecording) -> dict[str, float]:
@@ -214,54 +224,60 @@ def _sensor_noise(data: PreparedRecording) -> dict[str, float]:
     }
 
 
-def _provenance(data: PreparedRecording, options: Options) -> dict[str, Any]:
+def _provenance(data: PreparedRecording, options: Options) -> Provenance:
     applied = data.recording.applied
-    return {
-        "data_sha256": data.recording.data_sha256,
-        "software": software(),
-        "serial": data.recording.serial,
-        "date": data.recording.date,
-        "options": options.as_dict(),
-        "voided": dict(data.voided),
-        **({} if applied is None else {"applied": applied.document()}),
-    }
+    return Provenance(
+        data_sha256=data.recording.data_sha256,
+        software=software(),
+        serial=data.recording.serial,
+        date=data.recording.date,
+        options=options.as_dict(),
+        voided=data.voided,
+        applied=None if applied is None else applied.document(),
+    )
 
 
-def site_document(recording: Recording) -> dict[str, Any]:
+def stated_site(recording: Recording) -> StatedSite:
     """Site of a recording, as the result states it."""
     site = recording.site
-    return {
-        "latitude_deg": None if site.latitude_rad is None else float(np.degrees(site.latitude_rad)),
-        "gravity_m_s2": site.gravity_m_s2,
-        "gravity_sigma_m_s2": site.gravity_sigma_m_s2,
-        "latitude_sigma_deg": None if site.latitude_sigma_rad is None else float(np.degrees(site.latitude_sigma_rad)),
-    }
+    return StatedSite(
+        latitude_deg=None if site.latitude_rad is None else float(np.degrees(site.latitude_rad)),
+        gravity_m_s2=site.gravity_m_s2,
+        gravity_sigma_m_s2=site.gravity_sigma_m_s2,
+        latitude_sigma_deg=None if site.latitude_sigma_rad is None else float(np.degrees(site.latitude_sigma_rad)),
+    )
 
 
-def _noise(data: PreparedRecording, result: SolverResult, inflation: float) -> dict[str, Any]:
+def _noise(data: PreparedRecording, result: SolverResult, mask: Mask, inflation: float) -> NoiseFigures:
     noise = data.noise
-    filters = zip(("gyro_filter_s", "accel_filter_s"), noise.filter_s.tolist(), strict=True)
-    return {
-        **{key: filter_s for key, filter_s in filters if filter_s > 0.0},
-        "gyro_noise_rad_per_sqrt_s": noise.gyro_white.tolist(),
-        "accel_noise_m_s2_sqrt_s": noise.accel_white.tolist(),
-        "gyro_reading_error_rad": noise.gyro_edge.tolist(),
-        "accel_reading_error_m_s": noise.accel_edge.tolist(),
-        "gyro_bias_wander_rad_s": result.wander.tolist(),
-        "accel_bias_wander_m_s2": noise.accel_wander.tolist(),
-        "estimated": list(noise.estimated),
-        "floored": list(noise.floored),
-        "sigma_inflation": inflation,
-        "gyro_bias_by_sequence_rad_s": result.bias_by_sequence.tolist(),
-    }
+    gyro_filter_s, accel_filter_s = (filter_s if filter_s > 0.0 else None for filter_s in noise.filter_s.tolist())
+    gravity_effect, by_fixed = _shared_errors(result, mask, inflation)
+    return NoiseFigures(
+        gyro_filter_s=gyro_filter_s,
+        accel_filter_s=accel_filter_s,
+        gyro_noise_rad_per_sqrt_s=noise.gyro_white,
+        accel_noise_m_s2_sqrt_s=noise.accel_white,
+        gyro_reading_error_rad=noise.gyro_edge,
+        accel_reading_error_m_s=noise.accel_edge,
+        gyro_bias_wander_rad_s=result.wander,
+        accel_bias_wander_m_s2=noise.accel_wander,
+        estimated=noise.estimated,
+        floored=noise.floored,
+        sigma_inflation=inflation,
+        gyro_bias_by_sequence_rad_s=result.bias_by_sequence,
+        chi_square=result.chi_square,
+        degrees_of_freedom=result.degrees_of_freedom,
+        gravity_effect=gravity_effect,
+        held_values_covariance=by_fixed,
+    )
 
 
-def _shared_errors(result: SolverResult, mask: Mask, inflation: float) -> dict[str, Any]:
+def _shared_errors(result: SolverResult, mask: Mask, inflation: float) -> tuple[Array | None, Array | None]:
     """Errors that all recordings of the unit share, so that averaging recordings does not reduce them.
 
-    ``gravity_effect`` is the effect of 1 sigma of gravity on every parameter; fixed values bring a covariance.
+    They are the effect of 1 sigma of gravity on every parameter, and the covariance due to fixed values; None without.
     """
-    out: dict[str, Any] = {}
+    effect = None
     gravity, by_fixed = (
         np.where(mask, result.covariance.get(source, 0.0), 0.0) * inflation**2 for source in ("gravity", "held_values")
     )
@@ -269,28 +285,26 @@ def _shared_errors(result: SolverResult, mask: Mask, inflation: float) -> dict[s
     if gravity[most, most] > 0.0:
         effect = gravity[most] / np.sqrt(gravity[most, most])
         scale = effect[GROUP_SLICES["accel_scale"]].sum()
-        out["gravity_effect"] = (effect * (-1.0 if scale < 0.0 else 1.0)).tolist()
-    if by_fixed.any():
-        out["held_values_covariance"] = by_fixed.tolist()
-    return out
+        effect = effect * (-1.0 if scale < 0.0 else 1.0)
+    return effect, by_fixed if by_fixed.any() else None
 
 
-def alignment_document(recording: Recording) -> dict[str, Any]:
+def stated_alignment(recording: Recording) -> Alignment:
     """Fixture of a recording, as the result states it."""
     fixture = recording.fixture
     if fixture is None:
-        return {"fixture": False}
-    wobble = {} if fixture.wobble_sigma_rad is None else {"wobble_sigma_mrad": fixture.wobble_sigma_rad * 1e3}
-    return {
-        "fixture": True,
-        "heading_deg": None if fixture.heading_rad is None else float(np.degrees(fixture.heading_rad)),
-        "alignment_sigma_mrad": fixture.alignment_sigma_rad * 1e3,
-        "rotation_sigma_mrad": fixture.rotation_sigma_rad * 1e3,
-        **wobble,
-    }
+        return Alignment(fixture=False)
+    return Alignment(
+        fixture=True,
+        heading_deg=None if fixture.heading_rad is None else float(np.degrees(fixture.heading_rad)),
+        alignment_sigma_mrad=fixture.alignment_sigma_rad * 1e3,
+        rotation_sigma_mrad=fixture.rotation_sigma_rad * 1e3,
+        wobble_sigma_mrad=None if fixture.wobble_sigma_rad is None else fixture.wobble_sigma_rad * 1e3,
+        nulls=("heading_deg",),
+    )
 
 
-def _temperature(data: PreparedRecording) -> dict[str, Any] | None:
+def _temperature(data: PreparedRecording) -> Temperature | None:
     T = data.recording.temperature
     if T is None:
         return None
@@ -300,14 +314,11 @@ def _temperature(data: PreparedRecording) -> dict[str, Any] | None:
         part = T[samples[data.start[k], 0] : samples[data.end[k], 1]]
         low, high = float(part.min()), float(part.max())
         rows.append(
-            {
-                "sequence": name,
-                "occurrence": data.occurrences[k],
-                "mean_c": float(part.mean()),
-                "range_c": high - low,
-            }
+            SequenceTemperature(
+                sequence=name, occurrence=data.occurrences[k], mean_c=float(part.mean()), range_c=high - low
+            )
         )
-    return {"mean_c": float(T.mean()), "range_c": float(T.max() - T.min()), "sequences": rows}
+    return Temperature(float(T.mean()), float(T.max() - T.min()), tuple(rows))
 
 
 def _warnings(data: PreparedRecording, result: SolverResult, observed: Mask) -> tuple[str, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
+from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from srt.noise.drift_forms import (
     of_courses,
     variance_component,
 )
+from srt.result.diagnostics import Drift
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -74,10 +75,6 @@ class DriftSearch(NamedTuple):
     terms: tuple[DriftTerm, ...] = ()
     possible: float = 0.0
 
-    def diagnostics(self) -> dict[str, Any]:
-        """JSON values; empty without a possible drift."""
-        return {"possible_accel_drift_sigma_m_s2": self.possible} if self.possible > 0.0 else {}
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DriftEstimate:
@@ -97,15 +94,11 @@ class DriftEstimate:
     change: Array
     modelled: bool
 
-    def as_dict(self) -> dict[str, Any]:
-        """JSON values."""
-        unit = "rad_s" if self.sensor == "gyro" else "m_s2"
-        return {
-            "sensor": self.sensor,
-            "form": self.form,
-            f"change_{unit}": self.change.tolist(),
-            "modelled": self.modelled,
-        }
+    @property
+    def result(self) -> Drift:
+        """Drift as the result states it."""
+        change = {"change_rad_s" if self.sensor == "gyro" else "change_m_s2": self.change}
+        return Drift(sensor=self.sensor, form=self.form, modelled=self.modelled, **change)
 
     @property
     def sentence(self) -> str:

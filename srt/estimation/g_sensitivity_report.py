@@ -7,7 +7,7 @@ with a fit by the constant alone.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from scipy.special import fdtrc
@@ -15,7 +15,7 @@ from scipy.special import fdtrc
 from srt.constants import DEG_PER_H, STANDARD_GRAVITY_M_S2
 from srt.estimation.error_sources import earth_rate_sigma, raw_rate_variance
 from srt.estimation.g_sensitivity import LEAST_FORCE_VARIATION, MODE
-from srt.result.calibration import G_SENSITIVITY
+from srt.result.diagnostics import GSensitivity, RestRateScatter
 
 if TYPE_CHECKING:
     from srt.estimation.g_sensitivity import RestRates
@@ -36,14 +36,10 @@ _ESTIMATED: Final = (
 _DEG_PER_H_PER_G: Final = STANDARD_GRAVITY_M_S2 / DEG_PER_H
 
 
-def diagnostics(
+def estimated_g_sensitivity(
     data: PreparedRecording, rest: RestRates, matrix: Array, covariance: Array, wander: Array
-) -> dict[str, Any]:
-    """Estimated g-sensitivity, as JSON values.
-
-    ``matrix``, its ``sigma`` and its ``covariance`` (nine elements by rows) are SI, rows gyros and columns axes of B;
-    ``rest_rate_scatter_rad_s`` is the rms of the windows' rest rates about their mean before and after Γ is subtracted,
-    and the value expected from noise.
+) -> GSensitivity:
+    """Estimated g-sensitivity with its sigmas and the scatter of the rest rates.
 
     Parameters
     ----------
@@ -59,22 +55,20 @@ def diagnostics(
     pool, gyro = rest.pool, rest.gyro
     left, deviation = rest.rate - pool @ rest.rate, rest.force - pool @ rest.force
     followed = np.linalg.solve(gyro.matrix, matrix)
-    return {
-        G_SENSITIVITY: {
-            "matrix": matrix.tolist(),
-            "sigma": np.sqrt(np.diag(covariance)).reshape(3, 3).tolist(),
-            "covariance": covariance.tolist(),
-            "unit": "rad/s per m/s^2",
-            "matrix_deg_per_h_per_g": (matrix * _DEG_PER_H_PER_G).tolist(),
-            "sigma_deg_per_h_per_g": (np.sqrt(np.diag(covariance)).reshape(3, 3) * _DEG_PER_H_PER_G).tolist(),
-            "not_seen_along": rest.poses.unobserved.tolist(),
-            "rest_rate_scatter_rad_s": {
-                "before": np.sqrt(pool @ (left + deviation @ followed.T) ** 2).tolist(),
-                "after": np.sqrt(pool @ left**2).tolist(),
-                "expected": np.sqrt(_expected_scatter(data, rest, wander)).tolist(),
-            },
-        }
-    }
+    sigma = np.sqrt(np.diag(covariance)).reshape(3, 3)
+    return GSensitivity(
+        matrix=matrix,
+        sigma=sigma,
+        covariance=covariance,
+        matrix_deg_per_h_per_g=matrix * _DEG_PER_H_PER_G,
+        sigma_deg_per_h_per_g=sigma * _DEG_PER_H_PER_G,
+        not_seen_along=rest.poses.unobserved,
+        rest_rate_scatter_rad_s=RestRateScatter(
+            before=np.sqrt(pool @ (left + deviation @ followed.T) ** 2),
+            after=np.sqrt(pool @ left**2),
+            expected=np.sqrt(_expected_scatter(data, rest, wander)),
+        ),
+    )
 
 
 def _expected_scatter(data: PreparedRecording, rest: RestRates, wander: Array) -> Array:

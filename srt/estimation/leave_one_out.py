@@ -18,7 +18,7 @@ in a chain of free rotations would reduce it.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -26,6 +26,16 @@ from scipy.linalg import solve_triangular
 from srt.estimation.goodness_of_fit import chi_square_probability, contradicting_group
 from srt.estimation.observability import observed_limit
 from srt.model.prior import prior_sigma
+from srt.result.consistency import (
+    Consistency,
+    Contradiction,
+    Correlation,
+    Influence,
+    InformationShare,
+    LeaveOneOut,
+    ParameterObservability,
+    WeakestCombination,
+)
 from srt.sensor_errors import N_PARAMETERS, NAMES
 
 if TYPE_CHECKING:
@@ -253,8 +263,8 @@ def verdict(
     freedom: int,
     *,
     free: bool = False,
-) -> dict[str, Any]:
-    """Verdict of the measurements on the result, as JSON values.
+) -> Consistency:
+    """Verdict of the measurements on the result.
 
     Parameters
     ----------
@@ -268,68 +278,63 @@ def verdict(
     freedom : int
     free : bool
         The unit was turned by hand.
-
-    Returns
-    -------
-    dict
-        "chi_square", "degrees_of_freedom", "probability" (p-value of chi-square; None without degrees of freedom),
-        "contradicting" (the sequence that contradicts all others, with the p-value, or None), "sequences",
-        "parameters" (those observed), "weakest_combination".
     """
     # Far from a solution, where an iteration did not converge, the linear algebra may fail.
     rows = list(evidence)
     rows = rows if all(row.finite for row in rows) else []
     seen = np.flatnonzero(observed)
     sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    return {
-        "chi_square": statistic,
-        "degrees_of_freedom": freedom,
-        "probability": chi_square_probability(statistic, freedom),
-        "contradicting": _contradicting(rows, statistic, freedom, free=free),
-        "sequences": [_sequence(row, sigma, observed) for row in rows],
-        "parameters": _parameters(rows, covariance, seen),
-        "weakest_combination": _weakest(covariance, seen),
-    }
+    return Consistency(
+        chi_square=statistic,
+        degrees_of_freedom=freedom,
+        probability=chi_square_probability(statistic, freedom),
+        contradicting=_contradicting(rows, statistic, freedom, free=free),
+        sequences=tuple(_sequence(row, sigma, observed) for row in rows),
+        parameters=_parameters(rows, covariance, seen),
+        weakest_combination=_weakest(covariance, seen),
+    )
 
 
 def _contradicting(
     rows: Sequence[SequenceDiagnostics], statistic: float, freedom: int, *, free: bool
-) -> dict[str, Any] | None:
+) -> Contradiction | None:
     tests = [(row.consistency.chi_square, row.consistency.degrees_of_freedom) for row in rows]
     worst = contradicting_group(tests, statistic, freedom, free=free)
     if worst is None:
         return None
     row = rows[worst[0]]
-    return {"sequence": row.title, "occurrence": row.occurrence, "probability": worst[1]}
+    return Contradiction(sequence=row.title, occurrence=row.occurrence, probability=worst[1])
 
 
-def _sequence(row: SequenceDiagnostics, sigma: Array, observed: Mask) -> dict[str, Any]:
+def _sequence(row: SequenceDiagnostics, sigma: Array, observed: Mask) -> LeaveOneOut:
     against, without = row.consistency, row.without
     kept = observed & ~without.lost & (sigma > 0.0)
     influence = np.zeros(N_PARAMETERS)
     influence[kept] = without.change[kept] / sigma[kept]
     largest = int(np.argmax(np.abs(influence)))
     checkable = "no" if against.degrees_of_freedom == 0 else "partly" if against.unchecked else "yes"
-    return {
-        "sequence": row.title,
-        "occurrence": row.occurrence,
-        "chi_square": against.chi_square,
-        "degrees_of_freedom": against.degrees_of_freedom,
-        "probability": chi_square_probability(against.chi_square, against.degrees_of_freedom),
-        "checkable": checkable,
-        "only_witness_of": _names(against.determined & observed),
-        "lost_without": _names(without.lost & observed),
-        "largest_influence": (
-            {"parameter": NAMES[largest], "sigmas": float(influence[largest])} if kept.any() else None
+    return LeaveOneOut(
+        sequence=row.title,
+        occurrence=row.occurrence,
+        chi_square=against.chi_square,
+        degrees_of_freedom=against.degrees_of_freedom,
+        probability=chi_square_probability(against.chi_square, against.degrees_of_freedom),
+        checkable=checkable,
+        only_witness_of=_names(against.determined & observed),
+        lost_without=_names(without.lost & observed),
+        largest_influence=(
+            Influence(parameter=NAMES[largest], sigmas=float(influence[largest])) if kept.any() else None
         ),
-        "influence": {NAMES[i]: float(influence[i]) if kept[i] else None for i in np.flatnonzero(observed)},
-    }
+        influence={NAMES[i]: float(influence[i]) if kept[i] else None for i in np.flatnonzero(observed)},
+    )
 
 
-def _parameters(rows: Sequence[SequenceDiagnostics], covariance: Array, seen: Indices) -> list[dict[str, Any]]:
+def _parameters(
+    rows: Sequence[SequenceDiagnostics], covariance: Array, seen: Indices
+) -> tuple[ParameterObservability, ...]:
     sigma = np.sqrt(np.maximum(np.diag(covariance)[seen], 0.0))
     if not len(seen) or not np.all(sigma > 0.0):
-        return []
+        return ()
     C = covariance[np.ix_(seen, seen)] / np.outer(sigma, sigma)
     values, vectors = np.linalg.eigh(C)
     # A limit on the eigenvalues: rounding must not make a combination better known than the covariance can state.
@@ -343,26 +348,26 @@ def _parameters(rows: Sequence[SequenceDiagnostics], covariance: Array, seen: In
         share = shares[:, i]
         most = float(share.max(initial=0.0))
         out.append(
-            {
-                "name": NAMES[i],
-                "sigma": float(sigma[n]),
-                "witnesses": 1.0 / most if most > 0.0 else None,
-                "shown_by": [
-                    {"sequence": rows[k].title, "occurrence": rows[k].occurrence, "share": float(share[k])}
+            ParameterObservability(
+                name=NAMES[i],
+                sigma=float(sigma[n]),
+                witnesses=1.0 / most if most > 0.0 else None,
+                shown_by=tuple(
+                    InformationShare(sequence=rows[k].title, occurrence=rows[k].occurrence, share=float(share[k]))
                     for k in np.argsort(-share, kind="stable").tolist()
                     if share[k] >= _LEAST_SHARE
-                ],
-                "information": share.tolist(),
-                "variance_inflation": max(float(inflation[n]), 1.0),
-                "largest_correlation": (
-                    {"with": NAMES[seen[partner[n]]], "value": float(C[n, partner[n]])} if len(seen) > 1 else None
                 ),
-            }
+                information=tuple(share.tolist()),
+                variance_inflation=max(float(inflation[n]), 1.0),
+                largest_correlation=(
+                    Correlation(with_=NAMES[seen[partner[n]]], value=float(C[n, partner[n]])) if len(seen) > 1 else None
+                ),
+            )
         )
-    return out
+    return tuple(out)
 
 
-def _weakest(covariance: Array, seen: Indices) -> dict[str, Any] | None:
+def _weakest(covariance: Array, seen: Indices) -> WeakestCombination | None:
     """Combination of parameters whose sigma the data reduce least, relative to the prior sigma."""
     if not len(seen):
         return None
@@ -372,11 +377,11 @@ def _weakest(covariance: Array, seen: Indices) -> dict[str, Any] | None:
     order = [
         n for n in np.argsort(-np.abs(direction), kind="stable").tolist() if abs(direction[n]) > 2.0 * _LEAST_COMPONENT
     ]
-    return {
-        "sigma_over_prior": float(np.sqrt(max(values[-1], 0.0))),
-        "combination": {NAMES[seen[n]]: float(direction[n]) for n in order},
-    }
+    return WeakestCombination(
+        sigma_over_prior=float(np.sqrt(max(values[-1], 0.0))),
+        combination={NAMES[seen[n]]: float(direction[n]) for n in order},
+    )
 
 
-def _names(mask: Mask) -> list[str]:
-    return [NAMES[i] for i in np.flatnonzero(mask)]
+def _names(mask: Mask) -> tuple[str, ...]:
+    return tuple(NAMES[i] for i in np.flatnonzero(mask))

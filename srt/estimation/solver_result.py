@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from srt.estimation.error_sources import NO_ERRORS
+from srt.result.diagnostics import Diagnostics
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -49,8 +50,8 @@ class SolverResult:
         C_End of every sequence as the gyros measured it.
     total : ndarray, shape (27, 27), optional
         Covariance as the estimator itself computes it; default the sum over the sources.
-    diagnostics : mapping
-        Further output of the estimator, as JSON values.
+    diagnostics : Diagnostics
+        Further output of the estimator.
     force_fit : tuple of float and int, optional
         Chi-square and degrees of freedom of the residuals of the specific forces alone, where no noise is added.
     sequences : tuple of SequenceDiagnostics
@@ -77,7 +78,7 @@ class SolverResult:
     bias_by_sequence: Array
     end_attitude: Array
     total: Array | None = None
-    diagnostics: Mapping[str, Any] = field(default_factory=dict)
+    diagnostics: Diagnostics = field(default_factory=Diagnostics)
     force_fit: tuple[float, int] = (0.0, 0)
     sequences: tuple[SequenceDiagnostics, ...] = ()
     drift: tuple[DriftEstimate, ...] = ()

@@ -10,12 +10,14 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from typing import TYPE_CHECKING, Any, NamedTuple
+from dataclasses import replace
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from srt.constants import DEG_PER_H, EARTH_RATE_RAD_S
 from srt.model.table1 import AXES
+from srt.result.diagnostics import UnseenError
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS
 
 if TYPE_CHECKING:
@@ -35,21 +37,14 @@ class _Effect(NamedTuple):
     largest: bool = False
 
 
-def unseen_errors(data: PreparedRecording, observed: Mask) -> list[dict[str, Any]]:
-    """Errors that no residual shows, as JSON values.
+def unseen_errors(data: PreparedRecording, observed: Mask) -> tuple[UnseenError, ...]:
+    """Errors that no residual shows.
 
     Parameters
     ----------
     data : PreparedRecording
     observed : ndarray of bool, shape (27,)
         Parameters that the recording shows.
-
-    Returns
-    -------
-    list of dict
-        ``source``; ``unit`` and stated 1-sigma ``sigma`` (None: not stated) of its error; ``coefficient``: effect of
-        one unit on the parameters of ``group``, all or those of ``axes``, in ``group_unit``, or its largest size where
-        ``largest`` is true; ``sentence``.
     """
     recording, site, fixture = data.recording, data.recording.site, data.recording.fixture
     clock = recording.clock_sigma
@@ -67,7 +62,7 @@ def unseen_errors(data: PreparedRecording, observed: Mask) -> list[dict[str, Any
             per_mrad = EARTH_RATE_RAD_S * math.cos(site.latitude_rad) * 1e-3 / DEG_PER_H
             sigma = fixture.alignment_sigma_rad * 1e3
             rows.append(_row("heading", ("mrad", sigma), _Effect("gyro_bias", per_mrad, "°/h", largest=True)))
-    return [*rows, *_stated_rates(data, observed)]
+    return (*rows, *_stated_rates(data, observed))
 
 
 def clock_effect(data: PreparedRecording) -> Array:
@@ -95,7 +90,7 @@ def _time_base(data: PreparedRecording) -> list[_Effect]:
     return [_Effect("accel_scale", -1.0, "ppm"), *by_rate]
 
 
-def _stated_rates(data: PreparedRecording, observed: Mask) -> list[dict[str, Any]]:
+def _stated_rates(data: PreparedRecording, observed: Mask) -> list[UnseenError]:
     """Errors of the stated rates: the common one, and that of a run which no other run contradicts.
 
     With an asymmetry, each sense has a scale factor of its own, κ ± κ_Asym: half of a run's error is κ's. Without, two
@@ -118,30 +113,28 @@ def _stated_rates(data: PreparedRecording, observed: Mask) -> list[dict[str, Any
         )
         if alone:
             effect = _Effect("gyro_scale", -0.5 if half else -1.0, "ppm", alone)
-            rows.append(_row("one stated rate alone", ("ppm", None), effect))
-            rows[-1]["sentence"] += (
-                " A second run about the axis in the same sense, at another rate, shows such an error."
-                if half
-                else " A second run about the axis shows such an error."
-            )
+            run = "A second run about the axis"
+            remedy = f"{run} in the same sense, at another rate," if half else run
+            row = _row("one stated rate alone", ("ppm", None), effect)
+            rows.append(replace(row, sentence=f"{row.sentence} {remedy} shows such an error."))
     return rows
 
 
-def _row(source: str, error: tuple[str, float | None], effect: _Effect) -> dict[str, Any]:
+def _row(source: str, error: tuple[str, float | None], effect: _Effect) -> UnseenError:
     unit, sigma = error
     size = f"{'up to ' if effect.largest else ''}{effect.coefficient:.3g} {effect.unit}"
     name = effect.group.replace("_", " ")
     where = f"every {name}" if effect.axes in ("", "".join(AXES)) else f"{name} {' and '.join(effect.axes)}"
     origin = "the time base" if source == "time base" else source
     known = "not stated" if sigma is None else f"{sigma:.3g} {unit}"
-    return {
-        "source": source,
-        "unit": unit,
-        "sigma": sigma,
-        "group": effect.group,
-        "axes": effect.axes or "".join(AXES),
-        "coefficient": effect.coefficient,
-        "group_unit": effect.unit,
-        "largest": effect.largest,
-        "sentence": f"An error of 1 {unit} in {origin} changes {where} by {size}. The 1-sigma of {origin} is {known}.",
-    }
+    return UnseenError(
+        source=source,
+        unit=unit,
+        sigma=sigma,
+        group=effect.group,
+        axes=effect.axes or "".join(AXES),
+        coefficient=effect.coefficient,
+        group_unit=effect.unit,
+        largest=effect.largest,
+        sentence=f"An error of 1 {unit} in {origin} changes {where} by {size}. The 1-sigma of {origin} is {known}.",
+    )

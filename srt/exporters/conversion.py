@@ -11,7 +11,7 @@ import numpy as np
 
 from srt.exceptions import DataError, InputError, SrtError
 from srt.exporters.correction_difference import CorrectionDifference, Readings, compare_corrections
-from srt.exporters.export_model import APPLIED, ExportModel, ExportSettings
+from srt.exporters.export_model import ExportModel, ExportSettings
 from srt.exporters.linear_model import ASYMMETRY, FACTORS, LinearModel, linear_part
 from srt.exporters.noise_fields import unknown
 from srt.exporters.registry import exporter
@@ -19,7 +19,6 @@ from srt.model.sensor_model import Triad, accel_triad, gyro_triad, outside_model
 from srt.recording.applied import NOTHING, AppliedCorrection, applied_correction
 from srt.recording.atomic_file import atomic_path
 from srt.result.applier import Applier
-from srt.result.calibration import G_SENSITIVITY
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -280,7 +279,7 @@ def part_paths(chosen: Exporter, path: str | PathLike[str]) -> dict[str, Path]:
 
 def _replaced(chosen: Exporter, calibration: Calibration, stated: AppliedCorrection | None) -> AppliedCorrection | None:
     """Correction of the log that the file replaces; None if it works on the readings as they were logged."""
-    known = stated or applied_correction("The calibration", calibration.provenance.get(APPLIED))
+    known = stated or applied_correction("The calibration", calibration.provenance.applied)
     if known is not None and known.system == chosen.name:
         return known
     if not chosen.replaces or (known is not None and known.system == NOTHING):
@@ -390,7 +389,7 @@ def _check(chosen: Exporter, readings: Readings, expected: Correction, found: Co
 
 def _losses(chosen: Exporter, calibration: Calibration) -> tuple[str, ...]:
     asymmetry = () if chosen.asymmetry or not _asymmetric(calibration) else ("scale-factor asymmetry",)
-    sensitivity = ("g-sensitivity",) if G_SENSITIVITY in calibration.diagnostics and not chosen.g_sensitivity else ()
+    sensitivity = ("g-sensitivity",) if calibration.g_sensitivity is not None and not chosen.g_sensitivity else ()
     return (*asymmetry, *sensitivity, *chosen.losses, "covariance")
 
 

@@ -12,7 +12,6 @@ from srt.exceptions import InputError
 from srt.exporters.linear_model import LinearModel
 from srt.model.rotations import rotation_vector
 from srt.recording.schema import LARGEST_ELEMENT
-from srt.result.calibration import G_SENSITIVITY
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -30,8 +29,6 @@ _AXES: Final = {
     "accel": "those that the accelerometer matrix defines",
 }
 LAST_INSTANCE: Final = 9
-APPLIED: Final = "applied"
-"""Key of the provenance that holds the correction that the readings had before they were logged."""
 
 
 class FormatDescription(Protocol):
@@ -147,7 +144,7 @@ class ExportModel:
     def heading(self, item: FormatDescription) -> list[str]:
         """ASCII lines for a comment: unit, origin, formula, axes and losses."""
         lost: tuple[str, ...] = () if item.asymmetry else ("scale-factor asymmetry",)
-        lost += ("g-sensitivity",) if G_SENSITIVITY in self.calibration.diagnostics and not item.g_sensitivity else ()
+        lost += ("g-sensitivity",) if self.calibration.g_sensitivity is not None and not item.g_sensitivity else ()
         return [
             f"{item.title}; generated, do not edit.",
             *origin(self.calibration),
@@ -201,12 +198,14 @@ class ExportModel:
 
 def origin(calibration: Calibration) -> list[str]:
     """ASCII lines on the unit, the test and the software; texts keep only characters that cannot end a comment."""
-    known = calibration.temperature
+    known, source = calibration.temperature, calibration.provenance
     words = {
-        **{key: calibration.provenance.get(key) for key in ("serial", "date", "software")},
+        "serial": source.serial,
+        "date": source.date,
+        "software": source.software,
         "status": f"{calibration.status} ({calibration.estimator})",
-        "temperature": known and f"mean {known['mean_c']:.1f} degC, range {known['range_c']:.1f} degC in the test",
-        "SHA-256": calibration.provenance.get("data_sha256"),
+        "temperature": known and f"mean {known.mean_c:.1f} degC, range {known.range_c:.1f} degC in the test",
+        "SHA-256": source.data_sha256,
     }
     stated = {key: _UNSAFE.sub("_", str(value or "not stated"))[:200] for key, value in words.items()}
     return [f"{key + ':':<12} {value}" for key, value in stated.items()]

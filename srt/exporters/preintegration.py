@@ -133,7 +133,7 @@ def preintegration_figures(
     """
     if readings not in ("corrected", "raw"):
         raise InputError(f"readings is {readings!r}; it must be 'corrected' or 'raw'.")
-    gravity = calibration.site.get("gravity_m_s2") if gravity_m_s2 is None else gravity_m_s2
+    gravity = calibration.site.gravity_m_s2 if gravity_m_s2 is None else gravity_m_s2
     if gravity is None or not (math.isfinite(gravity) and gravity > 0.0):
         raise InputError(f"Gravity is {gravity}: give gravity_m_s2, in m/s² and positive, of the place of the data.")
     triads = {"accel": accel_triad(calibration.errors), "gyro": gyro_triad(calibration.errors)}

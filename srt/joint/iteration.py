@@ -11,7 +11,7 @@ same.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from scipy.sparse import hstack
@@ -53,6 +53,7 @@ if TYPE_CHECKING:
     from srt.joint.joint_state import CompensatedData, JointState
     from srt.joint.linear_system import Columns, LinearSystem
     from srt.result.calibration import Calibration
+    from srt.result.diagnostics import Diagnostics
     from srt.types import Array, Mask
 
 
@@ -322,10 +323,11 @@ def run(joint: JointModel, solver: JointSolver, progress: Progress | None) -> Ca
     fixed = FixedParameters(reasons, uncertain)
     requested = np.array([name in reasons for name in NAMES])
     iteration = IterationState(joint.start, ~requested) if found is None else found
-    diagnostics: dict[str, Any] = {}
+    held: Diagnostics | None = None
     for _ in range(_ROUNDS * (1 + MOST_TERMS)):
         iteration = iterate(joint, solver, iteration, requested=requested, progress=progress)
-        if _integrates_moving_windows(joint, solver, iteration, uncertain, diagnostics):
+        if (found_held := _integrate_moving_windows(joint, solver, iteration, uncertain)) is not None:
+            held = found_held
             continue
         if _relies_on_fixture(joint, iteration, uncertain):
             solver.prior = joint.prior_of_fixture(uncertain)
@@ -340,7 +342,8 @@ def run(joint: JointModel, solver: JointSolver, progress: Progress | None) -> Ca
         ):
             continue
         suspect = contradicting_rests(joint, whole_solution(joint, solver, iteration))
-        if _integrates_moving_windows(joint, solver, iteration, uncertain, diagnostics, suspect):
+        if (found_held := _integrate_moving_windows(joint, solver, iteration, uncertain, suspect)) is not None:
+            held = found_held
             joint.unmodelled_sigma = NO_ERRORS
             continue
         weak = iteration.free & (iteration.sigma > observed_limit(joint.admission))
@@ -348,31 +351,26 @@ def run(joint: JointModel, solver: JointSolver, progress: Progress | None) -> Ca
             break
         iteration.free = iteration.free & ~weak
         iteration.state = joint.with_initial_values(iteration.state, weak)
-    return make_calibration(joint, solver, iteration, fixed, diagnostics)
+    return make_calibration(joint, solver, iteration, fixed, held)
 
 
-def _integrates_moving_windows(
-    joint: JointModel,
-    solver: JointSolver,
-    iteration: IterationState,
-    uncertain: Array,
-    diagnostics: dict[str, Any],
-    suspect: Mask | None = None,
-) -> bool:
-    """Integrate the attitude in windows in which the unit moved; True if there are new ones.
+def _integrate_moving_windows(
+    joint: JointModel, solver: JointSolver, iteration: IterationState, uncertain: Array, suspect: Mask | None = None
+) -> Diagnostics | None:
+    """Integrate the attitude in windows in which the unit moved; diagnostics before, None if there are no new ones.
 
     Motion in a window can prevent convergence, and would pass for noise or drift of the sensors.
     """
     if iteration.point is None or iteration.status == "outside_model":
-        return False
+        return None
     moving_windows = joint.moving_windows(iteration.state, iteration.point.compensated, suspect)
     if not moving_windows.any():
-        return False
-    diagnostics["held"] = {"sequences": list(analyse_solution(joint, solver, iteration, uncertain).table)}
-    diagnostics["held"] |= solver.diagnostics(joint)
+        return None
+    table = analyse_solution(joint, solver, iteration, uncertain).table
+    held = replace(solver.diagnostics(joint), sequences=table)
     joint.integrate_windows(moving_windows)
     solver.restart()
-    return True
+    return held
 
 
 def _relies_on_fixture(joint: JointModel, iteration: IterationState, uncertain: Array) -> bool:

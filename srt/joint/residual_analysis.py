@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from scipy.sparse.linalg import splu
@@ -20,6 +20,7 @@ from srt.estimation.leave_one_out import (
 )
 from srt.noise.variance_components import restricted_likelihood
 from srt.result.calibration import Residual
+from srt.result.consistency import SequenceTest
 from srt.sensor_errors import N_PARAMETERS
 
 if TYPE_CHECKING:
@@ -105,25 +106,19 @@ def contradicting_rests(joint: JointModel, solution: BlockSolution) -> Mask:
 
 def deletion_table(
     joint: JointModel, solution: BlockSolution, against: SequenceOf[ConsistencyTest] | None = None
-) -> list[dict[str, Any]]:
-    """Results of :func:`contradictions` as JSON values.
-
-    Returns
-    -------
-    list of dict
-        Sequence, occurrence, chi_square, degrees_of_freedom, probability; in time order.
-    """
+) -> tuple[SequenceTest, ...]:
+    """Results of :func:`contradictions` by sequence, in time order."""
     data = joint.data
-    return [
-        {
-            "sequence": data.ids[k],
-            "occurrence": data.occurrences[k],
-            "chi_square": row.chi_square,
-            "degrees_of_freedom": row.degrees_of_freedom,
-            "probability": chi_square_probability(row.chi_square, row.degrees_of_freedom),
-        }
+    return tuple(
+        SequenceTest(
+            sequence=data.ids[k],
+            occurrence=data.occurrences[k],
+            chi_square=row.chi_square,
+            degrees_of_freedom=row.degrees_of_freedom,
+            probability=chi_square_probability(row.chi_square, row.degrees_of_freedom),
+        )
         for k, row in zip(joint.order.tolist(), against or contradictions(joint, solution), strict=True)
-    ]
+    )
 
 
 def leave_one_out_estimates(joint: JointModel, solution: BlockSolution) -> list[LeaveOneOutEstimate]:

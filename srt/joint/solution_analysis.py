@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from copy import copy
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -34,6 +34,8 @@ if TYPE_CHECKING:
     from srt.joint.linear_system import LinearSystem
     from srt.joint.solver import IterationState, JointSolver
     from srt.result.calibration import Calibration, Residual
+    from srt.result.consistency import SequenceTest
+    from srt.result.diagnostics import Diagnostics, GSensitivity
     from srt.types import Array, Mask
 
 
@@ -58,7 +60,7 @@ def make_calibration(
     solver: JointSolver,
     iteration: IterationState,
     fixed: FixedParameters,
-    diagnostics: dict[str, Any],
+    held: Diagnostics | None,
 ) -> Calibration:
     """Calibration from the final solution of an iteration."""
     data, reasons = joint.data, dict(fixed.reasons)
@@ -72,9 +74,6 @@ def make_calibration(
     identity = np.tile(np.eye(3), (data.K, 1, 1))
     not_observed = np.array([name in reasons and not joint.relies_on_fixture for name in NAMES])
     drift = joint.drift.estimates(iteration.state.drift)
-    if drift:
-        diagnostics = {"drift": [term.as_dict() for term in drift], **diagnostics}
-    diagnostics = {**iteration.unmodelled_drift.diagnostics(), **diagnostics}
     followed, notes = _g_sensitivity(joint, iteration, analysis.g_sensitivity_covariance)
     result = SolverResult(
         errors=joint.with_initial_values(iteration.state, not_observed).errors,
@@ -93,7 +92,14 @@ def make_calibration(
         bias_by_sequence=iteration.state.bias_deviation + analysis.instability,
         end_attitude=identity if iteration.point is None else iteration.point.compensated.rotation,
         total=analysis.total,
-        diagnostics={"sequences": list(analysis.table)} | solver.diagnostics(joint) | followed | diagnostics,
+        diagnostics=replace(
+            solver.diagnostics(joint),
+            sequences=analysis.table,
+            g_sensitivity=followed,
+            possible_accel_drift_sigma_m_s2=iteration.unmodelled_drift.possible or None,
+            drift=tuple(term.result for term in drift) or None,
+            held=held,
+        ),
         sequences=analysis.sequences,
         drift=drift,
         notes=notes,
@@ -112,7 +118,7 @@ class SolutionAnalysis:
     total : ndarray, shape (27, 27)
         Covariance of the reported parameters.
     residuals : tuple of Residual
-    table : tuple of dict
+    table : tuple of SequenceTest
         Chi-square of every sequence as predicted from the others; see :func:`deletion_table`.
     chi_square, degrees_of_freedom : float, int
         Goodness of fit.
@@ -128,7 +134,7 @@ class SolutionAnalysis:
     covariance: dict[str, Array]
     total: Array
     residuals: tuple[Residual, ...] = ()
-    table: tuple[dict[str, Any], ...] = ()
+    table: tuple[SequenceTest, ...] = ()
     chi_square: float = 0.0
     degrees_of_freedom: int = 0
     sensor_noise_fit: tuple[float, int] = (0.0, 0)
@@ -150,7 +156,7 @@ def analyse_solution(
         return SolutionAnalysis({"none": nothing}, iteration.covariance)
     system = solution.system
     against = contradictions(joint, solution)
-    table = tuple(deletion_table(joint, solution, against))
+    table = deletion_table(joint, solution, against)
     if solver.weights():
         system = apply_weights(system, solver.weights())
         solution = BlockSolution(system)
@@ -211,20 +217,20 @@ def _g_sensitivity_covariance(joint: JointModel, solution: BlockSolution) -> Arr
 
 def _g_sensitivity(
     joint: JointModel, iteration: IterationState, covariance: Array | None
-) -> tuple[dict[str, Any], tuple[str, ...]]:
-    """Diagnostics of the g-sensitivity of the gyros, and warnings."""
+) -> tuple[GSensitivity | None, tuple[str, ...]]:
+    """Estimated g-sensitivity of the gyros, and warnings."""
     data, automatic = joint.data, joint.options.gyro_bias != G_SENSITIVE
     if iteration.point is None:
-        return {}, ()
+        return None, ()
     state, compensated = iteration.point.state, iteration.point.compensated
     rate = joint.rest_rate(state, compensated)
     if covariance is None:
         size = g_sensitivity_report.significant_g_sensitivity(data, compensated.force, rate, joint.integrated)
-        return {}, g_sensitivity_report.warnings(None, size, automatic=automatic)
+        return None, g_sensitivity_report.warnings(None, size, automatic=automatic)
     rest = joint.rest_rates(state, rate)
     matrix = joint.drift.g_sensitivity(iteration.state.drift)
     return (
-        g_sensitivity_report.diagnostics(data, rest, matrix, covariance, joint.bias_scatter),
+        g_sensitivity_report.estimated_g_sensitivity(data, rest, matrix, covariance, joint.bias_scatter),
         g_sensitivity_report.warnings(rest.poses.unobserved, None, automatic=automatic),
     )
 

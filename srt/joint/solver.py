@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from srt.estimation.drift_model import DriftSearch
 from srt.estimation.observability import default_prior
+from srt.result.diagnostics import Diagnostics
 from srt.sensor_errors import N_PARAMETERS
 
 if TYPE_CHECKING:
@@ -81,9 +82,9 @@ class JointSolver(ABC):
     def solve(self, point: Linearisation) -> LinearSolution:
         """Solve the linearised joint model."""
 
-    def diagnostics(self, joint: JointModel) -> dict[str, Any]:  # noqa: ARG002 - optional
-        """Further results of the solver, as JSON values."""
-        return {}
+    def diagnostics(self, joint: JointModel) -> Diagnostics:  # noqa: ARG002 - optional
+        """Further results of the solver."""
+        return Diagnostics()
 
 
 @dataclass(slots=True, eq=False)

@@ -295,7 +295,7 @@ def mount_from_calibration(calibration: Calibration) -> MountAlignment:
     rotation = left @ right  # U to rounding, as the file holds decimal digits
     if np.linalg.det(rotation) < 0.0 or np.abs(rotation - U).max() > 1e-6:
         raise InputError("U of this calibration is no rotation: the file was edited; calibrate again.")
-    provenance = {"serial": calibration.provenance.get("serial"), "estimator": calibration.estimator}
+    provenance = {"serial": calibration.provenance.serial, "estimator": calibration.estimator}
     return mount_from_rotation(rotation, {"fixture": sigma**2 * np.eye(3)}, method="play-back", provenance=provenance)
 
 

@@ -111,8 +111,8 @@ def mount_from_recording(
     )
     provenance = {
         "data_sha256": recording.data_sha256,
-        "calibration_data_sha256": calibration.provenance.get("data_sha256"),
-        "serial": recording.serial or calibration.provenance.get("serial"),
+        "calibration_data_sha256": calibration.provenance.data_sha256,
+        "serial": recording.serial or calibration.provenance.serial,
         "software": software(),
         "level_sigma_rad": level,
         "axis_sigma_rad": axis,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -10,21 +10,18 @@ from srt.exceptions import InputError
 from srt.noise.allan import CHANNELS, RANDOM_WALK, TERMS
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
+    from srt.result.noise_figures import NoiseFigures
     from srt.types import Array, Mask
 
 _SENSORS: Final = ("gyro", "accel")
-_OF_THE_TEST: Final = {"gyro": "gyro_noise_rad_per_sqrt_s", "accel": "accel_noise_m_s2_sqrt_s"}
 
 
-def stated_term(noise: Mapping[str, Any], sensor: str, term: int) -> tuple[Array, Mask]:
+def stated_term(noise: NoiseFigures, sensor: str, term: int) -> tuple[Array, Mask]:
     """Figures of a noise term by ``srt noise``.
 
     Parameters
     ----------
-    noise : mapping
-        Of a calibration.
+    noise : NoiseFigures
     sensor : "gyro" or "accel"
     term : int
         Index in :data:`srt.noise.allan.TERMS`.
@@ -38,29 +35,28 @@ def stated_term(noise: Mapping[str, Any], sensor: str, term: int) -> tuple[Array
     """
     s = _SENSORS.index(sensor)
     key, scale = TERMS[term].keys[s], TERMS[term].scales[s]
-    channels = noise.get("terms", {}).get("channels", {})
+    channels = {} if noise.terms is None else noise.terms.channels
     rows = [channels.get(channel, {}).get(key, {}) for channel in CHANNELS[3 * s : 3 * s + 3]]
     figures = [row.get("value", row.get("below", np.nan)) for row in rows]
     return scale * np.array(figures, dtype=np.float64), np.array(["below" in row for row in rows])
 
 
-def white_noise(noise: Mapping[str, Any], sensor: str) -> Array:
+def white_noise(noise: NoiseFigures, sensor: str) -> Array:
     """White noise of the uncorrected readings, shape (3,), rad/s/√Hz or m/s²/√Hz; NaN where not stated.
 
     The log of ``srt noise`` comes first: in the test, it is estimated from short stationary windows.
     """
     of_the_log, _ = stated_term(noise, sensor, RANDOM_WALK)
-    of_the_test = noise.get(_OF_THE_TEST[sensor])
+    of_the_test = noise.gyro_noise_rad_per_sqrt_s if sensor == "gyro" else noise.accel_noise_m_s2_sqrt_s
     return np.where(np.isnan(of_the_log), np.nan if of_the_test is None else of_the_test, of_the_log)
 
 
-def white_density(noise: Mapping[str, Any], sensor: str, correction: Array) -> Array:
+def white_density(noise: NoiseFigures, sensor: str, correction: Array) -> Array:
     """Spectral density of the white noise of corrected readings, shape (3, 3), squares of rad/s/√Hz or m/s²/√Hz.
 
     Parameters
     ----------
-    noise : mapping
-        Of a calibration.
+    noise : NoiseFigures
     sensor : "gyro" or "accel"
     correction : ndarray, shape (3, 3)
         D of ``corrected = D (reading − bias)``.

@@ -13,7 +13,7 @@ from srt.planning.conditions import GRAVITY, N_UNKNOWNS, NORTH
 from srt.planning.plan import PlanLimits, check_targets
 from srt.planning.planner import Planner
 from srt.planning.prediction import OBSERVED_LIMIT
-from srt.sensor_errors import N_PARAMETERS, NAMES
+from srt.sensor_errors import NAMES
 
 if TYPE_CHECKING:
     from srt.planning.candidates import Candidate
@@ -90,7 +90,8 @@ def known_information(calibration: Calibration, conditions: Conditions) -> Array
     # The drift common to the whole test is part of the bias sigmas, and no sequence reduces it: it is taken out here
     # and added again to the prediction.
     P[np.diag_indices_from(P)] -= np.minimum(conditions.drift_variance()[seen], _LARGEST_DRIFT_SHARE * np.diag(P))
-    effect = np.asarray(calibration.noise.get("gravity_effect", np.zeros(N_PARAMETERS)), dtype=np.float64)[seen]
+    gravity = calibration.noise.gravity_effect
+    effect = np.zeros(len(seen)) if gravity is None else gravity[seen]
     d = np.sqrt(np.diag(P))
     rest = (P - np.outer(effect, effect)) / np.outer(d, d)
     # The accelerometer scales may be limited by gravity alone: rounding must not leave a negative variance.

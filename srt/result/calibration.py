@@ -16,7 +16,12 @@ import numpy as np
 from srt.exceptions import InputError
 from srt.presentation import Presented
 from srt.result.applier import BLOCK, Applier
+from srt.result.consistency import Consistency
+from srt.result.diagnostics import Diagnostics
+from srt.result.document import from_document, to_document
 from srt.result.json_file import load_json_file, require_json, save_json_file
+from srt.result.noise_figures import NoiseFigures
+from srt.result.provenance import Alignment, Provenance, StatedSite, Temperature
 from srt.result.verdict import Verdict, verdict_on
 from srt.sensor_errors import INDEX, N_PARAMETERS, NAMES, SYMBOLS, UNITS, SensorErrors
 
@@ -31,8 +36,6 @@ if TYPE_CHECKING:
 
 FORMAT: Final = "srt-calibration"
 VERSION: Final = 1
-G_SENSITIVITY: Final = "g_sensitivity"
-"""Key of gyro g-sensitivity in the diagnostics."""
 STATUSES: Final = ("converged", "partial", "inconsistent", "not_converged", "outside_model")
 
 FORMULA: Final = (
@@ -89,14 +92,15 @@ class Calibration(Presented):
         Table-mounted to MARS components; None without a fixture.
     U_sigma_rad : float or None
     residuals : tuple of Residual
-    site, noise, alignment, provenance : dict
-    temperature : dict or None
-        Mean and range per sequence, °C.
-    diagnostics : dict
-        Further output of the estimator, such as the innovations of every sequence; JSON values.
-    verdict : dict
-        Consistency of the measurements, :func:`srt.estimation.leave_one_out.verdict`; JSON values, empty if unknown.
-        :attr:`judgement` states it in words.
+    site : StatedSite
+    noise : NoiseFigures
+    alignment : Alignment
+    temperature : Temperature or None
+    provenance : Provenance
+    diagnostics : Diagnostics
+        Further output of the estimator, such as the innovations of every sequence.
+    verdict : Consistency or None
+        Consistency of the measurements; None if unknown. :attr:`judgement` states it in words.
     warnings : tuple of str
     """
 
@@ -111,13 +115,13 @@ class Calibration(Presented):
     U: Array | None = None
     U_sigma_rad: float | None = None
     residuals: tuple[Residual, ...] = ()
-    site: Mapping[str, Any] = field(default_factory=dict)
-    noise: Mapping[str, Any] = field(default_factory=dict)
-    alignment: Mapping[str, Any] = field(default_factory=dict)
-    temperature: Mapping[str, Any] | None = None
-    provenance: Mapping[str, Any] = field(default_factory=dict)
-    diagnostics: Mapping[str, Any] = field(default_factory=dict)
-    verdict: Mapping[str, Any] = field(default_factory=dict)
+    site: StatedSite = field(default_factory=StatedSite)
+    noise: NoiseFigures = field(default_factory=NoiseFigures)
+    alignment: Alignment = field(default_factory=Alignment)
+    temperature: Temperature | None = None
+    provenance: Provenance = field(default_factory=Provenance)
+    diagnostics: Diagnostics = field(default_factory=Diagnostics)
+    verdict: Consistency | None = None
     warnings: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -128,7 +132,7 @@ class Calibration(Presented):
         InputError
         """
         tables = ("site", "noise", "alignment", "temperature", "provenance", "diagnostics", "verdict", "corrections")
-        require_json({name: getattr(self, name) for name in tables})
+        require_json({name: to_document(getattr(self, name)) for name in tables})
         arrays = {"errors": self.errors.vector, "covariance": self.covariance, "U": self.U, **self.contributions}
         arrays["residuals"] = np.array([(r.value, r.sigma) for r in self.residuals])
         for name, values in arrays.items():
@@ -150,14 +154,14 @@ class Calibration(Presented):
     @property
     def g_sensitivity(self) -> Array | None:
         """Gyro g-sensitivity Γ, ω̃ = Mg ω + Γ f + b, MARS axes, shape (3, 3), rad/s per m/s²; None if not estimated."""
-        stated = self.diagnostics.get(G_SENSITIVITY)
-        return None if stated is None else np.array(stated["matrix"], dtype=np.float64)
+        stated = self.diagnostics.g_sensitivity
+        return None if stated is None else stated.matrix
 
     @property
     def g_sensitivity_covariance(self) -> Array | None:
         """Covariance of Γ by rows, shape (9, 9); None if not estimated, or for files of earlier versions."""
-        stated = self.diagnostics.get(G_SENSITIVITY, {}).get("covariance")
-        return None if stated is None else np.array(stated, dtype=np.float64)
+        stated = self.diagnostics.g_sensitivity
+        return None if stated is None else stated.covariance
 
     @property
     def observed(self) -> Mask:
@@ -246,29 +250,16 @@ class Calibration(Presented):
                 "U": None if self.U is None else self.U.tolist(),
                 "U_sigma": self.U_sigma_rad,
             },
-            "formula": FORMULA + (FORMULA_G_SENSITIVE if G_SENSITIVITY in self.diagnostics else ""),
-            "site": dict(self.site),
-            "noise": {**self.noise, "contributions": {k: v.tolist() for k, v in self.contributions.items()}},
-            "alignment": dict(self.alignment),
-            "temperature": None if self.temperature is None else dict(self.temperature),
-            "residuals": [
-                {
-                    "sequence": r.sequence,
-                    "occurrence": r.occurrence,
-                    "component": r.component,
-                    "value": r.value,
-                    "sigma": r.sigma,
-                }
-                for r in self.residuals
-            ],
-            "provenance": dict(self.provenance),
-            "diagnostics": dict(self.diagnostics),
-            "verdict": self._verdict_dict(),
+            "formula": FORMULA + ("" if self.diagnostics.g_sensitivity is None else FORMULA_G_SENSITIVE),
+            "site": to_document(self.site),
+            "noise": {**to_document(self.noise), "contributions": to_document(self.contributions)},
+            "alignment": to_document(self.alignment),
+            "temperature": to_document(self.temperature),
+            "residuals": to_document(self.residuals),
+            "provenance": to_document(self.provenance),
+            "diagnostics": to_document(self.diagnostics),
+            "verdict": {} if self.verdict is None else to_document(self.judgement) | to_document(self.verdict),
         }
-
-    def _verdict_dict(self) -> dict[str, Any]:
-        judgement = self.judgement
-        return {"word": judgement.word, "reason": judgement.reason, **self.verdict} if self.verdict else {}
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the JSON form with its digest, whole or not at all. Raises InputError if the path cannot be written."""
@@ -314,13 +305,15 @@ def _from_dict(document: dict[str, Any]) -> Calibration:
     for i, p in enumerate(parameters):
         if p["observed"] and not math.isclose(p["sigma"], math.sqrt(covariance[i, i]), rel_tol=1e-6, abs_tol=1e-300):
             raise InputError(f"the sigma of {p['name']} does not agree with the covariance.")
-    noise = dict(document["noise"])
+    noise, verdict = (dict(document.get(key, {})) for key in ("noise", "verdict"))
+    for key in ("word", "reason"):  # they follow from the rest
+        verdict.pop(key, None)
     contributions = {k: np.array(v, dtype=np.float64) for k, v in noise.pop("contributions", {}).items()}
-    frame = document["frame"]
+    frame, temperature = document["frame"], document["temperature"]
     return Calibration(
-        estimator=document["estimator"],
+        estimator=from_document(str, document["estimator"], "estimator"),
         status=document["status"],
-        message=document["message"],
+        message=from_document(str, document["message"], "message"),
         errors=SensorErrors(np.array([p["value"] for p in parameters], dtype=np.float64)),
         covariance=covariance,
         corrections=tuple(step["max_correction"] for step in document["iterations"]),
@@ -328,30 +321,16 @@ def _from_dict(document: dict[str, Any]) -> Calibration:
         contributions=contributions,
         U=None if frame["U"] is None else np.array(frame["U"], dtype=np.float64),
         U_sigma_rad=frame["U_sigma"],
-        residuals=tuple(Residual(**r) for r in document["residuals"]),
-        site=document["site"],
-        noise=noise,
-        alignment=document["alignment"],
-        temperature=_temperature(document["temperature"]),
-        provenance=document["provenance"],
-        diagnostics=document.get("diagnostics", {}),
-        verdict={k: v for k, v in document.get("verdict", {}).items() if k not in ("word", "reason")},
-        warnings=tuple(document.get("warnings", ())),
+        residuals=tuple(from_document(Residual, r, f"residuals.{i}") for i, r in enumerate(document["residuals"])),
+        site=from_document(StatedSite, document["site"], "site"),
+        noise=from_document(NoiseFigures, noise, "noise"),
+        alignment=from_document(Alignment, document["alignment"], "alignment"),
+        temperature=None if temperature is None else from_document(Temperature, temperature, "temperature"),
+        provenance=from_document(Provenance, document["provenance"], "provenance"),
+        diagnostics=from_document(Diagnostics, document.get("diagnostics", {}), "diagnostics"),
+        verdict=from_document(Consistency, verdict, "verdict") if verdict else None,
+        warnings=from_document(tuple[str, ...], document.get("warnings", []), "warnings"),
     )
-
-
-def _temperature(stated: Any) -> dict[str, Any] | None:
-    """Check the temperature of the test. Raises InputError without mean and range."""
-    if stated is None:
-        return None
-    figures = [stated.get(key) if isinstance(stated, dict) else None for key in ("mean_c", "range_c")]
-    mean, extent = (math.nan if isinstance(f, bool) or not isinstance(f, int | float) else f for f in figures)
-    if not (math.isfinite(mean) and math.isfinite(extent) and extent >= 0.0):
-        raise InputError(
-            "its temperature has not both mean_c and range_c (numbers in °C, the range not negative): state both, or "
-            "write null where the temperature of the test is not known."
-        )
-    return dict(stated)
 
 
 @cache

@@ -11,13 +11,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import TYPE_CHECKING, Final, Protocol
 
 from scipy.special import stdtrit
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterator
 
+    from srt.result.consistency import ChiSquareTest, Consistency
+    from srt.result.diagnostics import Diagnostics
+    from srt.result.noise_figures import NoiseFigures
 
 USABLE: Final = ("converged", "partial")
 """Statuses with valid values and sigmas; the verdict on all others is "failed"."""
@@ -58,15 +61,15 @@ class Judged(Protocol):
         """Message of the status."""
 
     @property
-    def verdict(self) -> Mapping[str, Any]:
+    def verdict(self) -> Consistency | None:
         """Consistency of the measurements."""
 
     @property
-    def noise(self) -> Mapping[str, Any]:
+    def noise(self) -> NoiseFigures:
         """Noise as used, with the factor on the sigmas."""
 
     @property
-    def diagnostics(self) -> Mapping[str, Any]:
+    def diagnostics(self) -> Diagnostics:
         """Further results."""
 
 
@@ -93,40 +96,40 @@ class Verdict:
 def verdict_on(calibration: Judged) -> Verdict:
     """Verdict on a calibration, from its status and the chi-square of its residuals."""
     evidence = calibration.verdict
-    faults = calibration.diagnostics.get("faults", ())
-    overridden = [f for f in faults if f["effect"].startswith("exit")]
-    wrong = [f for f in faults if f["fault"] in NOT_IN_RESIDUALS]
-    own = evidence.get("own_noise", evidence)
-    p = own.get("probability")
+    faults = calibration.diagnostics.faults or ()
+    overridden = [f for f in faults if f.effect.startswith("exit")]
+    wrong = [f for f in faults if f.fault in NOT_IN_RESIDUALS]
     if calibration.status not in USABLE:
         return Verdict(FAILED, _failure(calibration))
     if overridden:
-        return Verdict(DOUBTFUL, f"A fault that stops a calibration was overridden: {overridden[0]['sentence']}")
-    if not evidence:
+        return Verdict(DOUBTFUL, f"A fault that stops a calibration was overridden: {overridden[0].sentence}")
+    if evidence is None:
         return Verdict(DOUBTFUL, "The file does not say how well the measurements agree.")
+    p = evidence.sensor_noise_test.probability
     if p is None:
         return Verdict(DOUBTFUL, "No measurement is redundant: their agreement cannot be tested.")
-    agreement = f"{_agreement(p, merged='own_noise' not in evidence)} ({_chi_square(own)})."
-    added = " ".join(_added(calibration, own))
-    found = [f"A fault was found that residuals need not show: {wrong[0]['sentence']}"] if wrong else []
+    agreement = f"{_agreement(p, merged=evidence.own_noise is None)} ({_chi_square(evidence.sensor_noise_test, p)})."
+    added = " ".join(_added(evidence, p, calibration.noise.sigma_inflation or 1.0))
+    found = [f"A fault was found that residuals need not show: {wrong[0].sentence}"] if wrong else []
     word = DOUBTFUL if added or found else SOUND
     return Verdict(word, " ".join([*found, agreement, *_modelled(calibration), added]).rstrip())
 
 
 def _modelled(calibration: Judged) -> Iterator[str]:
     """Sentence on the effects that were estimated besides the 27 errors."""
-    drift = [row for row in calibration.diagnostics.get("drift", ()) if row["modelled"]]
+    drift = [row for row in calibration.diagnostics.drift or () if row.modelled]
     sensors = {"gyro": "the gyros", "accel": "the accelerometers"}
-    names = [f"a bias drift of {sensors[row['sensor']]} ({row['form']})" for row in drift]
-    names += ["the g-sensitivity of the gyros"] * ("g_sensitivity" in calibration.diagnostics)
+    names = [f"a bias drift of {sensors[row.sensor]} ({row.form})" for row in drift]
+    names += ["the g-sensitivity of the gyros"] * (calibration.diagnostics.g_sensitivity is not None)
     if names:
         yield f"Modelled besides the 27 errors: {', '.join(names)}."
 
 
 def _failure(calibration: Judged) -> str:
-    own = calibration.verdict.get("own_noise", calibration.verdict)
-    tested = f" Residuals against the sensors' own noise: {_chi_square(own)}." if own.get("probability") else ""
-    return f"{calibration.message}{tested if calibration.status != 'inconsistent' else ''}"
+    own = None if calibration.verdict is None else calibration.verdict.sensor_noise_test
+    if own is None or not own.probability or calibration.status == "inconsistent":
+        return calibration.message
+    return f"{calibration.message} Residuals against the sensors' own noise: {_chi_square(own, own.probability)}."
 
 
 def _agreement(p: float, *, merged: bool) -> str:
@@ -142,40 +145,37 @@ def _agreement(p: float, *, merged: bool) -> str:
     return f"The {what} agree with {noise}"
 
 
-def _chi_square(tested: Mapping[str, Any]) -> str:
-    p, freedom = tested["probability"], tested["degrees_of_freedom"]
-    return f"chi-square {tested['chi_square']:.4g} for {freedom} degrees of freedom, {p_value_text(p)}"
+def _chi_square(test: ChiSquareTest, p: float) -> str:
+    return f"chi-square {test.chi_square:.4g} for {test.degrees_of_freedom} degrees of freedom, {p_value_text(p)}"
 
 
-def _added(calibration: Judged, own: Mapping[str, Any]) -> Iterator[str]:
+def _added(evidence: Consistency, p: float, inflation: float) -> Iterator[str]:
     """Sentences on the noise that was added and on the enlarged sigmas; none without a misfit."""
-    evidence = calibration.verdict
-    noise = evidence.get("added_noise") or {}
-    inflation = float(calibration.noise.get("sigma_inflation") or 1.0)
+    noise = evidence.added_noise or {}
     if noise:
         parts = [
-            f"{_size(kind, row['added'])} (own noise: {_size(kind, row['own'])})"
+            f"{_size(kind, row.added)} (own noise: {_size(kind, row.own)})"
             for kind, row in noise.items()
-            if row["added"] > 0.0
+            if row.added > 0.0
         ]
         yield f"Added noise, 1-sigma: {', '.join(parts)}."
     if inflation > 1.0:
         yield f"All sigmas were multiplied by {inflation:.2g}."
-    if noise:
-        low, high = evidence["sigma_factor"]
+    if noise and evidence.sigma_factor is not None:
+        low, high = evidence.sigma_factor
         yield f"The sigmas are {low:.2g} to {high:.2g} times those of the sensors' own noise."
-    freedom = own["degrees_of_freedom"]
+    freedom = evidence.sensor_noise_test.degrees_of_freedom
     if (noise or inflation > 1.0) and freedom < _MANY:
         # The size of the added noise is an estimate of `freedom` squares: Student's distribution.
         yield (
             f"It rests on {freedom} degrees of freedom (known to {100.0 / math.sqrt(2.0 * freedom):.0f} %): a 95 % "
             f"interval is ± {stdtrit(freedom, 0.975):.1f} sigma."
         )
-    if own["probability"] < MISFIT_PROBABILITY and not noise and inflation == 1.0:
-        between = evidence.get("between_recordings")
-        yield "The merged sigmas include the scatter." if between else "The sigmas do not include it."
-    if evidence.get("doubtful_recordings"):
-        yield f"Doubtful by themselves: {', '.join(evidence['doubtful_recordings'])}."
+    if p < MISFIT_PROBABILITY and not noise and inflation == 1.0:
+        scatter = evidence.between_recordings
+        yield "The merged sigmas include the scatter." if scatter else "The sigmas do not include it."
+    if evidence.doubtful_recordings:
+        yield f"Doubtful by themselves: {', '.join(evidence.doubtful_recordings)}."
 
 
 _UNITS: Final = {

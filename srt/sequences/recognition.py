@@ -19,6 +19,7 @@ from srt.arguments import require_type
 from srt.exceptions import DataError
 from srt.model.table1 import AXES, SEQUENCES
 from srt.recording.recording import Recording, SequenceLabel
+from srt.result.diagnostics import RecognisedSequence, RecognisedSequences
 from srt.sequences.manoeuvres import (
     QUARTER,
     Manoeuvre,
@@ -169,25 +170,25 @@ class Recognition:
 
     def told_in(self, calibration: Calibration) -> Calibration:
         """Calibration with the recognised sequences in its diagnostics, and a warning for each doubtful one."""
-        rows = [
-            {
-                "sequence": label.id,
-                "occurrence": self.ids[: k + 1].count(label.id or ""),
-                "start_static_s": list(label.start_static_s),
-                "end_static_s": list(label.end_static_s),
-                "confidence": confidence,
-            }
+        rows = tuple(
+            RecognisedSequence(
+                sequence=label.id or "",
+                occurrence=self.ids[: k + 1].count(label.id or ""),
+                start_static_s=label.start_static_s,
+                end_static_s=label.end_static_s,
+                confidence=confidence,
+            )
             for k, (label, confidence) in enumerate(zip(self.labels, self.confidence, strict=True))
-        ]
+        )
         doubtful = [
             f"{label.title} is doubtful (confidence {confidence:.2f}): check it, or label the sequences."
             for label, confidence in zip(self.labels, self.confidence, strict=True)
             if confidence < DOUBTFUL
         ]
-        told = {"summary": self.summary, "sequences": rows}
+        told = RecognisedSequences(summary=self.summary, sequences=rows)
         return replace(
             calibration,
-            diagnostics={**calibration.diagnostics, "recognition": told},
+            diagnostics=replace(calibration.diagnostics, recognition=told),
             warnings=(*calibration.warnings, *doubtful),
         )
 

@@ -14,10 +14,11 @@ from srt.result.applier import Applier
 from srt.sequences.plausibility import size_cause
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
+    from collections.abc import Callable, Iterable
 
     from srt.recording.import_options import Triple
     from srt.result.calibration import Calibration
+    from srt.result.provenance import Temperature
     from srt.result.triad_inverse import Vector
 
 CORRECTED: Final = "corrected"
@@ -226,9 +227,9 @@ class StreamCorrector:
         return tuple(sigma.tolist())
 
 
-def _tested(temperature: Mapping[str, Any] | None, margin: float) -> tuple[float, float] | None:
+def _tested(temperature: Temperature | None, margin: float) -> tuple[float, float] | None:
     """Temperatures at which the calibration holds, °C."""
     if temperature is None:
         return None
-    mean, half = float(temperature["mean_c"]), 0.5 * float(temperature["range_c"])
+    mean, half = temperature.mean_c, 0.5 * temperature.range_c
     return mean - half - margin, mean + half + margin

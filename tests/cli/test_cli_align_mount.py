@@ -17,6 +17,7 @@ from srt.model.rotations import rotation_matrix
 from srt.mount.alignment import load_mount_alignment, mount_from_calibration
 from srt.mount.poses import mount_from_recording
 from srt.result.calibration import Calibration
+from srt.result.provenance import Provenance
 from srt.sensor_errors import N_PARAMETERS, SensorErrors
 
 ANGLES = np.array([0.004, -0.003, 0.006])
@@ -31,7 +32,7 @@ def _command(monkeypatch):
 
 
 def calibrated(path, **changes):
-    given = {"status": "converged", "U": U, "U_sigma_rad": 1e-3, "provenance": {"serial": "SN-7"}} | changes
+    given = {"status": "converged", "U": U, "U_sigma_rad": 1e-3, "provenance": Provenance(serial="SN-7")} | changes
     P = np.eye(N_PARAMETERS) * 1e-12
     Calibration("closed-form", message="Done.", errors=SensorErrors(ERRORS), covariance=P, **given).save(path)
     return path

@@ -13,6 +13,7 @@ from srt.cli import main
 from srt.exporters.c_header import c99_header
 from srt.model.rotations import rotation_matrix
 from srt.result.calibration import Calibration
+from srt.result.provenance import Provenance
 from srt.sensor_errors import N_PARAMETERS, SensorErrors
 
 U = rotation_matrix(np.array([0.0, 0.1, -0.05]))
@@ -32,7 +33,7 @@ def calibrated(**changes):
     given = {
         "status": "converged",
         "U": U,
-        "provenance": {"serial": "SN-7", "data_sha256": "0" * 64, "software": "test"},
+        "provenance": Provenance(serial="SN-7", data_sha256="0" * 64, software="test"),
     }
     covariance = np.eye(N_PARAMETERS) * 1e-10
     return Calibration(
@@ -248,8 +249,8 @@ def test_no_table_frame_without_a_fixture(recording, tmp_path, capfd):
         (lambda text: changed(text, "value", -0.999), "edited"),
         (lambda text: changed(text, "value", "much"), "edited or truncated"),
         (lambda text: changed(text, "value", float("nan")), "finite"),
-        (lambda text: json.dumps(json.loads(text) | {"provenance": []}), "edited or truncated"),
-        (lambda text: json.dumps(json.loads(text) | {"estimator": None}), "edited or truncated"),
+        (lambda text: json.dumps(json.loads(text) | {"provenance": []}), "provenance is []: an object with keys is"),
+        (lambda text: json.dumps(json.loads(text) | {"estimator": None}), "estimator is None: a text is expected"),
     ],
 )
 def test_calibrations_that_were_edited_are_refused(unit, recording, tmp_path, capfd, edit, fragment):

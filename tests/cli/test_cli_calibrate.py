@@ -127,7 +127,7 @@ def test_summary_says_what_to_do(calibration):
     found = replace(
         calibration,
         warnings=("The residuals are larger than the noise explains. " * 8, "Another one. " * 20),
-        noise={**calibration.noise, "estimated": ["gyro_noise", "gyro_quantization"]},
+        noise=replace(calibration.noise, estimated=("gyro_noise", "gyro_quantization")),
     )
     lines = calibration_summary(found, title="x", source="unit-7", truth=calibration.errors).splitlines()
     assert len(lines) + 3 <= 45  # the command adds three: an empty line, files written, and the hint at --details
@@ -137,7 +137,7 @@ def test_summary_says_what_to_do(calibration):
     assert "To do: state gyro_noise_deg_per_sqrt_h in [imu] of recording.toml" in head
     assert "'srt inspect unit-7 --deep'" in head
     assert max(map(len, lines)) <= 80
-    moved = replace(calibration, diagnostics={**calibration.diagnostics, "unused_moves": 16})
+    moved = replace(calibration, diagnostics=replace(calibration.diagnostics, unused_moves=16))
     head = " ".join(calibration_summary(moved, title="x").split("\n\n")[0].split())
     assert "To do: 16 recorded moves are not used by the closed form: '--estimator least-squares' uses them." in head
     head = " ".join(calibration_summary(moved, title="x", with_moves=(0.36, 0.604)).split("\n\n")[0].split())
@@ -193,7 +193,7 @@ def test_result_file_is_the_librarys(recording, calibration, tmp_path, capfd):
     path = tmp_path / "result.json"
     assert main(["calibrate", str(recording), "-o", str(path), "--plot", str(tmp_path / "x.svg")]) == 0
     # The command looks for faults too, and found none.
-    expected = calibration.to_dict() | {"diagnostics": {**calibration.diagnostics, "faults": []}}
+    expected = replace(calibration, diagnostics=replace(calibration.diagnostics, faults=())).to_dict()
     assert srt.load_calibration(path).to_dict() == expected
     assert sorted(p.name for p in tmp_path.iterdir()) == ["result.json", "x.svg"]
     assert str(path) in capfd.readouterr().out
@@ -215,7 +215,7 @@ def test_options_reach_the_estimator(recording, tmp_path):
     # This unit has asymmetries, and the residuals of a calibration without contradict it.
     assert main(["calibrate", str(recording), "-q", "-o", str(path), *flags]) == 1
     assert srt.load_calibration(path).status == "inconsistent"
-    kept = srt.load_calibration(path).provenance["options"]
+    kept = srt.load_calibration(path).provenance.options
     assert chosen.items() <= kept.items()
     assert kept["asymmetry"] is False
     assert kept["hold"] == ["gyro_scale_x", "accel_bias_x", "accel_bias_y", "accel_bias_z"]

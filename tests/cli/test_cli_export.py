@@ -14,6 +14,8 @@ from srt.cli import main
 from srt.exporters import Readings, export
 from srt.model.rotations import rotation_matrix
 from srt.result.calibration import Calibration
+from srt.result.noise_figures import NoiseFigures
+from srt.result.provenance import Provenance, StatedSite
 from srt.sensor_errors import N_PARAMETERS, SensorErrors
 
 pytest.importorskip("yaml")
@@ -28,9 +30,9 @@ def calibrated(**changes):
     given = {
         "status": "converged",
         "U": U,
-        "site": {"gravity_m_s2": 9.81},
-        "noise": {"gyro_noise_rad_per_sqrt_s": [1e-6] * 3, "accel_noise_m_s2_sqrt_s": [1e-4] * 3},
-        "provenance": {"serial": "SN-7", "data_sha256": "0" * 64, "applied": {"system": "none"}},
+        "site": StatedSite(gravity_m_s2=9.81),
+        "noise": NoiseFigures(gyro_noise_rad_per_sqrt_s=np.full(3, 1e-6), accel_noise_m_s2_sqrt_s=np.full(3, 1e-4)),
+        "provenance": Provenance(serial="SN-7", data_sha256="0" * 64, applied={"system": "none"}),
     }
     covariance = np.eye(N_PARAMETERS) * 1e-10
     return Calibration(

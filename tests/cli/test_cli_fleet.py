@@ -20,6 +20,7 @@ from sims.physics.table_motion import table1_motion
 from srt.cli import main
 from srt.cli.recording_arguments import find_recordings, unit_names
 from srt.recording.recording import Fixture
+from srt.result.provenance import Provenance
 from srt.sensor_errors import INDEX, NAMES, SYMBOLS, SensorErrors
 
 pytestmark = pytest.mark.usefixtures("plain_layout")
@@ -118,7 +119,7 @@ def test_table_has_a_row_per_unit_and_fits(made):
     symbol = SYMBOLS[INDEX["accel_scale_y"]]
     for number, name in enumerate(UNITS[:-1]):
         found = srt.load_calibration(output / f"{name}.json")
-        ratio = found.verdict["chi_square"] / found.verdict["degrees_of_freedom"]
+        ratio = found.verdict.chi_square / found.verdict.degrees_of_freedom
         assert rows[name][:3] == [f"SN-{number}", "converged", found.judgement.word]
         assert float(rows[name][3]) == pytest.approx(ratio, abs=0.0051)
         assert rows[name][5:] == [str(len(found.warnings)), symbol if name == ODD else "no"]
@@ -290,7 +291,7 @@ def test_progress_on_a_terminal_is_a_bar(lot, quick, monkeypatch, capfd):
 
 def test_merge_takes_patterns_too(lot, calibration, tmp_path, capfd):
     for name in ("a", "b"):
-        replace(calibration, provenance={"data_sha256": name}).save(tmp_path / f"{name}.json")
+        replace(calibration, provenance=Provenance(data_sha256=name)).save(tmp_path / f"{name}.json")
     assert main(["calibrate", "--merge", str(tmp_path / "*.json"), "-o", str(tmp_path / "unit.json")]) == 0
     assert "Merged from 2 recordings" in capfd.readouterr().out
     assert main(["calibrate", "--merge", str(lot / "unit-[1]")]) == 2

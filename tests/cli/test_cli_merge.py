@@ -16,6 +16,7 @@ from sims.physics.table_motion import table1_motion
 from srt.cli import main
 from srt.comparison.merge import merge_calibrations
 from srt.recording.recording import Fixture
+from srt.result.provenance import Provenance
 from srt.sensor_errors import NAMES
 
 pytestmark = pytest.mark.usefixtures("plain_layout")
@@ -116,7 +117,7 @@ def test_recordings_that_cannot_be_calibrated_are_left_out(folders, tmp_path, mo
     assert main(["calibrate", "--merge", *folders, "-q", "-o", str(tmp_path / "unit.json")]) == 0
     err = capfd.readouterr().err
     assert err.splitlines() == [f"srt: warning: {folders[0]} is left out: It cannot be."]
-    assert len(srt.load_calibration(tmp_path / "unit.json").provenance["recordings"]) == 2
+    assert len(srt.load_calibration(tmp_path / "unit.json").provenance.recordings) == 2
     assert main(["calibrate", "--merge", *folders[:2], "-q"]) == 1
     assert "Only tuesday can be calibrated" in capfd.readouterr().err
     failing = True
@@ -126,7 +127,7 @@ def test_recordings_that_cannot_be_calibrated_are_left_out(folders, tmp_path, mo
 
 
 def test_different_units_are_refused(folders, calibrations, tmp_path, capfd):
-    other = replace(calibrations[0], provenance={"serial": "SN-10"})
+    other = replace(calibrations[0], provenance=Provenance(serial="SN-10"))
     other.save(tmp_path / "other.json")
     assert main(["calibrate", "--merge", folders[1], str(tmp_path / "other.json"), "-q"]) == 2
     err = capfd.readouterr().err
@@ -159,7 +160,7 @@ def test_different_units_without_serials_are_not_merged_in_silence(calibrations,
     files = []
     for n, calibration in enumerate(calibrations):
         errors = srt.SensorErrors(calibration.errors.vector + n * 1e-3 * rng.standard_normal(27))
-        provenance = {**calibration.provenance, "serial": None}
+        provenance = replace(calibration.provenance, serial=None)
         file = tmp_path / f"unit-{n}.json"
         replace(calibration, errors=errors, provenance=provenance).save(file)
         files.append(str(file))

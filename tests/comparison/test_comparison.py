@@ -21,6 +21,7 @@ from srt.comparison.estimate_difference import EXPECTED_SIGMA_FLOOR, FALSE_ALARM
 from srt.comparison.estimator_comparison import compare, default_estimators, run_estimators
 from srt.estimation.fixed_parameters import POSE_FRAME
 from srt.reports.figures.comparison import comparison_figure
+from srt.result.provenance import Provenance
 from srt.sensor_errors import DISPLAY_FACTORS, GROUP_SLICES, INDEX, N_PARAMETERS, NAMES
 
 DRAWS = 2000
@@ -246,7 +247,7 @@ def test_too_few_results_are_no_agreement(pair, count):
 def test_wrong_references_and_recordings_are_refused(pair):
     with pytest.raises(srt.InputError, match=r"'graph' is not among .*: closed-form, least-squares\."):
         compare(pair, reference="graph")
-    marked = {n: replace(c, provenance={"data_sha256": n}) for n, c in pair.items()}
+    marked = {n: replace(c, provenance=Provenance(data_sha256=n)) for n, c in pair.items()}
     with pytest.raises(srt.InputError, match="different recordings"):
         compare(marked)
 

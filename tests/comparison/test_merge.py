@@ -20,6 +20,9 @@ from srt.comparison.merge_model import between_sigma, stack_estimates
 from srt.constants import DEG_PER_H
 from srt.recording.recording import Fixture
 from srt.reports.text.repeatability import repeatability_text
+from srt.result.noise_figures import NoiseFigures
+from srt.result.provenance import Provenance, StatedSite, Temperature
+from srt.result.repeatability import OmittedRecording
 from srt.sensor_errors import GROUP_SLICES, INDEX, N_PARAMETERS, NAMES, SensorErrors
 
 TAIL = 2.3e-4
@@ -38,8 +41,8 @@ def made(vector, covariance, held=(), **changes):
         "errors": SensorErrors(vector),
         "covariance": np.where(np.outer(observed, observed), covariance, 0.0),
         "held": dict.fromkeys(held, "not shown"),
-        "site": {"gravity_m_s2": 9.80665},
-        "provenance": {"serial": "SN-1"},
+        "site": StatedSite(gravity_m_s2=9.80665),
+        "provenance": Provenance(serial="SN-1"),
     }
     return srt.Calibration(**(fields | changes))
 
@@ -93,9 +96,9 @@ def test_merged_is_the_joint_least_squares_solution(held):
     # The joint solution's chi-square is that within the recordings and that between them.
     within = sum(float(np.sum((v - h @ c.errors.vector) ** 2)) for h, v, c in zip(H, z, calibrations, strict=True))
     whole = float(np.sum((np.concatenate(z) - np.concatenate(H) @ joint) ** 2))
-    table = merged.diagnostics["repeatability"]
-    assert table["chi_square"] == pytest.approx(whole - within, rel=1e-8)
-    assert table["degrees_of_freedom"] == 3 * N_PARAMETERS - len(held) - N_PARAMETERS
+    table = merged.diagnostics.repeatability
+    assert table.chi_square == pytest.approx(whole - within, rel=1e-8)
+    assert table.degrees_of_freedom == 3 * N_PARAMETERS - len(held) - N_PARAMETERS
 
 
 def test_common_gravity_is_an_unknown_of_all_recordings():
@@ -109,7 +112,7 @@ def test_common_gravity_is_an_unknown_of_all_recordings():
         # Any other gravity looks like other scales, so that nothing in a recording tells of it.
         part, values = recorded(rng, x + 1.3 * effect, np.arange(N_PARAMETERS))
         found, P = alone(part, values)
-        calibrations.append(made(found, P + np.outer(effect, effect), noise={"gravity_effect": effect.tolist()}))
+        calibrations.append(made(found, P + np.outer(effect, effect), noise=NoiseFigures(gravity_effect=effect)))
         H.append(np.column_stack([part, part @ effect]))
         z.append(values)
     prior = np.eye(1, N_PARAMETERS + 1, N_PARAMETERS)
@@ -128,7 +131,7 @@ def test_common_errors_are_not_averaged_down():
     effect[SCALE] = 1e-5
     shift = 1e-5 * rng.standard_normal((N_PARAMETERS, 2))
     by_held = shift @ shift.T
-    noise = {"gravity_effect": effect.tolist(), "held_values_covariance": by_held.tolist()}
+    noise = NoiseFigures(gravity_effect=effect, held_values_covariance=by_held)
     calibrations = [
         made(1e-3 * rng.standard_normal(N_PARAMETERS), own + by_held + np.outer(effect, effect), noise=noise)
         for _ in range(16)
@@ -136,7 +139,7 @@ def test_common_errors_are_not_averaged_down():
     merged = merge_calibrations(calibrations, between=False)
     expected = own / 16.0 + by_held + np.outer(effect, effect)
     np.testing.assert_allclose(merged.covariance, expected, rtol=1e-6, atol=1e-9 * np.diag(expected).max())
-    elsewhere = [replace(c, site={"gravity_m_s2": 9.8 + 1e-3 * n}) for n, c in enumerate(calibrations)]
+    elsewhere = [replace(c, site=StatedSite(gravity_m_s2=9.8 + 1e-3 * n)) for n, c in enumerate(calibrations)]
     apart = merge_calibrations(elsewhere, between=False)
     expected = own / 16.0 + by_held + np.outer(effect, effect) / 16.0
     np.testing.assert_allclose(apart.covariance, expected, rtol=1e-6, atol=1e-9 * np.diag(expected).max())
@@ -147,7 +150,7 @@ def test_contributions_add_up_to_sigma():
     rng = np.random.default_rng(4)
     calibrations = [made(1e-4 * rng.standard_normal(N_PARAMETERS), random_covariance(rng)) for _ in range(3)]
     merged = merge_calibrations(calibrations)
-    assert max(merged.noise["between_recordings"].values()) > 0.0
+    assert max(merged.noise.between_recordings.values()) > 0.0
     total = np.sqrt(sum(part**2 for part in merged.contributions.values()))
     np.testing.assert_allclose(total, merged.sigma, rtol=1e-9)
 
@@ -158,7 +161,7 @@ def test_sigmas_of_before_know_gravity_by_its_size_alone():
     merged = merge_calibrations([first, second], between=False)
 
     def bare(c):
-        return replace(c, noise={k: v for k, v in c.noise.items() if k != "gravity_effect"})
+        return replace(c, noise=replace(c.noise, gravity_effect=None))
 
     old = merge_calibrations([bare(first), bare(second)], between=False)
     np.testing.assert_allclose(old.sigma[SCALE], merged.sigma[SCALE], rtol=1e-3)
@@ -197,10 +200,10 @@ def test_turn_on_scatter_is_in_the_covariance():
     values = np.zeros((4, N_PARAMETERS))
     values[:, GROUP_SLICES["accel_bias"]] = 1e-4 * rng.standard_normal((4, 3))
     merged = merge_calibrations([made(v, P) for v in values])
-    tau = merged.noise["between_recordings"]["accel_bias"]
+    tau = merged.noise.between_recordings["accel_bias"]
     np.testing.assert_allclose(merged.sigma[GROUP_SLICES["accel_bias"]], np.hypot(tau, 1e-7) / 2.0, rtol=1e-6)
     np.testing.assert_allclose(merged.sigma[GROUP_SLICES["gyro_scale"]], 0.5e-7, rtol=1e-6)
-    assert merged.noise["between_recordings"]["gyro_scale"] == 0.0
+    assert merged.noise.between_recordings["gyro_scale"] == 0.0
     assert any("accel bias from recording to recording" in w for w in merged.warnings)
 
 
@@ -211,15 +214,15 @@ def test_a_recording_that_differs_stands_out():
     i = INDEX["gyro_scale_y"]
     values[2, i] += 20.0 * np.sqrt(P[i, i])
     merged = merge_calibrations([made(v, P) for v in values], ["a", "b", "c", "d"])
-    worst = max(merged.verdict["sequences"], key=lambda row: row["chi_square"])
-    assert worst["sequence"] == "c"
-    row = merged.diagnostics["repeatability"]["parameters"][i]
-    assert row["largest_deviation"]["recording"] == "c"
+    worst = max(merged.verdict.sequences, key=lambda row: row.chi_square)
+    assert worst.sequence == "c"
+    row = merged.diagnostics.repeatability.parameters[i]
+    assert row.largest_deviation.recording == "c"
     # 20 of a sigma, and what is left of a value from the mean of four has three quarters of its variance.
     expected = (values[2, i] - values[:, i].mean()) / np.sqrt(0.75 * P[i, i])
-    assert row["largest_deviation"]["sigmas"] == pytest.approx(expected, rel=1e-6)
-    assert row["spread"] == pytest.approx(np.std(values[:, i], ddof=1))
-    assert row["probability"] < 1e-6
+    assert row.largest_deviation.sigmas == pytest.approx(expected, rel=1e-6)
+    assert row.spread == pytest.approx(np.std(values[:, i], ddof=1))
+    assert row.probability < 1e-6
     assert any("differ by more than their sigmas explain" in w for w in merged.warnings)
 
 
@@ -268,10 +271,10 @@ def test_merged_units_are_consistent(estimator, count):
         calibrations = calibrations_of(seed, estimator)
         merged = merge_calibrations(calibrations, between=False)
         nees += accuracy_trials.score(merged, truth).nees * N_PARAMETERS
-        table = merged.diagnostics["repeatability"]
-        assert table["degrees_of_freedom"] == 2 * N_PARAMETERS
-        statistics.append(table["chi_square"])
-        probabilities.append([row["probability"] for row in table["parameters"]])
+        table = merged.diagnostics.repeatability
+        assert table.degrees_of_freedom == 2 * N_PARAMETERS
+        statistics.append(table.chi_square)
+        probabilities.append([row.probability for row in table.parameters])
         wider = merge_calibrations(calibrations)
         assert np.all(wider.sigma >= merged.sigma * (1.0 - 1e-9))
         # Gravity alone keeps the sigmas of the scales from falling by √3.
@@ -290,7 +293,7 @@ def test_estimators_may_be_mixed():
     """A filter's and a closed form's calibration, of two recordings: gravity is common to them all the same."""
     pytest.importorskip("filterpy")
     both = [srt.calibrate(r, e, checks=False) for r, e in zip(recordings(2, 2)[0], ("ekf", "closed-form"), strict=True)]
-    gravity = [np.array(c.noise["gravity_effect"]) for c in both]
+    gravity = [c.noise.gravity_effect for c in both]
     np.testing.assert_allclose(gravity[0][SCALE], gravity[1][SCALE], rtol=0.02)
     merged = merge_calibrations(both, between=False)
     np.testing.assert_allclose(merged.contributions["gravity"][SCALE], gravity[1][SCALE], rtol=0.02)
@@ -322,15 +325,15 @@ def test_the_table_frame_is_kept_where_all_agree():
     assert any("disagree on the mounting of the unit" in w for w in other.warnings)
     none = merge_calibrations([calibrations[0], replace(calibrations[1], U=None, U_sigma_rad=None)])
     assert none.U is None
-    assert [row["U"] is None for row in none.diagnostics["repeatability"]["recordings"]] == [False, True]
+    assert [row.U is None for row in none.diagnostics.repeatability.recordings] == [False, True]
 
 
 def test_file_and_text(tmp_path):
     calibrations = [
         replace(
             c,
-            temperature={"mean_c": 20.0 + n, "range_c": 2.0, "sequences": []},
-            provenance={**c.provenance, "date": f"2026-0{n + 1}-01", "data_sha256": f"{n}" * 64},
+            temperature=Temperature(20.0 + n, 2.0),
+            provenance=replace(c.provenance, date=f"2026-0{n + 1}-01", data_sha256=f"{n}" * 64),
         )
         for n, c in enumerate(calibrations_of(1))
     ]
@@ -343,10 +346,10 @@ def test_file_and_text(tmp_path):
     table = document["diagnostics"]["repeatability"]
     assert [row["date"] for row in table["recordings"]] == ["2026-01-01", "2026-02-01", "2026-03-01"]
     assert [row["temperature_c"] for row in table["recordings"]] == [20.0, 21.0, 22.0]
-    assert merged.temperature == {"mean_c": 21.0, "range_c": 4.0, "sequences": []}
-    assert len(merged.provenance["recordings"]) == 3
-    assert len(merged.provenance["data_sha256"]) == 64
-    assert [row["sequence"] for row in merged.verdict["sequences"]] == ["first", "second", "third"]
+    assert merged.temperature == Temperature(21.0, 4.0)
+    assert len(merged.provenance.recordings) == 3
+    assert len(merged.provenance.data_sha256) == 64
+    assert [row.sequence for row in merged.verdict.sequences] == ["first", "second", "third"]
     text = repeatability_text(again)
     assert max(map(len, text.splitlines())) <= 80
     for word in ("first", "2026-02-01", "22.0", "scatter:", "p:", "farthest:", "All parameters together"):
@@ -372,9 +375,9 @@ def pair(**changes):
     ("calibrations", "fragment"),
     [
         (pair()[:1], "two recordings"),
-        (pair(provenance={"serial": "SN-2"}), "different units: 1 has the serial SN-1, 2 has SN-2"),
+        (pair(provenance=Provenance(serial="SN-2")), "different units: 1 has the serial SN-1, 2 has SN-2"),
         (pair(estimator="merged"), "already merged"),
-        (pair(provenance={"options": {"prior": {"mean": {}}}}), "with a prior"),
+        (pair(provenance=Provenance(options={"prior": {"mean": {}}})), "with a prior"),
         (pair(covariance=np.zeros((N_PARAMETERS, N_PARAMETERS))), "sigma of gyro_scale_x is zero"),
         (pair(covariance=np.ones((N_PARAMETERS, N_PARAMETERS)) - 2.0 * np.eye(N_PARAMETERS, k=1)), "not positive"),
     ],
@@ -386,7 +389,7 @@ def test_incompatible_calibrations_are_refused(calibrations, fragment):
 
 def test_the_same_samples_do_not_count_twice():
     first, second = pair()
-    twice = [replace(c, provenance={"data_sha256": "a" * 64}) for c in (first, second)]
+    twice = [replace(c, provenance=Provenance(data_sha256="a" * 64)) for c in (first, second)]
     with pytest.raises(srt.InputError, match="a and b hold the same samples"):
         merge_calibrations(twice, ["a", "b"])
     with pytest.raises(srt.InputError, match="needs its own name"):
@@ -398,7 +401,7 @@ def test_calibration_without_convergence_is_left_out():
     third = replace(first, errors=SensorErrors(np.full(N_PARAMETERS, 1e-7)))
     merged = merge_calibrations([first, second, third], ["a", "b", "c"], between=False)
     np.testing.assert_allclose(merged.errors.vector, 0.5e-7, rtol=1e-12)
-    assert merged.diagnostics["repeatability"]["left_out"] == [{"name": "b", "status": "not_converged"}]
+    assert merged.diagnostics.repeatability.left_out == (OmittedRecording(name="b", status="not_converged"),)
     assert any(w.startswith("b is not converged") for w in merged.warnings)
     single = merge_calibrations([first, second], ["a", "b"])
     assert single.status == "converged"
@@ -410,7 +413,7 @@ def test_calibration_without_convergence_is_left_out():
 
 
 def test_units_without_a_serial_are_taken_on_trust():
-    first, second = pair(provenance={})
+    first, second = pair(provenance=Provenance())
     merged = merge_calibrations([first, second], ["a", "b"])
-    assert merged.provenance["serial"] == "SN-1"
+    assert merged.provenance.serial == "SN-1"
     assert any("No serial is given with b" in w for w in merged.warnings)

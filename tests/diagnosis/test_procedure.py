@@ -22,7 +22,7 @@ def test_a_sound_recording_gains_nothing(recording):
     examined = calibrate(recording, options=Options())
     plain = srt.calibrate(recording)
     np.testing.assert_array_equal(examined.errors.vector, plain.errors.vector)
-    assert examined.diagnostics["faults"] == []
+    assert examined.diagnostics.faults == ()
     assert examined.warnings == plain.warnings
 
 
@@ -42,9 +42,9 @@ def test_force_goes_on_to_what_the_calibration_itself_says(recording):
 def test_a_fault_that_is_told_stands_with_the_result(recording):
     wrong = replace(recording, site=replace(recording.site, gravity_m_s2=9.78))
     examined = calibrate(wrong, options=Options())
-    (finding,) = [f for f in examined.diagnostics["faults"] if f["fault"] == "gravity"]
-    assert finding["effect"] == "warning"
-    assert finding["sentence"] in examined.warnings
+    (finding,) = [f for f in examined.diagnostics.faults if f.fault == "gravity"]
+    assert finding.effect == "warning"
+    assert finding.sentence in examined.warnings
 
 
 @pytest.mark.parametrize("estimator", ["closed-form", "least-squares"])
@@ -69,14 +69,14 @@ def test_faults_that_only_a_calibration_shows_are_searched_for(recording):
     case = Case("tactical-fog", 901)
     asymmetric = read_out(case.simulation.motion, truth, GRADES["tactical"], np.random.default_rng(1))
     examined = calibrate(asymmetric, options=Options(asymmetry=False))
-    assert "asymmetry_omitted" in [f["fault"] for f in examined.diagnostics["faults"]]
+    assert "asymmetry_omitted" in [f.fault for f in examined.diagnostics.faults]
 
 
 def test_findings_survive_the_file(recording, tmp_path):
     wrong = replace(recording, site=replace(recording.site, gravity_m_s2=9.78))
     calibrate(wrong, options=Options()).save(tmp_path / "unit.json")
     loaded = srt.load_calibration(tmp_path / "unit.json")
-    assert [f["fault"] for f in loaded.diagnostics["faults"]] == ["gravity"]
+    assert [f.fault for f in loaded.diagnostics.faults] == ["gravity"]
 
 
 @pytest.mark.parametrize("gravity_sigma", [5e-6, 0.02])

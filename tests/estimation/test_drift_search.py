@@ -162,13 +162,13 @@ def test_drift_of_a_hand_turned_unit_is_named_and_modelled(grade):
     """4 mg and 300 °/h: both named with their size; accelerometer scale as well known as without drift, within 1.5."""
     still, changed, truth, accel, gyro = drifting(grade, 4.0, 300.0)
     quiet, found = (srt.calibrate(r, "least-squares", checks=False) for r in (still, changed))
-    assert "drift" not in quiet.diagnostics
+    assert quiet.diagnostics.drift is None
     assert found.status == "converged"
-    sizes = {term["sensor"]: term for term in found.diagnostics["drift"]}
-    assert {term["form"] for term in sizes.values()} == {"linear"}
+    sizes = {term.sensor: term for term in found.diagnostics.drift}
+    assert {term.form for term in sizes.values()} == {"linear"}
     share = (changed.time[-1] - 10.0) / changed.time[-1]  # between the middles of the first and the last window
-    np.testing.assert_allclose(np.array(sizes["accel"]["change_m_s2"]) / MG, share * accel, atol=0.1)
-    np.testing.assert_allclose(np.array(sizes["gyro"]["change_rad_s"]) / DEG_PER_H, share * gyro, atol=60.0)
+    np.testing.assert_allclose(np.array(sizes["accel"].change_m_s2) / MG, share * accel, atol=0.1)
+    np.testing.assert_allclose(np.array(sizes["gyro"].change_rad_s) / DEG_PER_H, share * gyro, atol=60.0)
     assert sum("changed linearly with time" in warning for warning in found.warnings) == 2
     scale = GROUP_SLICES["accel_scale"]
     assert np.all(found.sigma[scale] < 1.5 * quiet.sigma[scale])
@@ -193,14 +193,14 @@ def test_ramp_on_a_fixture():
     recording, truth = noisy_recording(1, "navigation", sample_rate_hz=50.0)
     changed = ramp(recording, 100.0)
     quiet, found = (srt.calibrate(r, "least-squares", checks=False) for r in (recording, changed))
-    assert [term["sensor"] for term in found.diagnostics["drift"]] == ["accel"]
+    assert [term.sensor for term in found.diagnostics.drift] == ["accel"]
     error = found.errors.vector - truth.vector
     assert error @ np.linalg.solve(found.covariance, error) < 27.0 + 3.5 * np.sqrt(54.0)
     assert np.all(found.sigma < 2.0 * quiet.sigma)
     closed = srt.calibrate(changed, "closed-form", checks=False)
     (warning,) = (w for w in closed.warnings if "accelerometer biases changed" in w)
     assert "does not model it" in warning
-    assert closed.diagnostics["drift"][0]["modelled"] is False
+    assert closed.diagnostics.drift[0].modelled is False
 
 
 @pytest.mark.parametrize("units", [9, pytest.param(30, marks=pytest.mark.slow)])
@@ -210,7 +210,7 @@ def test_recordings_without_drift_are_not_changed(units):
     for seed in range(units):
         grade = ("navigation", "tactical", "industrial")[seed % 3]
         recording, _ = noisy_recording(100 + seed, grade, sample_rate_hz=20.0, instability=True)
-        assert "drift" not in srt.calibrate(recording, "least-squares", checks=False).diagnostics
+        assert srt.calibrate(recording, "least-squares", checks=False).diagnostics.drift is None
 
 
 def test_warm_up_and_temperature_are_told_apart():
@@ -220,7 +220,7 @@ def test_warm_up_and_temperature_are_told_apart():
     temperature = 25.0 + 5.0 * np.sin(2.0 * np.pi * 1.3 * share)
     warm = changed.accel + (temperature[:, None] - 25.0) * np.array([1.0, 0.5, -1.0]) * MG
     found = srt.calibrate(replace(changed, accel=warm, temperature=temperature), "least-squares", checks=False)
-    assert found.diagnostics["drift"][0]["form"] == "temperature"
+    assert found.diagnostics.drift[0].form == "temperature"
     course = np.exp(-share * 12.0)[:, None] * np.array([3.0, -4.0, 2.0]) * MG
     found = srt.calibrate(replace(changed, accel=changed.accel + course), "least-squares", checks=False)
-    assert found.diagnostics["drift"][0]["form"] == "fast warm-up"
+    assert found.diagnostics.drift[0].form == "fast warm-up"

@@ -32,6 +32,7 @@ from srt.reports.certificate.content import make_certificate
 from srt.reports.certificate.html_page import html_page
 from srt.reports.certificate.recording_history import recording_history
 from srt.result.calibration import FORMULA
+from srt.result.diagnostics import Diagnostics
 from srt.sensor_errors import GROUP_SLICES, NAMES, SensorErrors
 from srt.sequences.preparation import prepare
 
@@ -166,7 +167,7 @@ def test_noise_free_g_sensitivity_is_removed_entirely(estimator, options):
     longest = max(s.end_static_s[1] - s.start_static_s[0] for s in recording.sequences)
     limit = CONVERGED_CORRECTION * longest
     assert np.abs((found.errors.vector - plain.errors.vector) / IN_G)[:24].max() < limit
-    matrix = np.array(found.diagnostics["g_sensitivity"]["matrix"])
+    matrix = np.array(found.diagnostics.g_sensitivity.matrix)
     assert np.abs(matrix - GAMMA).max() * SITE.gravity_m_s2 < limit
     wrong = srt.calibrate(recording, estimator, gyro_bias="pooled", **chosen, checks=False)
     assert np.abs((wrong.errors.vector - truth.vector) / IN_G)[:24].max() > 1e3 * limit
@@ -181,10 +182,10 @@ def test_fixture_errors_leave_a_part_of_the_earth_rate():
     truth, sigma = unit(), 1e-3
     recording = read_out(motion_of(fixture=sigma), truth, ImuModel(gyro_g_sensitivity=GAMMA))
     found = srt.calibrate(recording, "closed-form", gyro_bias="g-sensitive", checks=False)
-    matrix = np.array(found.diagnostics["g_sensitivity"]["matrix"])
+    matrix = np.array(found.diagnostics.g_sensitivity.matrix)
     left = np.abs(matrix - GAMMA).max() * SITE.gravity_m_s2
     assert left < 2.0 * EARTH_RATE_RAD_S * 3.5 * sigma * math.sqrt(5.0)
-    stated = np.array(found.diagnostics["g_sensitivity"]["sigma"])
+    stated = np.array(found.diagnostics.g_sensitivity.sigma)
     assert left > 0.0
     assert np.all(stated * SITE.gravity_m_s2 < 2.0 * EARTH_RATE_RAD_S * sigma * math.sqrt(5.0))
 
@@ -209,9 +210,9 @@ def test_units_are_within_their_sigmas(n):
         found = srt.calibrate(recording, "closed-form", gyro_bias="g-sensitive", checks=False)
         errors.append(found.errors.vector - truth.vector)
         variances += found.sigma**2 / n
-        stated = found.diagnostics["g_sensitivity"]
-        error = (np.array(stated["matrix"]) - matrix).ravel()
-        nees += float(error @ np.linalg.solve(np.array(stated["covariance"]), error)) / 9.0 / n
+        stated = found.diagnostics.g_sensitivity
+        error = (np.array(stated.matrix) - matrix).ravel()
+        nees += float(error @ np.linalg.solve(np.array(stated.covariance), error)) / 9.0 / n
     squares = np.array(errors) ** 2 / variances
     ratio = np.sqrt(squares.mean(axis=0))
     band = 3.5 / math.sqrt(2.0 * n)
@@ -251,12 +252,12 @@ def test_a_bias_that_wanders_besides():
         )
         gyro[part] += rng.standard_normal(3) * size
     found = srt.calibrate(replace(recording, gyro=gyro), "closed-form", gyro_bias="g-sensitive", checks=False)
-    wander = np.sqrt(np.mean(np.array(found.noise["gyro_bias_wander_rad_s"]) ** 2))
+    wander = np.sqrt(np.mean(found.noise.gyro_bias_wander_rad_s**2))
     assert abs(wander / size - 1.0) < 3.5 / math.sqrt(78.0) + 0.1
-    stated = found.diagnostics["g_sensitivity"]
-    error = (np.array(stated["matrix"]) - GAMMA).ravel()
+    stated = found.diagnostics.g_sensitivity
+    error = (np.array(stated.matrix) - GAMMA).ravel()
     # The wander comes into the covariance of Γ: nine elements, chi-square at 1e-4 with the sigma's own doubt of 40 %.
-    assert error @ np.linalg.solve(np.array(stated["covariance"]), error) < chi2.ppf(1 - 1e-4, 9) * 1.4**2
+    assert error @ np.linalg.solve(np.array(stated.covariance), error) < chi2.ppf(1 - 1e-4, 9) * 1.4**2
 
 
 # --- what is not seen ---------------------------------------------------------------------------------------------
@@ -267,9 +268,9 @@ def test_one_vertical_shows_no_g_sensitivity_and_a_warning_says_so():
     motion = motion_of(sequences=("1", "2", "1a", "2a"), earth_rate=False)
     recording = read_out(motion, SensorErrors(), ImuModel(gyro_g_sensitivity=GAMMA))
     found = srt.calibrate(recording, "closed-form", gyro_bias="g-sensitive", checks=False)
-    stated = found.diagnostics["g_sensitivity"]
-    assert not np.array(stated["matrix"]).any()
-    unseen = np.array(stated["not_seen_along"])
+    stated = found.diagnostics.g_sensitivity
+    assert not np.array(stated.matrix).any()
+    unseen = np.array(stated.not_seen_along)
     np.testing.assert_allclose(unseen @ unseen.T, np.eye(3), rtol=0, atol=1e-12)
     assert any("is not observable: the specific force varies" in w for w in found.warnings)
     bias = found.errors.vector[GROUP_SLICES["gyro_bias"]]
@@ -330,11 +331,11 @@ def test_auto_estimates_what_the_residuals_show_and_says_so():
     loud = srt.calibrate(read_out(motion, unit(), replace(WHITE, gyro_g_sensitivity=GAMMA), rng), "closed-form")
     assert any("was estimated too" in w for w in loud.warnings)
     assert loud.judgement.word == "sound"
-    sigma = np.array(loud.diagnostics["g_sensitivity"]["sigma"])
-    assert np.all(np.abs(np.array(loud.diagnostics["g_sensitivity"]["matrix"]) - GAMMA) < 4.0 * sigma)
+    sigma = np.array(loud.diagnostics.g_sensitivity.sigma)
+    assert np.all(np.abs(np.array(loud.diagnostics.g_sensitivity.matrix) - GAMMA) < 4.0 * sigma)
     quiet = srt.calibrate(read_out(motion, unit(), WHITE, rng), "closed-form")
     assert not any("g-sensitive" in w for w in quiet.warnings)
-    assert "g_sensitivity" not in quiet.diagnostics
+    assert quiet.diagnostics.g_sensitivity is None
     assert quiet.to_dict()["formula"] == FORMULA
 
 
@@ -369,13 +370,14 @@ def test_command_and_file(calibrated, capsys):
     assert document["formula"].startswith(FORMULA)
     assert "diagnostics.g_sensitivity.matrix" in document["formula"]
     assert document["provenance"]["options"]["gyro_bias"] == "g-sensitive"
-    stated = document["diagnostics"]["g_sensitivity"]
-    scatter = stated["rest_rate_scatter_rad_s"]
-    assert np.all(np.array(scatter["before"]) > 2.0 * np.array(scatter["after"]))
+    loaded = srt.load_calibration(file)
+    stated = loaded.diagnostics.g_sensitivity
+    scatter = stated.rest_rate_scatter_rad_s
+    assert np.all(np.array(scatter.before) > 2.0 * np.array(scatter.after))
     # Rms of 34 rates with four unknowns: a sigma of 30, 3.5 standard errors of it.
-    np.testing.assert_allclose(scatter["after"], scatter["expected"], rtol=3.5 / math.sqrt(60.0))
-    np.testing.assert_allclose(np.sqrt(np.diag(stated["covariance"])), np.ravel(stated["sigma"]), rtol=1e-12)
-    assert srt.load_calibration(file).to_dict() == {k: v for k, v in document.items() if k != "digest"}
+    np.testing.assert_allclose(scatter.after, scatter.expected, rtol=3.5 / math.sqrt(60.0))
+    np.testing.assert_allclose(np.sqrt(np.diag(stated.covariance)), np.ravel(stated.sigma), rtol=1e-12)
+    assert loaded.to_dict() == {k: v for k, v in document.items() if k != "digest"}
 
 
 def test_the_certificate_shows_it(calibrated):
@@ -387,7 +389,7 @@ def test_the_certificate_shows_it(calibrated):
     certificate = make_certificate(source, course=recording_history(source, recording, "rec"))
     table = certificate.g_sensitivity
     shown = np.array([[cell.value for cell in row[1::2]] for row in table.rows])
-    np.testing.assert_array_equal(shown, found.diagnostics["g_sensitivity"]["matrix"])
+    np.testing.assert_array_equal(shown, found.diagnostics.g_sensitivity.matrix)
     assert "y − Γ f" in " ".join(certificate.application.sentences)
     if importlib.util.find_spec("jinja2"):
         assert "Gyro g-sensitivity" in html_page(certificate)
@@ -401,9 +403,9 @@ def test_apply_and_exports_say_whether_they_compensate_g_sensitivity(calibrated,
     assert main(["apply", str(file), str(calibrated / "rec"), "-o", str(out), "--c-header", str(header), "-q"]) == 0
     assert capsys.readouterr().err == ""
     assert "g_sensitivity[9]" in header.read_text()
-    plain = replace(found, diagnostics={})
+    plain = replace(found, diagnostics=Diagnostics())
     _, force = plain.apply(recording.gyro, recording.accel)
-    matrix = np.array(found.diagnostics["g_sensitivity"]["matrix"])
+    matrix = np.array(found.diagnostics.g_sensitivity.matrix)
     # Γ f comes off the readings, and what is left is corrected as without it; readings below 10 round to 1e-15.
     expected, _ = plain.apply(recording.gyro - force @ matrix.T, recording.accel)
     np.testing.assert_allclose(srt.load_recording(out).gyro, expected, rtol=0, atol=1e-14)
@@ -412,7 +414,7 @@ def test_apply_and_exports_say_whether_they_compensate_g_sensitivity(calibrated,
     np.testing.assert_array_equal(one, found.apply(recording.gyro[7], recording.accel[7])[0])
     assert "g-sensitivity" in exporters.export(found, "basalt").losses
     assert "g-sensitivity" not in exporters.export(found, "kalibr").losses
-    other = replace(found, diagnostics={}, provenance={**found.provenance, "data_sha256": "0" * 64})
+    other = replace(found, diagnostics=Diagnostics(), provenance=replace(found.provenance, data_sha256="0" * 64))
     merged = srt.merge_calibrations([found, other], ["a", "b"])
     assert any("is not merged: a have it" in w for w in merged.warnings)
 
@@ -427,7 +429,7 @@ def test_readings_without_it(kind):
     found = srt.calibrate(sensitive, "closed-form", gyro_bias="g-sensitive")
     dt = {"dt": 0.02} if kind == "increment" else {}
     gyro, _ = found.apply(sensitive.gyro, sensitive.accel, kind=kind, **dt)
-    expected, _ = replace(found, diagnostics={}).apply(plain.gyro, plain.accel, kind=kind, **dt)
+    expected, _ = replace(found, diagnostics=Diagnostics()).apply(plain.gyro, plain.accel, kind=kind, **dt)
     size = np.abs(sensitive.gyro - plain.gyro).max()
     # A sample in which f changes its sign has no one sign of the asymmetry: half of what f changes by at 1 rad/s. The
     # correction of the gyros makes at most a few per cent more of a difference of readings.
@@ -438,14 +440,14 @@ def test_readings_without_it(kind):
 def test_covariance_of_corrected_samples_has_it():
     """The covariance by differences: of the 27 errors, through Γ f too, and of the nine elements of Γ."""
     found = srt.calibrate(read_out(motion_of(), unit(), ImuModel(gyro_g_sensitivity=GAMMA)), gyro_bias="g-sensitive")
-    stated = found.diagnostics["g_sensitivity"]
+    stated = found.diagnostics.g_sensitivity
     y, f = np.array([0.4, -0.7, 0.2]), np.array([4.0, -5.0, 7.0])
 
     def corrected(errors, matrix):
-        changed = {"g_sensitivity": {**stated, "matrix": matrix.tolist()}}
+        changed = Diagnostics(g_sensitivity=replace(stated, matrix=matrix))
         return np.hstack(srt.Applier(replace(found, errors=errors, diagnostics=changed)).apply(y, f))
 
-    matrix = np.array(stated["matrix"])
+    matrix = np.array(stated.matrix)
     step = 1e-6
     J = [
         (
@@ -461,7 +463,7 @@ def test_covariance_of_corrected_samples_has_it():
         for d in step * np.eye(9)
     ]
     J, G = np.transpose(J), np.transpose(G)
-    expected = J @ found.covariance @ J.T + G @ np.array(stated["covariance"]) @ G.T
+    expected = J @ found.covariance @ J.T + G @ np.array(stated.covariance) @ G.T
     # Central differences of 1e-6: second order 1e-12 of values below 10, rounding 1e-16 · 10 / 1e-6.
     np.testing.assert_allclose(
         srt.Applier(found).sample_covariance(y, f), expected, rtol=1e-6, atol=1e-6 * expected.max()

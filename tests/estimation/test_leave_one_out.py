@@ -26,6 +26,7 @@ from srt.estimation.leave_one_out import (
     verdict,
 )
 from srt.reports.text.calibration import report
+from srt.result.document import to_document
 from srt.sensor_errors import INDEX, N_PARAMETERS, NAMES
 
 PLAYBACK = ("closed-form", "least-squares")
@@ -143,21 +144,21 @@ def test_inflation_correlation_and_weakest_combination():
     seen = np.flatnonzero(observed)
     part = P[np.ix_(seen, seen)]
     precision = np.linalg.inv(part)
-    assert [row["name"] for row in result["parameters"]] == [NAMES[i] for i in seen]
-    for n, row in enumerate(result["parameters"]):
+    assert [row.name for row in result.parameters] == [NAMES[i] for i in seen]
+    for n, row in enumerate(result.parameters):
         # The variance with all others known is the inverse of the precision's diagonal.
-        assert row["variance_inflation"] == pytest.approx(part[n, n] * precision[n, n], rel=1e-6)
-        m = INDEX[row["largest_correlation"]["with"]]
+        assert row.variance_inflation == pytest.approx(part[n, n] * precision[n, n], rel=1e-6)
+        m = INDEX[row.largest_correlation.with_]
         value = P[seen[n], m] / np.sqrt(P[seen[n], seen[n]] * P[m, m])
-        assert row["largest_correlation"]["value"] == pytest.approx(value, rel=1e-9)
+        assert row.largest_correlation.value == pytest.approx(value, rel=1e-9)
         others = [P[seen[n], j] / np.sqrt(P[seen[n], seen[n]] * P[j, j]) for j in seen if j != seen[n]]
         assert abs(value) == pytest.approx(np.abs(others).max(), rel=1e-9)
-    assert result["probability"] == pytest.approx(0.55782540, rel=1e-7)  # exp(-3/2) (1 + 3/2)
-    combination = result["weakest_combination"]
+    assert result.probability == pytest.approx(0.55782540, rel=1e-7)  # exp(-3/2) (1 + 3/2)
+    combination = result.weakest_combination
     from srt.model.prior import prior_sigma
 
     scaled = part / np.outer(prior_sigma()[seen], prior_sigma()[seen])
-    assert combination["sigma_over_prior"] ** 2 == pytest.approx(np.linalg.eigvalsh(scaled)[-1], rel=1e-9)
+    assert combination.sigma_over_prior**2 == pytest.approx(np.linalg.eigvalsh(scaled)[-1], rel=1e-9)
 
 
 # Recordings: calibrated again without the sequence
@@ -169,7 +170,7 @@ def distance(calibration, row, again):
     Each of the two iterations may stop 0.01 of its own sigma short of its fixed point.
     """
     worst = 0.0
-    for name, influence in row["influence"].items():
+    for name, influence in row.influence.items():
         if influence is None:
             continue
         i = INDEX[name]
@@ -181,8 +182,8 @@ def distance(calibration, row, again):
 
 def again_without(calibration, recording, row, estimator, **options):
     """Calibrate without the sequence; what is lost is held at the value found."""
-    hold = () if estimator == "closed-form" else tuple(row["lost_without"])
-    rest = without(recording, row["sequence"], row["occurrence"])
+    hold = () if estimator == "closed-form" else tuple(row.lost_without)
+    rest = without(recording, row.sequence, row.occurrence)
     return srt.calibrate(rest, estimator, start=calibration.errors, hold=hold, **options, checks=False)
 
 
@@ -197,22 +198,22 @@ def again_without(calibration, recording, row, estimator, **options):
 def test_influence_is_that_of_calibrating_without_the_sequence(estimator, count):
     """And what is lost is what would be held, and the information that goes is that of the sigmas."""
     calibration = calibrated(11, estimator)
-    rows = calibration.verdict["sequences"]
+    rows = calibration.verdict.sequences
     assert len(rows) == 17
     for k in range(0, 17, -(-17 // count)):
         row = rows[k]
         again = again_without(calibration, noisy(11), row, estimator)
-        assert set(again.held) == set(row["lost_without"])
+        assert set(again.held) == set(row.lost_without)
         assert distance(calibration, row, again) < 1.0
         if estimator == "closed-form":
             continue
-        for parameter in calibration.verdict["parameters"]:
-            i = INDEX[parameter["name"]]
-            if parameter["name"] not in row["lost_without"]:
+        for parameter in calibration.verdict.parameters:
+            i = INDEX[parameter.name]
+            if parameter.name not in row.lost_without:
                 share = 1.0 - (calibration.sigma[i] / again.sigma[i]) ** 2
                 # The covariance is taken at the other solution, and windows' noise through another triad: parts in
                 # a thousand.
-                assert parameter["information"][k] == pytest.approx(share, abs=5e-3)
+                assert parameter.information[k] == pytest.approx(share, abs=5e-3)
 
 
 @pytest.mark.parametrize(
@@ -223,7 +224,7 @@ def test_influence_is_that_of_calibrating_without_the_sequence(estimator, count)
 def test_influence_with_other_gyro_biases_and_windows(estimator, options):
     calibration = srt.calibrate(noisy(12), estimator, **options, checks=False)
     for k in (0, 8, 15):
-        row = calibration.verdict["sequences"][k]
+        row = calibration.verdict.sequences[k]
         again = again_without(calibration, noisy(12), row, estimator, **options)
         assert distance(calibration, row, again) < 1.0
 
@@ -232,8 +233,8 @@ def test_influence_with_a_bias_of_every_sequence():
     """The reported bias is the mean over the sequences: without one it is another mean, and no bias to hold."""
     calibration = srt.calibrate(noisy(12), "least-squares", gyro_bias="per-sequence", checks=False)
     for k in (0, 8, 15):
-        row = calibration.verdict["sequences"][k]
-        rest = without(noisy(12), row["sequence"])
+        row = calibration.verdict.sequences[k]
+        rest = without(noisy(12), row.sequence)
         again = srt.calibrate(rest, "least-squares", start=calibration.errors, gyro_bias="per-sequence", checks=False)
         assert distance(calibration, row, again) < 1.0
 
@@ -242,10 +243,10 @@ def test_influence_where_the_bias_wanders_in_part():
     """A stated instability takes a sequence's own rest rate in part: what is pooled hangs on all sequences."""
     recording, _ = accuracy_trials.noisy_recording(13, "tactical", sigma_rad=1e-5, instability=True)
     calibration = srt.calibrate(recording, "least-squares", checks=False)
-    wander = np.array(calibration.noise["gyro_bias_wander_rad_s"])
+    wander = calibration.noise.gyro_bias_wander_rad_s
     assert np.all(wander > 0.0)
     for k in (1, 6, 12):
-        row = calibration.verdict["sequences"][k]
+        row = calibration.verdict.sequences[k]
         again = again_without(calibration, recording, row, "least-squares")
         assert distance(calibration, row, again) < 1.0
 
@@ -257,12 +258,12 @@ def test_a_repeated_sequence_is_two_independent_measurements():
     recording = read_out(motion, truth, accuracy_trials.GRADES["navigation"], np.random.default_rng(14))
     for estimator in PLAYBACK:
         calibration = srt.calibrate(recording, estimator, checks=False)
-        first, second = (r for r in calibration.verdict["sequences"] if r["sequence"] == "10")
-        assert (first["occurrence"], second["occurrence"]) == (1, 2)
-        assert first["lost_without"] == second["lost_without"] == []
-        assert first["checkable"] == second["checkable"] == "yes"
-        row = next(p for p in calibration.verdict["parameters"] if p["name"] == "accel_misalignment_zy")
-        shares = {(s["sequence"], s["occurrence"]): s["share"] for s in row["shown_by"]}
+        first, second = (r for r in calibration.verdict.sequences if r.sequence == "10")
+        assert (first.occurrence, second.occurrence) == (1, 2)
+        assert first.lost_without == second.lost_without == ()
+        assert first.checkable == second.checkable == "yes"
+        row = next(p for p in calibration.verdict.parameters if p.name == "accel_misalignment_zy")
+        shares = {(s.sequence, s.occurrence): s.share for s in row.shown_by}
         assert shares["10", 1] == pytest.approx(shares["10", 2], rel=0.02)
         again = again_without(calibration, recording, second, estimator)
         assert distance(calibration, second, again) < 1.0
@@ -286,11 +287,11 @@ def test_turns_that_share_windows():
     recording = read_out(motion, truth, accuracy_trials.GRADES["navigation"], rng)
     recording = recording.with_sequences(srt.find_turns(recording))
     calibration = srt.calibrate(recording, "least-squares", checks=False)
-    rows = calibration.verdict["sequences"]
+    rows = calibration.verdict.sequences
     for k in (0, 14):
         rest = recording.with_sequences(tuple(s for i, s in enumerate(recording.sequences) if i != k))
         again = srt.calibrate(
-            rest, "least-squares", start=calibration.errors, hold=tuple(rows[k]["lost_without"]), checks=False
+            rest, "least-squares", start=calibration.errors, hold=tuple(rows[k].lost_without), checks=False
         )
         assert distance(calibration, rows[k], again) < 1.0
 
@@ -321,12 +322,12 @@ def test_chi_square_of_clean_recordings(estimator, count):
     verdicts = [clean(seed, estimator) for seed in range(count)]
 
     def within(rows, tail):
-        total, freedom = (sum(row[key] for row in rows) for key in ("chi_square", "degrees_of_freedom"))
+        total, freedom = (sum(getattr(row, key) for row in rows) for key in ("chi_square", "degrees_of_freedom"))
         assert chdtri(freedom, 1.0 - tail) < total < chdtri(freedom, tail), (total, freedom)
 
     within(verdicts, 2.3e-4)
     for k in range(17):
-        within([v["sequences"][k] for v in verdicts], 2.3e-4 / 17)
+        within([v.sequences[k] for v in verdicts], 2.3e-4 / 17)
 
 
 @pytest.mark.parametrize("name", ["4", "8", "11", "13"])
@@ -338,25 +339,25 @@ def test_a_disturbed_sequence_stands_out(estimator, name):
     accel = recording.accel.copy()
     accel[recording.window_indices(*label.end_static_s)] += 50e-6 * 9.80665
     result = srt.calibrate(replace(recording, accel=accel), estimator, checks=False).verdict
-    worst = result["contradicting"]
+    worst = result.contradicting
     assert worst is not None
-    assert worst["sequence"] == name
-    assert calibrated(11, estimator).verdict["contradicting"] is None
+    assert worst.sequence == name
+    assert calibrated(11, estimator).verdict.contradicting is None
 
 
 def test_single_witnesses_are_named():
     """Table 1 has one reversed turn for each asymmetry, and one sequence each for four misalignments."""
-    rows = {r["sequence"]: r for r in calibrated(11, "closed-form").verdict["sequences"]}
+    rows = {r.sequence: r for r in calibrated(11, "closed-form").verdict.sequences}
     for name, parameter in (
         ("1a", "gyro_asymmetry_y"),
         ("7", "accel_misalignment_xy"),
         ("10", "accel_misalignment_zy"),
     ):
-        assert rows[name]["checkable"] == "partly"
-        assert parameter in rows[name]["only_witness_of"]
-        assert parameter in rows[name]["lost_without"]
-    assert rows["11"]["checkable"] == "yes"
-    assert rows["11"]["only_witness_of"] == []
+        assert rows[name].checkable == "partly"
+        assert parameter in rows[name].only_witness_of
+        assert parameter in rows[name].lost_without
+    assert rows["11"].checkable == "yes"
+    assert rows["11"].only_witness_of == ()
     text = report(calibrated(11, "closed-form"), title="unit")
     assert "the others cannot check them: 1a: κyy κyyy;" in " ".join(text.split())
 
@@ -370,19 +371,19 @@ def test_a_sequence_that_nothing_checks_is_said_to_be_so():
     rows = [SequenceDiagnostics(str(k), 1, *pair) for k, pair in enumerate(pairs)]
     P = solved(z, H, R)[1]
     result = verdict(rows, P, np.ones(N_PARAMETERS, dtype=bool), 0.0, 0)
-    for row in result["sequences"]:
-        assert (row["checkable"], row["degrees_of_freedom"], row["probability"]) == ("no", 0, None)
-        assert len(row["lost_without"]) >= 9
-    assert result["contradicting"] is None
+    for row in result.sequences:
+        assert (row.checkable, row.degrees_of_freedom, row.probability) == ("no", 0, None)
+        assert len(row.lost_without) >= 9
+    assert result.contradicting is None
     text = report(replace(calibrated(11, "closed-form"), verdict=result), title="unit")
     assert text.count("not checkable  ") == 3
     assert "their agreement cannot be tested" in " ".join(text.split())
 
 
 def test_the_closed_form_says_what_it_would_hold():
-    rows = {r["sequence"]: r for r in calibrated(11, "closed-form").verdict["sequences"]}
-    assert set(rows["13"]["lost_without"]) == {"accel_bias_y", "accel_asymmetry_y"}
-    assert rows["13"]["checkable"] == "yes"  # by the components that the formulas leave over
+    rows = {r.sequence: r for r in calibrated(11, "closed-form").verdict.sequences}
+    assert set(rows["13"].lost_without) == {"accel_bias_y", "accel_asymmetry_y"}
+    assert rows["13"].checkable == "yes"  # by the components that the formulas leave over
 
 
 # File and text
@@ -392,15 +393,15 @@ def test_the_closed_form_says_what_it_would_hold():
 def test_every_estimator_fills_it(estimator, tmp_path):
     calibration = calibrated(11, estimator)
     result = calibration.verdict
-    assert [row["name"] for row in result["parameters"]] == list(NAMES)
-    assert len(result["sequences"]) == 17
-    for row in result["parameters"]:
-        assert row["witnesses"] >= 1.0
-        assert row["variance_inflation"] >= 1.0
-        assert row["shown_by"]
+    assert [row.name for row in result.parameters] == list(NAMES)
+    assert len(result.sequences) == 17
+    for row in result.parameters:
+        assert row.witnesses >= 1.0
+        assert row.variance_inflation >= 1.0
+        assert row.shown_by
     calibration.save(tmp_path / "unit.json")
     written = json.loads((tmp_path / "unit.json").read_text(encoding="utf-8"))["verdict"]
-    assert written == {"word": "sound", "reason": calibration.judgement.reason, **result}
+    assert written == {"word": "sound", "reason": calibration.judgement.reason, **to_document(result)}
     assert srt.load_calibration(tmp_path / "unit.json").verdict == result
 
 
@@ -409,7 +410,7 @@ def test_files_without_a_verdict_load(tmp_path):
     del document["verdict"]
     (tmp_path / "old.json").write_text(json.dumps(document), encoding="utf-8")
     old = srt.load_calibration(tmp_path / "old.json")
-    assert old.verdict == {}
+    assert old.verdict is None
     assert "Verdict" not in report(old, title="old")
 
 
@@ -433,9 +434,9 @@ def test_text_fits_and_explains_every_column(estimator):
 
 def test_the_least_likely_of_many_sequences_are_shown():
     calibration = calibrated(11, "closed-form")
-    row = calibration.verdict["sequences"][0]
-    many = [row | {"sequence": f"turn {n}", "probability": (n * 7 % 30 + 1) / 31.0} for n in range(30)]
-    long = replace(calibration, verdict=calibration.verdict | {"sequences": many})
+    row = calibration.verdict.sequences[0]
+    many = [replace(row, sequence=f"turn {n}", probability=(n * 7 % 30 + 1) / 31.0) for n in range(30)]
+    long = replace(calibration, verdict=replace(calibration.verdict, sequences=tuple(many)))
     short = report(long, title="unit")
     assert "The 10 least likely of 30" in short
     assert {f" turn {n} " in short for n in range(30) if n * 7 % 30 < 10} == {True}
@@ -450,7 +451,7 @@ def test_no_verdict_outside_the_model():
     flat = replace(recording, accel=recording.accel @ (np.eye(3) - 0.9 * np.outer(n, n)))
     result = srt.calibrate(flat, checks=False)
     assert result.status == "outside_model"
-    assert result.verdict == {}
+    assert result.verdict is None
 
 
 def test_evidence_is_in_the_order_of_the_sequences():
@@ -463,9 +464,9 @@ def test_evidence_is_in_the_order_of_the_sequences():
     ]
     P = solved(z, H, R)[1]
     result = verdict(rows, P, np.ones(N_PARAMETERS, dtype=bool), 1.0, 1)
-    assert [row["sequence"] for row in result["sequences"]] == [str(i) for i in range(len(groups))]
-    for row, left in zip(result["sequences"], rows, strict=True):
+    assert [row.sequence for row in result.sequences] == [str(i) for i in range(len(groups))]
+    for row, left in zip(result.sequences, rows, strict=True):
         expected = left.without.change / np.sqrt(np.diag(P))
-        np.testing.assert_allclose([row["influence"][name] for name in NAMES], expected, rtol=1e-12)
-        largest = row["largest_influence"]
-        assert abs(largest["sigmas"]) == pytest.approx(np.abs(expected).max())
+        np.testing.assert_allclose([row.influence[name] for name in NAMES], expected, rtol=1e-12)
+        largest = row.largest_influence
+        assert abs(largest.sigmas) == pytest.approx(np.abs(expected).max())

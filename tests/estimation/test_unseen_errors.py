@@ -24,7 +24,7 @@ def calibrated(request):
     """A recording of rates or increments, its calibration, and its unseen errors by source."""
     recording = Case("tactical-fog", 3, {"recording": {"kind": request.param, "sample_rate_hz": 100.0}}).recording
     found = srt.calibrate(recording, "closed-form", checks=False)
-    return recording, found, {row["source"]: row for row in found.diagnostics["unseen_errors"]}
+    return recording, found, {row.source: row for row in found.diagnostics.unseen_errors}
 
 
 def shifted(recording, source):
@@ -51,26 +51,26 @@ def shifted(recording, source):
 @pytest.mark.parametrize("source", ["time base", "gravity", "latitude", "heading"])
 def test_coefficients(calibrated, source):
     recording, found, rows = calibrated
-    row, part = rows[source], GROUP_SLICES[rows[source]["group"]]
+    row, part = rows[source], GROUP_SLICES[rows[source].group]
     error = SMALL * (0.01 if source == "latitude" else 1.0)
     wrong = srt.calibrate(shifted(recording, source), "closed-form", checks=False)
-    change = (wrong.errors.vector - found.errors.vector)[part] * FACTORS[row["group_unit"]]
-    if row["largest"]:
+    change = (wrong.errors.vector - found.errors.vector)[part] * FACTORS[row.group_unit]
+    if row.largest:
         # The poses turn the Earth rate to all axes; what remains is smaller.
-        assert np.abs(change).max() <= 1.001 * error * row["coefficient"]
+        assert np.abs(change).max() <= 1.001 * error * row.coefficient
     else:
-        np.testing.assert_allclose(change, error * row["coefficient"], rtol=0.01)
-    assert wrong.verdict["chi_square"] == pytest.approx(found.verdict["chi_square"], abs=1.0)
+        np.testing.assert_allclose(change, error * row.coefficient, rtol=0.01)
+    assert wrong.verdict.chi_square == pytest.approx(found.verdict.chi_square, abs=1.0)
 
 
 def test_a_stated_sigma_is_told_and_in_the_result(calibrated):
     recording, found, rows = calibrated
-    assert rows["time base"]["sigma"] is None
-    assert "not stated" in rows["time base"]["sentence"]
+    assert rows["time base"].sigma is None
+    assert "not stated" in rows["time base"].sentence
     stated = srt.calibrate(replace(recording, clock_sigma=50e-6), "closed-form", checks=False)
-    row = stated.diagnostics["unseen_errors"][0]
-    assert row["sigma"] == pytest.approx(50.0)
-    part = GROUP_SLICES[row["group"]]
+    row = stated.diagnostics.unseen_errors[0]
+    assert row.sigma == pytest.approx(50.0)
+    part = GROUP_SLICES[row.group]
     np.testing.assert_allclose(stated.sigma[part] ** 2, found.sigma[part] ** 2 + (50e-6) ** 2, rtol=1e-6)
 
 
@@ -86,7 +86,7 @@ def test_a_stated_sigma_of_the_latitude_is_in_the_sigmas(calibrated, estimator):
     # The largest effect, of the gyro biases; products with the errors of unit and fixture are a few of 1e-3.
     np.testing.assert_allclose(contribution[bias], change[bias], atol=0.01 * change[bias].max())
     assert np.all(np.abs(contribution - change) <= 0.01 * contribution + 0.01 * found.sigma)
-    rows = {row["source"]: row["sigma"] for row in found.diagnostics["unseen_errors"]}
+    rows = {row.source: row.sigma for row in found.diagnostics.unseen_errors}
     assert rows["latitude"] == pytest.approx(SMALL * 0.01)
 
 
@@ -129,23 +129,23 @@ def test_coefficients_on_a_rate_table(kind):
     """Effects of the common error of the stated rates, of one run's, and of the time base, on scale factors."""
     recording = rate_table(kind=kind)
     found = srt.calibrate(recording, "least-squares", checks=False)
-    rows = {(row["source"], row["group"]): row for row in found.diagnostics["unseen_errors"]}
+    rows = {(row.source, row.group): row for row in found.diagnostics.unseen_errors}
     for source, changed, axes in (
         ("the stated rates", wrong_rates(recording, first_only=False), [0, 1, 2]),
         ("one stated rate alone", wrong_rates(recording, first_only=True), [0]),
         ("time base", slower_clock(recording), [0, 1, 2]),
     ):
         wrong = srt.calibrate(changed, "least-squares", checks=False)
-        assert wrong.verdict["chi_square"] == pytest.approx(found.verdict["chi_square"], abs=0.1)
+        assert wrong.verdict.chi_square == pytest.approx(found.verdict.chi_square, abs=0.1)
         change = (wrong.errors.vector - found.errors.vector) * 1e6
         for group in ("gyro_scale", "accel_scale"):
             row = rows.get((source, group))
             expected = np.zeros(3)
             if row is not None:
-                assert row["axes"] == "xyz"
-                expected[axes] = SMALL * row["coefficient"]
+                assert row.axes == "xyz"
+                expected[axes] = SMALL * row.coefficient
             np.testing.assert_allclose(change[GROUP_SLICES[group]], expected, atol=0.01 * SMALL)
-    assert rows["the stated rates", "gyro_scale"]["sigma"] == pytest.approx(20.0)
+    assert rows["the stated rates", "gyro_scale"].sigma == pytest.approx(20.0)
     assert ("time base", "gyro_scale") in rows or kind == "rate"
 
 
@@ -177,7 +177,7 @@ def test_a_run_at_another_rate_shows_a_wrong_one(tmp_path):
     )
     recording = rate_table(protocol)
     found = srt.calibrate(recording, "least-squares", checks=False)
-    assert "one stated rate alone" not in {row["source"] for row in found.diagnostics["unseen_errors"]}
+    assert "one stated rate alone" not in {row.source for row in found.diagnostics.unseen_errors}
     labels = list(recording.sequences)
     k = next(k for k, label in enumerate(labels) if label.rate is not None)
     axis, rate = labels[k].rate

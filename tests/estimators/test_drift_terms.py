@@ -82,22 +82,22 @@ def test_ramps_on_a_fixture_are_named_and_modelled(estimator):
         pytest.importorskip("gtsam")
     recording, truth = noisy_recording(2, "navigation", sample_rate_hz=50.0)
     quiet, found = (srt.calibrate(r, estimator, checks=False) for r in (recording, ramp(recording, 1000.0, 3.0)))
-    assert "drift" not in quiet.diagnostics
-    sizes = {term["sensor"]: term for term in found.diagnostics["drift"]}
+    assert quiet.diagnostics.drift is None
+    sizes = {term.sensor: term for term in found.diagnostics.drift}
     assert set(sizes) == {"accel", "gyro"}
     samples = [recording.window_indices(*w) for w in (recording.sequences[0].start_static_s,)]
     samples += [recording.window_indices(*recording.sequences[-1].end_static_s)]
     span = np.diff([recording.time[s].mean() for s in samples])[0] / 3600.0
     signs = np.array([1.0, -1.0, 1.0])
-    np.testing.assert_allclose(np.array(sizes["accel"]["change_m_s2"]) / MICRO_G, span * 1000.0 * signs, atol=5.0)
-    np.testing.assert_allclose(np.array(sizes["gyro"]["change_rad_s"]) / DEG_PER_H, span * 3.0 * signs, atol=0.05)
+    np.testing.assert_allclose(np.array(sizes["accel"].change_m_s2) / MICRO_G, span * 1000.0 * signs, atol=5.0)
+    np.testing.assert_allclose(np.array(sizes["gyro"].change_rad_s) / DEG_PER_H, span * 3.0 * signs, atol=0.05)
     error = found.errors.vector - truth.vector
     assert error @ np.linalg.solve(found.covariance, error) < 27.0 + 3.5 * np.sqrt(54.0)
     assert np.all(found.sigma[:-3] < 1.5 * quiet.sigma[:-3])
-    drifted = np.array(sizes["gyro"]["change_rad_s"]) / np.sqrt(12.0)
+    drifted = np.array(sizes["gyro"].change_rad_s) / np.sqrt(12.0)
     assert np.all(found.sigma[-3:] > np.abs(drifted))
     assert np.all(found.sigma[-3:] < np.hypot(drifted, 1.5 * quiet.sigma[-3:]))
-    assert found.noise["degrees_of_freedom"] == quiet.noise["degrees_of_freedom"] - 6
+    assert found.noise.degrees_of_freedom == quiet.noise.degrees_of_freedom - 6
 
 
 def test_filter_is_the_block_solution_with_drift():
@@ -122,4 +122,4 @@ def test_recordings_without_drift_are_not_changed(units):
     for seed in range(units):
         grade = ("navigation", "tactical", "industrial")[seed % 3]
         recording, _ = noisy_recording(200 + seed, grade, sample_rate_hz=20.0, instability=True)
-        assert "drift" not in srt.calibrate(recording, "ekf", checks=False).diagnostics
+        assert srt.calibrate(recording, "ekf", checks=False).diagnostics.drift is None

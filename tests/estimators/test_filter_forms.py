@@ -48,13 +48,13 @@ def test_sequential_filters_reach_the_optimum_from_a_narrow_prior(recording, ite
     """The estimate is within the reported distance of the iterated one, and sigmas agree to 1 %."""
     found = srt.calibrate(recording, "ekf", checks=False, prior=NARROW, filter=form)
     assert found.status == iterated.status
-    optimum = found.diagnostics["optimum"]
-    assert optimum["distance_sigma"] < 1.0
-    assert in_sigmas(found, iterated) == pytest.approx(optimum["distance_sigma"], abs=0.01)
+    optimum = found.diagnostics.optimum
+    assert optimum.distance_sigma < 1.0
+    assert in_sigmas(found, iterated) == pytest.approx(optimum.distance_sigma, abs=0.01)
     np.testing.assert_allclose(found.sigma, iterated.sigma, rtol=0.01)
-    rows = found.diagnostics["filter"]
-    assert [row["sequence"] for row in rows] == [row["sequence"] for row in iterated.diagnostics["filter"]]
-    assert all(np.isfinite(row["nis"]) for row in rows)
+    rows = found.diagnostics.filter
+    assert [row.sequence for row in rows] == [row.sequence for row in iterated.diagnostics.filter]
+    assert all(np.isfinite(row.nis) for row in rows)
 
 
 def test_linearisation_errors_from_the_wide_prior_are_reported(recording):

@@ -161,8 +161,8 @@ def spoiled(case, seed, name, which):
 
 def named_sequence(calibration):
     """The sequence that contradicts the others; None if there is none."""
-    worst = calibration.verdict["contradicting"]
-    return None if worst is None else worst["sequence"]
+    worst = calibration.verdict.contradicting
+    return None if worst is None else worst.sequence
 
 
 def named_windows(calibration, recording):
@@ -180,18 +180,18 @@ def named_windows(calibration, recording):
 
 def worst_sequence(table):
     """The one whose chance is smallest; chances underflow, so the statistic over its degrees of freedom decides."""
-    worst = max(table, key=lambda row: row["chi_square"] / row["degrees_of_freedom"])
-    assert worst["probability"] == min(row["probability"] for row in table)
-    return worst["sequence"]
+    worst = max(table, key=lambda row: row.chi_square / row.degrees_of_freedom)
+    assert worst.probability == min(row.probability for row in table)
+    return worst.sequence
 
 
 def assert_named(calibration, case, seed, name):
     """The warnings name the sequence, and it is the least probable one (for a tilted window, if taken as still)."""
     if case is tilted:
         assert named_windows(calibration, clean(seed)[0]) == {name}
-        assert worst_sequence(calibration.diagnostics["held"]["sequences"]) == name
+        assert worst_sequence(calibration.diagnostics.held.sequences) == name
     else:
-        assert worst_sequence(calibration.diagnostics["sequences"]) == name
+        assert worst_sequence(calibration.diagnostics.sequences) == name
         assert named_sequence(calibration) == name
 
 
@@ -204,11 +204,11 @@ def test_the_bad_sequence_is_named(case, name, seed, which):
 @pytest.mark.parametrize("name", LOOK_ALIKE)
 def test_indistinguishable_sequences_are_narrowed_down_to_two(name):
     calibration = srt.calibrate(spoiled(with_lost_samples, 101, name, "end"), "graph", checks=False)
-    table = sorted(calibration.diagnostics["sequences"], key=lambda row: row["chi_square"], reverse=True)
-    two = {row["sequence"] for row in table[:2]}
+    table = sorted(calibration.diagnostics.sequences, key=lambda row: row.chi_square, reverse=True)
+    two = {row.sequence for row in table[:2]}
     assert name in two
     assert named_sequence(calibration) in two
-    assert calibration.status == "not_converged" or table[0]["probability"] < 1e-6
+    assert calibration.status == "not_converged" or table[0].probability < 1e-6
 
 
 @pytest.mark.parametrize(("case", "name"), [(tilted, "13"), (with_bias_step, "13"), (noisier, "4")])
@@ -216,12 +216,12 @@ def test_the_filter_names_it_too(case, name):
     """The filter names the sequence as the graph does, and its innovations fail the test from that sequence on."""
     calibration = srt.calibrate(spoiled(case, 101, name, "end"), "ekf", checks=False)
     assert_named(calibration, case, 101, name)
-    forward = (calibration.diagnostics["held"] if case is tilted else calibration.diagnostics)["filter"]
-    worst = max(forward, key=lambda row: row["nis"] - row["degrees_of_freedom"])
-    assert worst["probability"] < 1e-6
+    forward = (calibration.diagnostics.held if case is tilted else calibration.diagnostics).filter
+    worst = max(forward, key=lambda row: row.nis - row.degrees_of_freedom)
+    assert worst.probability < 1e-6
     # What contradicts can only be seen once the bad sequence, or what it contradicts, has been processed.
-    order = [row["sequence"] for row in forward]
-    assert order.index(worst["sequence"]) >= order.index(name)
+    order = [row.sequence for row in forward]
+    assert order.index(worst.sequence) >= order.index(name)
 
 
 @pytest.mark.parametrize("estimator", ["ekf", "graph"])
@@ -285,7 +285,7 @@ def test_a_robust_graph_costs_little_without_a_fault(loss):
 def test_the_weights_name_the_bad_sequence(loss):
     """3 mrad off in a turn known to about 3 µrad: Huber's weight is 2.8 over that thousand, Cauchy's its square."""
     calibration = srt.calibrate(spoiled(with_lost_samples, 101, "4", "end"), "graph", loss=loss, checks=False)
-    weights = {row["sequence"]: row["weight"] for row in calibration.diagnostics["weights"]}
+    weights = {row.sequence: row.weight for row in calibration.diagnostics.weights}
     assert min(weights, key=weights.get) == "4"
     assert weights["4"] < 3.0 * 2.8 / 1000.0
     assert sorted(weights.values())[1] > 10.0 * weights["4"]

@@ -107,8 +107,7 @@ def test_estimated_where_the_residuals_ask_for_it(industrial):
         error = calibration.errors.vector - truth.vector
         assert error @ np.linalg.solve(calibration.covariance, error) < 27.0 + 3.5 * np.sqrt(54.0)
     matrix, sigma = (
-        {name: np.array(c.diagnostics["g_sensitivity"][key]) for name, c in found.items()}
-        for key in ("matrix", "sigma")
+        {name: getattr(c.diagnostics.g_sensitivity, key) for name, c in found.items()} for key in ("matrix", "sigma")
     )
     assert np.all(np.abs(matrix["graph"] - matrix["ekf"]) < 0.02 * sigma["graph"])
     assert np.all(np.abs(matrix["graph"] - matrix["least-squares"]) < 3.5 * sigma["least-squares"])
@@ -121,8 +120,8 @@ def test_covariance_form(industrial):
     recording, _, found = industrial
     other = srt.calibrate(recording, "ekf", checks=False, filter="covariance")
     assert np.all(np.abs(other.errors.vector - found["ekf"].errors.vector) < 0.01 * found["ekf"].sigma)
-    followed, expected = (np.array(c.diagnostics["g_sensitivity"]["matrix"]) for c in (other, found["ekf"]))
-    assert np.abs(followed - expected).max() < 0.02 * np.array(other.diagnostics["g_sensitivity"]["sigma"]).max()
+    followed, expected = (np.array(c.diagnostics.g_sensitivity.matrix) for c in (other, found["ekf"]))
+    assert np.abs(followed - expected).max() < 0.02 * np.array(other.diagnostics.g_sensitivity.sigma).max()
 
 
 def test_unscented_filter_has_the_axes_of_all_poses(industrial):
@@ -156,8 +155,8 @@ def test_nees(units):
         found = srt.calibrate(unit.recording, "graph", gyro_bias="g-sensitive", checks=False)
         error = found.errors.vector - unit.truth.vector
         errors.append(float(error @ np.linalg.solve(found.covariance, error)) / 27.0)
-        told = found.diagnostics["g_sensitivity"]
-        error = (np.array(told["matrix"]) - unit.imu.gyro_g_sensitivity).ravel()
-        followed.append(float(error @ np.linalg.solve(np.array(told["covariance"]), error)) / 9.0)
+        told = found.diagnostics.g_sensitivity
+        error = (np.array(told.matrix) - unit.imu.gyro_g_sensitivity).ravel()
+        followed.append(float(error @ np.linalg.solve(np.array(told.covariance), error)) / 9.0)
     assert abs(np.mean(errors) - 1.0) < 3.5 * np.sqrt(2.0 / (27.0 * units))
     assert abs(np.mean(followed) - 1.0) < 3.5 * np.sqrt(2.0 / (9.0 * units))

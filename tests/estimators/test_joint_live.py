@@ -53,13 +53,13 @@ def test_it_ends_where_the_batch_ends(small, small_live):
     assert found.status == "converged"
     assert np.all(np.abs(found.errors.vector - batch.errors.vector) < 0.02 * batch.sigma)
     np.testing.assert_allclose(found.sigma, batch.sigma, rtol=1e-3)
-    reports = found.diagnostics["live"]
-    assert [r["sequence"] for r in reports] == [s.id for s in recording.sequences]
-    met = [r["sequence"] for r in reports if r["targets_met"]]
+    reports = found.diagnostics.live
+    assert [r.sequence for r in reports] == [s.id for s in recording.sequences]
+    met = [r.sequence for r in reports if r.targets_met]
     # Sigmas along the way hardly depend on where the problem is linearised: the batch promises the same.
-    assert met[0] == found.diagnostics["targets"]["met_after"]
-    assert all(r["promised"] for r in reports if r["targets_met"])
-    largest = [max(r["sigma"]) for r in reports]
+    assert met[0] == found.diagnostics.targets.met_after
+    assert all(r.promised for r in reports if r.targets_met)
+    largest = [max(r.sigma) for r in reports]
     assert largest[-1] < 1e-3 * largest[0]
 
 
@@ -69,15 +69,15 @@ def test_errors_on_the_way_match_their_sigmas(small, small_live):
     Before that the second order of what is not yet known, (1e-3)² and more, is not small against the sigmas of what is.
     """
     _, truth = small
-    reports = small_live.diagnostics["live"]
+    reports = small_live.diagnostics.live
     settled = [
-        r for r in reports if r["status"] == "converged" and np.max(np.array(r["sigma"]) / accuracy_trials.IN_G) < 1e-3
+        r for r in reports if r.status == "converged" and np.max(np.array(r.sigma) / accuracy_trials.IN_G) < 1e-3
     ]
     assert len(settled) >= 5
     # 27 parameters of 17 reports, two-sided 1 % in all.
     for r in settled:
-        z = (np.array(r["values"]) - truth.vector) / np.array(r["sigma"])
-        assert np.abs(z).max() < 4.4, r["sequence"]
+        z = (np.array(r.values) - truth.vector) / np.array(r.sigma)
+        assert np.abs(z).max() < 4.4, r.sequence
 
 
 def converges(seed):
@@ -101,10 +101,10 @@ def test_large_errors_end_at_the_right_optimum_on_every_draw(seed):
 
 def test_targets_out_of_reach_are_said_so(small):
     found = srt.calibrate(small[0], "ekf", targets={"accel_bias_x": 1e-9}, checks=False)
-    targets = found.diagnostics["targets"]
-    assert targets["met_after"] is None
-    assert targets["limiting"] == "accel_bias_x"
-    assert targets["shortfall"] == pytest.approx(found.sigma[NAMES.index("accel_bias_x")] / 1e-9, rel=1e-6)
+    targets = found.diagnostics.targets
+    assert targets.met_after is None
+    assert targets.limiting == "accel_bias_x"
+    assert targets.shortfall == pytest.approx(found.sigma[NAMES.index("accel_bias_x")] / 1e-9, rel=1e-6)
 
 
 @pytest.mark.parametrize(

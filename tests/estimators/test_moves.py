@@ -14,6 +14,8 @@ from srt.estimation.options import Options
 from srt.model.prior import Prior
 from srt.procedure import sigmas_with_moves
 from srt.recording.recording import SequenceLabel
+from srt.result.diagnostics import Diagnostics
+from srt.result.noise_figures import NoiseFigures
 from srt.sensor_errors import GROUP_SLICES
 from srt.sequences.moves import recorded_moves
 
@@ -194,10 +196,12 @@ def test_the_gain_of_unused_moves_is_that_of_the_sigmas():
 
 def test_a_result_that_json_cannot_hold_is_not_made():
     result = found("graph")
-    rows = [{"probability": 1.0}, {"probability": float("nan")}]
-    with pytest.raises(srt.InputError, match=r"diagnostics\.filter\.1\.probability is nan"):
-        replace(result, diagnostics={"filter": rows})
-    with pytest.raises(srt.InputError, match=r"noise\.sigma is a ndarray"):
-        replace(result, noise={"sigma": np.ones(3)})
+    tests = (result.diagnostics.sequences[0], replace(result.diagnostics.sequences[1], probability=float("nan")))
+    with pytest.raises(srt.InputError, match=r"diagnostics\.sequences\.1\.probability is nan"):
+        replace(result, diagnostics=Diagnostics(sequences=tests))
+    with pytest.raises(srt.InputError, match=r"diagnostics\.mine is a set"):
+        replace(result, diagnostics=Diagnostics(further={"mine": {1.0}}))
+    with pytest.raises(srt.InputError, match=r"noise\.gravity_effect\.1 is inf"):
+        replace(result, noise=NoiseFigures(gravity_effect=np.array([1.0, np.inf])))
     with pytest.raises(srt.InputError, match="covariance"):
         replace(result, covariance=np.full((27, 27), np.inf))

@@ -48,7 +48,7 @@ def calibrated(estimator, unseen=0.0):
 def test_estimate_and_agreement_are_those_of_the_weights(estimator):
     without, result = calibrated(estimator), calibrated(estimator, UNSEEN)
     np.testing.assert_array_equal(result.errors.vector, without.errors.vector)
-    assert result.verdict["chi_square"] == pytest.approx(without.verdict["chi_square"], rel=1e-9)
+    assert result.verdict.chi_square == pytest.approx(without.verdict.chi_square, rel=1e-9)
     grown = result.covariance - without.covariance
     source = "accel_bias_instability"
     own = result.contributions[source] ** 2 - without.contributions.get(source, np.zeros(27)) ** 2
@@ -90,5 +90,5 @@ def test_an_instability_that_the_windows_show_is_in_the_weights():
     noise = replace(run.recording.noise, gyro_bias_instability=None, accel_bias_instability=None)
     unstated = replace(run.recording, gyro=read.gyro, accel=read.accel, noise=noise, data_sha256=None)
     found = srt.calibrate(unstated, "graph", checks=False)
-    assert np.all(np.array(found.noise["accel_bias_wander_m_s2"]) > MICRO_G)
+    assert np.all(found.noise.accel_bias_wander_m_s2 > MICRO_G)
     assert np.abs((found.errors.vector - run.truth.vector) / found.sigma).max() < 4.0

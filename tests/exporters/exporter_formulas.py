@@ -15,6 +15,8 @@ from srt import exporters
 from srt.exporters import Readings
 from srt.model.rotations import rotation_matrix
 from srt.result.calibration import Calibration
+from srt.result.noise_figures import NoiseFigures
+from srt.result.provenance import Provenance, StatedSite
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SensorErrors
 
 yaml = pytest.importorskip("yaml")
@@ -24,8 +26,8 @@ ASYMMETRY = np.zeros(N_PARAMETERS, dtype=bool)
 for group in ("gyro_asymmetry", "accel_asymmetry"):
     ASYMMETRY[GROUP_SLICES[group]] = True
 NOISE = {
-    "gyro_noise_rad_per_sqrt_s": [1e-6, 2e-6, 1.5e-6],
-    "accel_noise_m_s2_sqrt_s": [1e-4, 3e-4, 2e-4],
+    "gyro_noise_rad_per_sqrt_s": np.array([1e-6, 2e-6, 1.5e-6]),
+    "accel_noise_m_s2_sqrt_s": np.array([1e-4, 3e-4, 2e-4]),
 }
 TARGETS = tuple(exporters.exporters())
 # A dozen operations on values below 50 (30 m/s² over a smallest singular value of 0.6), each right to 1.1e-16:
@@ -40,9 +42,9 @@ def calibrated(rng, *, asymmetry=False, size=0.1, **changes):
     vector[ASYMMETRY] *= asymmetry
     given = {
         "U": U,
-        "noise": NOISE,
-        "site": {"gravity_m_s2": 9.81},
-        "provenance": {"serial": "SN-7", "software": "test", "applied": {"system": "none"}},
+        "noise": NoiseFigures(**NOISE),
+        "site": StatedSite(gravity_m_s2=9.81),
+        "provenance": Provenance(serial="SN-7", software="test", applied={"system": "none"}),
     }
     covariance = np.diag(rng.uniform(1e-12, 1e-10, N_PARAMETERS))
     return Calibration("closed-form", "converged", "Done.", SensorErrors(vector), covariance, **(given | changes))

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from g_sensitive import with_g_sensitivity
 
 import srt
 from srt.exporters import ExportSettings, export, save
@@ -16,6 +17,7 @@ from srt.model.rotations import rotation_matrix
 from srt.model.sensor_model import MIN_SINGULAR_VALUE, SIGNS, accel_triad, gyro_triad
 from srt.result.applier import Applier
 from srt.result.calibration import Calibration
+from srt.result.provenance import Provenance
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SensorErrors
 
 COMPILER = shutil.which("gcc") or shutil.which("cc")
@@ -56,7 +58,7 @@ def calibrated(vector, *, table=True, **provenance):
         SensorErrors(vector),
         np.zeros((N_PARAMETERS, N_PARAMETERS)),
         U=rotation_matrix(np.array([0.1, -0.2, 0.15])) if table else None,
-        provenance=provenance,
+        provenance=Provenance(**provenance),
     )
 
 
@@ -276,9 +278,7 @@ def test_g_sensitivity_and_namespace(tmp_path, compiler, precision):
         pytest.skip("no such compiler here")
     rng = np.random.default_rng(42)
     gamma = rng.uniform(-1e-3, 1e-3, (3, 3))
-    calibration = replace(
-        calibrated(rng.uniform(-0.1, 0.1, N_PARAMETERS)), diagnostics={"g_sensitivity": {"matrix": gamma.tolist()}}
-    )
+    calibration = replace(calibrated(rng.uniform(-0.1, 0.1, N_PARAMETERS)), diagnostics=with_g_sensitivity(gamma))
     settings = ExportSettings(prefix="unit", precision=precision, samples="rate", namespace="lab")
     made = export(calibration, "c-header", settings=settings)
     save(made, tmp_path / "unit.h")

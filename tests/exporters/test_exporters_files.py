@@ -21,10 +21,12 @@ from exporter_formulas import (
     motion,
     yaml,
 )
+from g_sensitive import with_g_sensitivity
 
 import srt
 from srt import exporters
 from srt.exporters import export, load, save
+from srt.result.diagnostics import Diagnostics
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SensorErrors
 
 
@@ -164,7 +166,7 @@ G_SENSITIVITY = np.array([[2e-4, -5e-5, 1e-4], [3e-5, -1e-4, 8e-5], [-6e-5, 4e-5
 
 
 def g_sensitive(rng):
-    return calibrated(rng, diagnostics={"g_sensitivity": {"matrix": G_SENSITIVITY.tolist()}})
+    return calibrated(rng, diagnostics=with_g_sensitivity(G_SENSITIVITY))
 
 
 @pytest.mark.parametrize("target", HOLD_G_SENSITIVITY)
@@ -173,7 +175,7 @@ def test_g_sensitivity_is_written_and_read_back(target, tmp_path):
     rng = np.random.default_rng(16)
     calibration, readings = g_sensitive(rng), motion(rng)
     made = export(calibration, target, readings=readings)
-    plain = replace(calibration, diagnostics={})
+    plain = replace(calibration, diagnostics=Diagnostics())
     _, force = plain.apply(readings.gyro, readings.accel)
     expected, _ = plain.apply(readings.gyro - mm(G_SENSITIVITY, force), readings.accel)
     found, _ = FORMULAS[target](made.texts, readings.gyro, readings.accel, biases_of(calibration))

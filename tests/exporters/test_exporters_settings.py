@@ -14,6 +14,8 @@ import srt
 from srt import exporters
 from srt.exporters import ExportSettings, Readings, export, gtsam_preintegration, load, save
 from srt.model.sensor_model import gyro_triad
+from srt.result.noise_figures import NoiseFigures
+from srt.result.provenance import Provenance, Temperature
 from srt.sensor_errors import GROUP_SLICES, SensorErrors
 
 
@@ -104,7 +106,7 @@ def test_noise_and_rate_go_into_the_file_where_known():
         "rostopic": "/imu/raw",
         "time_offset": 0.0,
     }
-    without = export(replace(calibration, noise={}), "openvins")
+    without = export(replace(calibration, noise=NoiseFigures()), "openvins")
     assert len(without.unknown) == 5
     assert "noise_density" not in without.texts[""]
     # A number with an exponent and no point is a word in YAML 1.1.
@@ -148,7 +150,7 @@ def test_a_writer_that_is_wrong_is_found_out(monkeypatch, sensor, name):
 
 
 def test_texts_of_a_file_cannot_break_out_of_its_comments():
-    made = export(calibrated(np.random.default_rng(23), provenance={"serial": "a\nimu1: [}\u2028"}), "kalibr")
+    made = export(calibrated(np.random.default_rng(23), provenance=Provenance(serial="a\nimu1: [}\u2028")), "kalibr")
     assert list(yaml.safe_load(made.texts[""])) == ["imu0"]
     made.texts[""].encode("ascii")
 
@@ -156,7 +158,7 @@ def test_texts_of_a_file_cannot_break_out_of_its_comments():
 @pytest.mark.parametrize("target", sorted(set(TARGETS) - {"vectornav", "imu_tk"}))
 def test_files_state_the_temperature_of_the_test(target):
     """All but the files that hold commands or numbers alone."""
-    changes = {"temperature": {"mean_c": 25.04, "range_c": 1.5, "sequences": []}}
+    changes = {"temperature": Temperature(25.04, 1.5)}
     rng = np.random.default_rng(29)
     for temperature, fragment in ((changes, "mean 25.0 degC, range 1.5 degC"), ({}, "not stated")):
         text = export(calibrated(rng, **temperature), target).texts[""]
@@ -227,7 +229,7 @@ def test_gtsam_refusals(options, fragment):
 def test_gtsam_needs_the_noise():
     pytest.importorskip("gtsam")
     with pytest.raises(srt.InputError, match="white noise"):
-        gtsam_preintegration(calibrated(np.random.default_rng(27), noise={}), readings="raw")
+        gtsam_preintegration(calibrated(np.random.default_rng(27), noise=NoiseFigures()), readings="raw")
 
 
 def test_opencv_opens_the_file_of_openvins(tmp_path):

@@ -12,8 +12,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from exporter_formulas import ASYMMETRY, EXACT, FORMULAS, SINGLE, TARGETS, biases_of, calibrated, mm, motion
+from g_sensitive import with_g_sensitivity
 
 from srt.exporters import ExportSettings, export, exporter, gtsam_preintegration, save
+from srt.result.diagnostics import Diagnostics
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SensorErrors
 
 AXES = "XYZ"
@@ -123,7 +125,7 @@ LOADERS = {
 def unit(target, rng):
     """Unit with random errors of every kind that the format holds."""
     holds = exporter(target).g_sensitivity
-    diagnostics = {"g_sensitivity": {"matrix": G_SENSITIVITY.tolist()}} if holds else {}
+    diagnostics = with_g_sensitivity(G_SENSITIVITY) if holds else Diagnostics()
     errors = calibrated(rng).errors.vector
     if target in HELD:
         kept = np.zeros(N_PARAMETERS, dtype=bool)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import json
+from dataclasses import replace
 
 import noise_terms as simulated
 import numpy as np
@@ -15,6 +16,8 @@ from srt.cli import main
 from srt.exporters import ExportSettings, export
 from srt.noise.likelihood_thresholds import normal_threshold
 from srt.noise.noise_terms import ALL_TERMS, noise_terms
+from srt.result.noise_figures import LogNoise, NoiseFigures
+from srt.result.provenance import Provenance, StatedSite
 from srt.sensor_errors import SensorErrors
 
 pytest.importorskip("allantools")
@@ -129,7 +132,12 @@ def shelf(tmp_path_factory):
     recording = srt.Recording(dt * np.arange(1, n + 1), x[:, :3], x[:, 3:], srt.Site(9.8), serial="SN-7")
     srt.write_recording(recording, folder / "rec", samples_format="npz")
     calibration = srt.Calibration(
-        "hand", "converged", "Done.", SensorErrors(np.full(27, 1e-3)), 1e-12 * np.eye(27), provenance={"serial": "SN-7"}
+        "hand",
+        "converged",
+        "Done.",
+        SensorErrors(np.full(27, 1e-3)),
+        1e-12 * np.eye(27),
+        provenance=Provenance(serial="SN-7"),
     )
     calibration.save(folder / "unit.json")
     with contextlib.redirect_stdout(io.StringIO()) as out:
@@ -158,7 +166,7 @@ def test_the_command_finds_what_was_put_in(shelf):
 def test_exports_have_no_empty_noise_field(shelf, capfd):
     pytest.importorskip("yaml")
     calibration = srt.load_calibration(shelf / "unit.json")
-    channels = calibration.noise["terms"]["channels"]
+    channels = calibration.noise.terms.channels
     key = "gyro_bias_random_walk_deg_per_h_per_sqrt_h"
     worst = max(row[key].get("value", row[key].get("below")) for name, row in channels.items() if name in
                 ("gyro_x", "gyro_y", "gyro_z"))  # fmt: skip
@@ -181,8 +189,10 @@ def test_gtsam_gets_the_noise_the_walks_and_the_inflation(shelf):
     from dataclasses import replace
 
     calibration = srt.load_calibration(shelf / "unit.json")
-    noise = {**calibration.noise, "gyro_noise_rad_per_sqrt_s": [1e-2] * 3, "accel_noise_m_s2_sqrt_s": [1e-1] * 3}
-    calibration = replace(calibration, noise=noise, site={"gravity_m_s2": 9.8})
+    noise = replace(
+        calibration.noise, gyro_noise_rad_per_sqrt_s=np.full(3, 1e-2), accel_noise_m_s2_sqrt_s=np.full(3, 1e-1)
+    )
+    calibration = replace(calibration, noise=noise, site=StatedSite(gravity_m_s2=9.8))
     plain, inflated = (
         json.loads(export(calibration, "gtsam", settings=ExportSettings(inflate=factor)).texts[""])
         for factor in (None, 3.0)
@@ -190,7 +200,7 @@ def test_gtsam_gets_the_noise_the_walks_and_the_inflation(shelf):
     for name in ("gyroscope_covariance", "accelerometer_covariance", "bias_acc_covariance", "bias_omega_covariance"):
         np.testing.assert_allclose(np.array(inflated[name]), 9.0 * np.array(plain[name]), rtol=1e-12)
     assert "multiplied by 3 (--inflate)" in " ".join(inflated["comment"])
-    channels = calibration.noise["terms"]["channels"]
+    channels = calibration.noise.terms.channels
     # °/√h and µg/√Hz in SI
     for name, sensor, key, unit in (
         ("gyroscope_covariance", "gyro", "gyro_noise_deg_per_sqrt_h", np.radians(1.0) / 60.0),
@@ -209,7 +219,7 @@ def test_preintegration_takes_the_noise_of_the_log(shelf):
     from srt.stacks.preintegration import ROTATION, preintegrate
 
     calibration = srt.load_calibration(shelf / "unit.json")
-    channels = calibration.noise["terms"]["channels"]
+    channels = calibration.noise.terms.channels
     white = [np.radians(channels[f"gyro_{axis}"]["gyro_noise_deg_per_sqrt_h"]["value"]) / 60.0 for axis in "xyz"]
     summed = preintegrate(calibration, calibration.errors.group("gyro_bias")[None], np.zeros((1, 3)), 0.01)
     # The scale factors and angles are 1e-3; three of them act on each axis, twice.
@@ -220,12 +230,13 @@ def test_preintegration_takes_the_noise_of_the_log(shelf):
 def test_an_axis_without_the_term_takes_the_white_noise_of_the_test():
     from srt.noise.stated_figures import white_density, white_noise
 
-    noise = {
-        "accel_noise_m_s2_sqrt_s": [1e-3, 2e-3, 3e-3],
-        "terms": {
-            "channels": {"accel_y": {"accel_noise_ug_per_sqrt_hz": {"value": 100.0, "low": 90.0, "high": 110.0}}}
-        },
-    }
+    figure = {"value": 100.0, "low": 90.0, "high": 110.0}
+    noise = NoiseFigures(
+        accel_noise_m_s2_sqrt_s=np.array([1e-3, 2e-3, 3e-3]),
+        terms=LogNoise(
+            length_s=1800.0, samples_sha256=None, channels={"accel_y": {"accel_noise_ug_per_sqrt_hz": figure}}
+        ),
+    )
     np.testing.assert_allclose(white_noise(noise, "accel"), [1e-3, 9.80665e-4, 3e-3], rtol=1e-15)
     assert np.isnan(white_noise(noise, "gyro")).all()
     with pytest.raises(srt.InputError, match=r"white noise of the gyro channels: .*srt noise LOG --into"):
@@ -234,9 +245,7 @@ def test_an_axis_without_the_term_takes_the_white_noise_of_the_test():
 
 def test_another_unit_and_a_moving_log_are_refused(shelf, tmp_path, capfd):
     calibration = srt.load_calibration(shelf / "unit.json")
-    other = {**calibration.provenance, "serial": "SN-8"}
-    from dataclasses import replace
-
+    other = replace(calibration.provenance, serial="SN-8")
     replace(calibration, provenance=other).save(tmp_path / "other.json")
     before = (tmp_path / "other.json").read_bytes()
     assert main(["noise", str(shelf / "rec"), "--into", str(tmp_path / "other.json")]) == 2

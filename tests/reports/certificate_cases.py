@@ -11,6 +11,8 @@ import srt
 from srt.reports.certificate import calibration_file
 from srt.reports.certificate.figures import certificate_figures
 from srt.result.calibration import Residual
+from srt.result.consistency import Consistency
+from srt.result.provenance import Alignment, Provenance, StatedSite, Temperature
 from srt.sensor_errors import DISPLAY_FACTORS, NAMES, SensorErrors
 
 COMPONENTS = ("horizontal_x", "horizontal_y", "start_down", "end_down")
@@ -35,29 +37,17 @@ def calibration(seed=1, held=(), sequences=3, **changes):
         "residuals": tuple(
             Residual(str(k + 1), 1, c, float(rng.standard_normal()), 1.0) for k in range(sequences) for c in COMPONENTS
         ),
-        "site": {"latitude_deg": 45.0, "gravity_m_s2": 9.80665, "gravity_sigma_m_s2": 5e-6},
-        "alignment": {
-            "fixture": True,
-            "heading_deg": None,
-            "alignment_sigma_mrad": 1.0,
-            "rotation_sigma_mrad": 1.0,
-        },
-        "temperature": {"mean_c": 23.25, "range_c": 1.5, "sequences": []},
-        "provenance": {
-            "data_sha256": f"{seed:064x}",
-            "software": "strapdown-rotation-test 0.1.0",
-            "serial": "SN-1",
-            "date": "2026-05-04",
-            "options": {"hold": []},
-            "voided": {},
-        },
-        "verdict": {
-            "chi_square": 44.0,
-            "degrees_of_freedom": 44,
-            "probability": 0.47,
-            "sequences": [],
-            "parameters": [],
-        },
+        "site": StatedSite(latitude_deg=45.0, gravity_m_s2=9.80665, gravity_sigma_m_s2=5e-6),
+        "alignment": Alignment(fixture=True, alignment_sigma_mrad=1.0, rotation_sigma_mrad=1.0),
+        "temperature": Temperature(23.25, 1.5),
+        "provenance": Provenance(
+            data_sha256=f"{seed:064x}",
+            software="strapdown-rotation-test 0.1.0",
+            serial="SN-1",
+            date="2026-05-04",
+            options={"hold": []},
+        ),
+        "verdict": Consistency(chi_square=44.0, degrees_of_freedom=44, probability=0.47),
     }
     return srt.Calibration(**(given | changes))
 

@@ -21,6 +21,7 @@ from srt.reports.certificate import (
 from srt.reports.certificate.figures import certificate_figures
 from srt.reports.certificate.parameter_changes import FALSE_ALARM, changes_since
 from srt.result.calibration import Residual
+from srt.result.provenance import Provenance, StatedSite
 from srt.sensor_errors import DISPLAY_FACTORS, INDEX, NAMES, SYMBOLS, SensorErrors
 
 
@@ -100,7 +101,7 @@ def test_limitations_follow_the_test(saved):
     bare = calibration(
         held=[n for n in NAMES if n.startswith("accel_asymmetry")],
         temperature=None,
-        site={"gravity_m_s2": 9.8},
+        site=StatedSite(gravity_m_s2=9.8),
         U=None,
     )
     said = " ".join(make_certificate(saved(bare)).limitations)
@@ -124,13 +125,9 @@ def test_texts_of_files_are_no_markup(saved, hostile):
     result = calibration(sequences=1, held=("accel_bias_z",))
     result = replace(
         result,
-        provenance={
-            **result.provenance,
-            "serial": hostile,
-            "date": hostile,
-            "software": hostile,
-            "voided": {hostile: hostile},
-        },
+        provenance=replace(
+            result.provenance, serial=hostile, date=hostile, software=hostile, voided={hostile: hostile}
+        ),
         estimator=hostile,
         warnings=(hostile,),
         held={"accel_bias_z": hostile},
@@ -246,7 +243,7 @@ def test_limits_are_met_or_not(saved, tmp_path, plain_page):
 def test_no_limit_is_passed_by_a_doubtful_calibration(saved, tmp_path, plain_page):
     """chi-square 379 for 44 degrees of freedom: sigmas were too small by 2.9 before they were enlarged."""
     result = calibration()
-    evidence = result.verdict | {"chi_square": 379.0, "degrees_of_freedom": 44, "probability": 5e-55}
+    evidence = replace(result.verdict, chi_square=379.0, degrees_of_freedom=44, probability=5e-55)
     wide = limits(tmp_path, "[value]\ngyro_scale_ppm = 1e9")
     made = make_certificate(saved(replace(result, verdict=evidence)), limits=wide)
     assert (made.outcome, made.failed) == ("doubtful", ())
@@ -322,8 +319,8 @@ def test_flags_are_family_wise(saved):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"provenance": {"serial": "SN-2", "data_sha256": f"{2:064x}"}}, "is of the unit SN-2"),
-        ({"provenance": {"serial": "SN-1", "data_sha256": f"{1:064x}"}}, "same samples"),
+        ({"provenance": Provenance(serial="SN-2", data_sha256=f"{2:064x}")}, "is of the unit SN-2"),
+        ({"provenance": Provenance(serial="SN-1", data_sha256=f"{1:064x}")}, "same samples"),
         ({"status": "not_converged"}, "status not_converged"),
     ],
 )
@@ -336,7 +333,7 @@ def test_an_earlier_calibration_that_is_none(saved, changes, message):
 
 def test_a_serial_that_is_not_stated_is_said(saved):
     new = saved(calibration(seed=1), "new.json")
-    nameless = calibration(seed=2, provenance={"data_sha256": f"{2:064x}"})
+    nameless = calibration(seed=2, provenance=Provenance(data_sha256=f"{2:064x}"))
     made = make_certificate(new, change=changes_since(new, saved(nameless, "old.json")))
     assert any("one unit is assumed" in note for note in made.change_notes)
     assert not any(

@@ -17,6 +17,7 @@ from srt.reports.certificate import (
     html_page,
     make_certificate,
 )
+from srt.result.consistency import Consistency, LeaveOneOut
 from srt.result.json_file import json_text
 
 
@@ -75,8 +76,9 @@ EDITS = {
 
 def with_verdict(result):
     judged = {"chi_square": 2.0, "degrees_of_freedom": 2, "probability": 0.4}
-    sequences = [{"sequence": str(k + 1), "occurrence": 1, **judged} for k in range(3)]
-    return replace(result, verdict={**judged, "sequences": sequences, "parameters": [], "weakest_combination": None})
+    shown = {"checkable": "yes", "only_witness_of": (), "lost_without": (), "largest_influence": None, "influence": {}}
+    sequences = tuple(LeaveOneOut(sequence=str(k + 1), occurrence=1, **judged, **shown) for k in range(3))
+    return replace(result, verdict=Consistency(**judged, sequences=sequences))
 
 
 @pytest.mark.parametrize("place", EDITS)

@@ -78,7 +78,7 @@ def test_another_recording_is_refused(recordings, calibrations, saved):
     with pytest.raises(srt.InputError, match=r"there states latitude_deg = 45\.8\d+, but unit\.json"):
         check_recording(source, replace(recordings[0], site=site), "there")
     check_recording(source, replace(recordings[0], serial=None), "there")
-    provenance = {**calibrations[0].provenance, "data_sha256": None}
+    provenance = replace(calibrations[0].provenance, data_sha256=None)
     with pytest.raises(srt.InputError, match="does not say which samples"):
         check_recording(saved(replace(calibrations[0], provenance=provenance)), recordings[0], "there")
 
@@ -160,7 +160,7 @@ def test_tables_of_many_columns_fit_the_page(saved, monkeypatch):
 def test_the_pdf_holds_any_text_and_the_same_certificate_makes_the_same_file(saved, tmp_path, monkeypatch):
     monkeypatch.setattr(pdf, "certificate_figures", lambda certificate: ())
     hostile = "<b>" + "long" * 60 + " 測試 $x$ **bold** {nb} \\ )"
-    provenance = {**calibration().provenance, "serial": hostile, "date": hostile}
+    provenance = replace(calibration().provenance, serial=hostile, date=hostile)
     made = make_certificate(saved(calibration(provenance=provenance, warnings=(hostile,))))
     for name in ("x.pdf", "y.pdf"):
         pdf.write_pdf(made, tmp_path / name)
@@ -196,10 +196,10 @@ def test_both_forms_of_every_kind(recordings, calibrations, saved, tmp_path, kin
         ({}, "rotation sigma 1 mrad"),
         ({"wobble_sigma_mrad": 0.02}, "rotation sigma 1 mrad, wobble 0.02 mrad"),
         # Of merged recordings that state different ones.
-        ({"wobble_sigma_mrad": None}, "rotation sigma 1 mrad, wobble not stated"),
+        ({"nulls": ("wobble_sigma_mrad",)}, "rotation sigma 1 mrad, wobble not stated"),
     ],
 )
 def test_the_fixtures_wobble_is_told_where_it_is_stated(stated, said):
     given = calibration()
-    text = unit_description._fixture(replace(given, alignment={**given.alignment, **stated}), merged=False)
+    text = unit_description._fixture(replace(given, alignment=replace(given.alignment, **stated)), merged=False)
     assert text.endswith(said)

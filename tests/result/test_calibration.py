@@ -56,9 +56,9 @@ def edited(calibration, **changes):
         ({"status": "fine"}, "status"),
         ({"covariance": [[0.0]]}, "covariance"),
         ({"parameters": []}, "27 sensor errors"),
-        ({"temperature": {"mean_c": 25.0}}, "mean_c and range_c .* write null"),
-        ({"temperature": {"mean_c": 25.0, "range_c": -1.0}}, "range not negative"),
-        ({"temperature": 25.0}, "mean_c and range_c"),
+        ({"temperature": {"mean_c": 25.0}}, r"temperature\.range_c is missing"),
+        ({"temperature": {"mean_c": 25.0, "range_c": -1.0}}, "range must not be negative"),
+        ({"temperature": 25.0}, r"temperature is 25\.0: an object with keys is expected"),
     ],
 )
 def test_inconsistent_files_are_refused(calibration, tmp_path, change, fragment):

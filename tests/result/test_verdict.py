@@ -8,12 +8,16 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from g_sensitive import with_g_sensitivity
 
 import srt
 from srt.diagnosis.faults import FAULTS
 from srt.estimation import calibration_builder
 from srt.estimation.leave_one_out import verdict
 from srt.result.calibration import STATUSES
+from srt.result.consistency import AddedNoise, ChiSquareTest
+from srt.result.diagnostics import Diagnostics, Drift, Fault
+from srt.result.noise_figures import NoiseFigures
 from srt.result.verdict import DOUBTFUL, FAILED, NOT_IN_RESIDUALS, SOUND, USABLE
 from srt.sensor_errors import N_PARAMETERS, SensorErrors
 
@@ -24,12 +28,13 @@ UNIT = srt.Calibration("ekf", "converged", "It ended.", SensorErrors(np.zeros(N_
 def judged(statistic, freedom, *, status="converged", diagnostics=None, noise=None, **evidence):
     """Verdict on a calibration whose residuals have a chi-square against the noise of the sensors."""
     own = verdict([], np.eye(N_PARAMETERS), OBSERVED, statistic, freedom)
-    tested = {key: own[key] for key in ("chi_square", "degrees_of_freedom", "probability")}
+    test = ChiSquareTest(chi_square=statistic, degrees_of_freedom=freedom, probability=own.probability)
     found = srt.Calibration(
         "closed-form", status, "It ended.", SensorErrors(np.zeros(N_PARAMETERS)), np.eye(N_PARAMETERS)
     )
+    evidence = replace(own, own_noise=test, **evidence)
     return replace(
-        found, verdict=own | {"own_noise": tested} | evidence, diagnostics=diagnostics or {}, noise=noise or {}
+        found, verdict=evidence, diagnostics=diagnostics or Diagnostics(), noise=NoiseFigures(**noise or {})
     ).judgement
 
 
@@ -54,8 +59,8 @@ def test_agreement_with_the_sensors_noise_comes_first(statistic, freedom, word, 
 
 
 def test_added_noise_and_the_factor_are_told_after_the_agreement():
-    added = {"rotation_rad": {"added": 1e-3, "own": 1e-4}, "force_m_s2": {"added": 0.0, "own": 1e-4}}
-    found = judged(200.0, 44, added_noise=added, sigma_factor=[1.0, 2.5])
+    added = {"rotation_rad": AddedNoise(added=1e-3, own=1e-4), "force_m_s2": AddedNoise(added=0.0, own=1e-4)}
+    found = judged(200.0, 44, added_noise=added, sigma_factor=(1.0, 2.5))
     assert found.word == DOUBTFUL
     assert found.reason.endswith(
         "Added noise, 1-sigma: 0.057° per rotation (own noise: 0.0057° per rotation). The sigmas are 1 to 2.5 times "
@@ -65,13 +70,13 @@ def test_added_noise_and_the_factor_are_told_after_the_agreement():
 
 
 def test_effects_besides_the_27_errors_are_told():
-    row = {"sensor": "accel", "form": "linear", "modelled": True}
-    found = judged(44.0, 44, diagnostics={"drift": [row], "g_sensitivity": {}})
+    row = Drift(sensor="accel", form="linear", modelled=True)
+    found = judged(44.0, 44, diagnostics=replace(with_g_sensitivity(np.zeros((3, 3))), drift=(row,)))
     assert found.word == SOUND
     assert found.reason.endswith(
         "Modelled besides the 27 errors: a bias drift of the accelerometers (linear), the g-sensitivity of the gyros."
     )
-    assert "besides" not in judged(44.0, 44, diagnostics={"drift": [row | {"modelled": False}]}).reason
+    assert "besides" not in judged(44.0, 44, diagnostics=Diagnostics(drift=(replace(row, modelled=False),))).reason
 
 
 def test_few_degrees_of_freedom_widen_the_interval():
@@ -87,19 +92,21 @@ def test_a_status_that_is_not_usable_is_failed(status):
 
 
 def test_an_overridden_fault_is_doubtful():
-    fault = {"fault": "labels_exchanged", "effect": "exit 1", "sentence": "Labels are exchanged.", "details": {}}
-    found = judged(44.0, 44, diagnostics={"faults": [fault]})
+    fault = Fault(
+        fault="labels_exchanged", effect="exit 1", sentence="Labels are exchanged.", details={}, runner_up=None
+    )
+    found = judged(44.0, 44, diagnostics=Diagnostics(faults=(fault,)))
     assert found.word == DOUBTFUL
     assert found.reason.endswith("Labels are exchanged.")
-    assert judged(44.0, 44, diagnostics={"faults": [fault | {"effect": "warning"}]}).word == SOUND
+    assert judged(44.0, 44, diagnostics=Diagnostics(faults=(replace(fault, effect="warning"),))).word == SOUND
 
 
 @pytest.mark.parametrize("name", sorted(NOT_IN_RESIDUALS))
 def test_a_fault_that_residuals_need_not_show_is_doubtful(name):
     """Residuals that agree do not show it: a dead band of consumer gyros moved results 279 sigma, gravity 2780."""
     assert FAULTS[name].effect == "warning"
-    fault = {"fault": name, "effect": "warning", "sentence": "A channel is stuck.", "details": {}}
-    found = judged(44.0, 44, diagnostics={"faults": [fault]})
+    fault = Fault(fault=name, effect="warning", sentence="A channel is stuck.", details={}, runner_up=None)
+    found = judged(44.0, 44, diagnostics=Diagnostics(faults=(fault,)))
     assert found.word == DOUBTFUL
     assert found.reason.startswith(
         "A fault was found that residuals need not show: A channel is stuck. The residuals agree"
@@ -125,9 +132,11 @@ def test_residuals_of_three_times_the_sensors_noise_are_no_calibration(ratio, st
     """A noise figure that is wrong by a factor of three is a wrong figure, and labels or windows are next."""
     fit = 44 * ratio**2, 44
     result = SimpleNamespace(
-        status="converged", message="It ended.", diagnostics={}, sensor_noise_fit=fit, chi_square=44.0,
+        status="converged", message="It ended.", diagnostics=Diagnostics(), sensor_noise_fit=fit, chi_square=44.0,
         degrees_of_freedom=44,
     )  # fmt: skip
-    found, message = calibration_builder._status(result, {}, {"contradicting": None}, free=False)
+    found, message = calibration_builder._status(
+        result, {}, verdict([], np.eye(N_PARAMETERS), OBSERVED, 44.0, 44), free=False
+    )
     assert found == status
     assert ("3.1 times as large" in message) == (status == "inconsistent")

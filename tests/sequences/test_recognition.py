@@ -77,10 +77,10 @@ def test_labels_hardly_matter_over_200_recordings(grade):
 
 def test_the_result_says_what_was_recognised():
     calibration = srt.calibrate(unlabelled())
-    told = calibration.diagnostics["recognition"]
+    told = calibration.diagnostics.recognition
     assert calibration.estimator == "closed-form"
-    assert [row["sequence"] for row in told["sequences"]] == list(SEQUENCES)
-    assert "17 sequences of Table 1 recognised" in told["summary"]
+    assert [row.sequence for row in told.sequences] == list(SEQUENCES)
+    assert "17 sequences of Table 1 recognised" in told.summary
 
 
 def test_missing_and_repeated_sequences_are_named():

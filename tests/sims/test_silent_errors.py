@@ -39,9 +39,9 @@ def test_wobble_stated_as_zero_is_found_with_its_size():
     case = Case(GRADE, SEED + 40)
     recording = ROWS["wobble of 10 µrad, stated as 0"].change(case, np.random.default_rng((SEED, 40)))
     found, least = (srt.calibrate(recording, estimator, checks=False) for estimator in ("ekf", "least-squares"))
-    added = found.verdict["added_noise"]["wobble_rad"]
-    assert added["own"] == 0.0
-    assert added["added"] == pytest.approx(1e-5, rel=3.5 / np.sqrt(2.0 * 34.0))
+    added = found.verdict.added_noise["wobble_rad"]
+    assert added.own == 0.0
+    assert added.added == pytest.approx(1e-5, rel=3.5 / np.sqrt(2.0 * 34.0))
     assert "µrad of axis wobble per pose" in verdict_on(found).reason
     error = found.errors.vector - case.simulation.truth.vector
     assert error @ np.linalg.solve(found.covariance, error) < chi2.isf(1e-4, 27)
@@ -67,13 +67,13 @@ def test_a_possible_drift_enters_the_covariance_alone(estimator, monkeypatch):
     monkeypatch.setattr(drift_model, "_POSSIBLE", 0.0)
     without = srt.calibrate(recording, estimator, checks=False)
     assert found.status == without.status == "converged"
-    assert "drift" not in found.diagnostics
+    assert found.diagnostics.drift is None
     # 14 µg on one axis of three is 8 µg in the rms, which three axes determine to a factor of √(1/6) at best.
-    share = found.diagnostics["possible_accel_drift_sigma_m_s2"] / (14.0 * MICRO_G / np.sqrt(3.0))
+    share = found.diagnostics.possible_accel_drift_sigma_m_s2 / (14.0 * MICRO_G / np.sqrt(3.0))
     assert 0.25 < share < 4.0
     np.testing.assert_array_equal(found.errors.vector, without.errors.vector)
     added = (found.covariance - without.covariance) / np.outer(found.sigma, found.sigma)
     values = np.linalg.eigvalsh(added)
     assert np.all(values[:-3] == pytest.approx(0.0, abs=1e-9))
     assert values[-1] > 0.01
-    assert "possible_accel_drift_sigma_m_s2" not in without.diagnostics
+    assert without.diagnostics.possible_accel_drift_sigma_m_s2 is None

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+from g_sensitive import with_g_sensitivity
 
 import srt
+from srt.result.provenance import Temperature
 from srt.sensor_errors import N_PARAMETERS, SensorErrors
 from srt.stacks.stream_correction import StreamCorrector, StreamOptions
 
@@ -15,8 +17,8 @@ CALIBRATION = srt.Calibration(
     "Done.",
     SensorErrors(RNG.normal(0.0, 0.01, N_PARAMETERS)),
     1e-8 * np.eye(N_PARAMETERS),
-    temperature={"mean_c": 25.0, "range_c": 2.0, "sequences": []},
-    diagnostics={"g_sensitivity": {"matrix": RNG.normal(0.0, 1e-4, (3, 3)).tolist()}},
+    temperature=Temperature(25.0, 2.0),
+    diagnostics=with_g_sensitivity(RNG.normal(0.0, 1e-4, (3, 3))),
 )
 N = 40
 Y = np.column_stack([RNG.normal(size=(N, 3)), 9.8 * RNG.normal(size=(N, 3))])

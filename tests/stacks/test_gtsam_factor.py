@@ -6,9 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from g_sensitive import with_g_sensitivity
 
 import srt
 from srt.model.rotations import rotation_matrix, rotation_vector
+from srt.result.diagnostics import Diagnostics
+from srt.result.noise_figures import NoiseFigures
 from srt.sensor_errors import N_PARAMETERS, SensorErrors
 from srt.stacks.preintegration import POSITION, ROTATION, VELOCITY, preintegrate
 
@@ -19,7 +22,10 @@ from srt.stacks.gtsam_factor import ErrorVariable, preintegrated_factor, residua
 G = np.array([0.0, 0.0, -9.8])
 DT = 0.005
 RNG = np.random.default_rng(1)
-NOISE = {"gyro_noise_rad_per_sqrt_s": [3e-5, 4e-5, 5e-5], "accel_noise_m_s2_sqrt_s": [5e-4, 6e-4, 7e-4]}
+NOISE = {
+    "gyro_noise_rad_per_sqrt_s": np.array([3e-5, 4e-5, 5e-5]),
+    "accel_noise_m_s2_sqrt_s": np.array([5e-4, 6e-4, 7e-4]),
+}
 SIGMA = np.r_[np.full(9, 5e-4), np.full(3, 2e-3), np.full(12, 5e-4), np.full(3, 5e-5)]
 GAMMA = RNG.normal(0.0, 1e-4, (3, 3))
 
@@ -27,9 +33,9 @@ GAMMA = RNG.normal(0.0, 1e-4, (3, 3))
 def calibrated(*, g_sensitive=False):
     root = RNG.normal(size=(N_PARAMETERS, N_PARAMETERS)) / 6.0 + np.eye(N_PARAMETERS)
     P = SIGMA[:, None] * (root @ root.T) * SIGMA
-    diagnostics = {"g_sensitivity": {"matrix": GAMMA.tolist()}} if g_sensitive else {}
+    diagnostics = with_g_sensitivity(GAMMA) if g_sensitive else Diagnostics()
     errors = SensorErrors(RNG.normal(0.0, 0.01, N_PARAMETERS))
-    return srt.Calibration("hand", "converged", "", errors, P, noise=NOISE, diagnostics=diagnostics)
+    return srt.Calibration("hand", "converged", "", errors, P, noise=NoiseFigures(**NOISE), diagnostics=diagnostics)
 
 
 def samples(n=200):
@@ -75,7 +81,7 @@ def test_covariance_is_that_of_the_noise(count):
     draws = []
     for _ in range(count):
         noisy = [
-            v + np.array(NOISE[key]) / np.sqrt(DT) * rng.standard_normal(v.shape)
+            v + NOISE[key] / np.sqrt(DT) * rng.standard_normal(v.shape)
             for v, key in ((gyro, "gyro_noise_rad_per_sqrt_s"), (accel, "accel_noise_m_s2_sqrt_s"))
         ]
         found = preintegrate(unit, *noisy, DT)
@@ -194,7 +200,7 @@ def test_refusals():
     with pytest.raises(srt.InputError, match="0 samples"):
         preintegrate(unit, np.zeros((0, 3)), np.zeros((0, 3)), DT)
     with pytest.raises(srt.InputError, match="does not state the white noise of the gyro"):
-        preintegrate(replace(unit, noise={}), *samples(), DT)
+        preintegrate(replace(unit, noise=NoiseFigures()), *samples(), DT)
 
 
 @pytest.mark.parametrize("count", [2, pytest.param(8, marks=pytest.mark.slow)])

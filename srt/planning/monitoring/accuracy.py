@@ -118,14 +118,14 @@ def _conditions(recording: Recording, calibration: Calibration) -> Conditions:
     noise, site, fixture = calibration.noise, recording.site, recording.fixture
     assert fixture is not None
 
-    def largest(name: str) -> float:
-        return float(np.max(noise.get(name) or 0.0))
+    def largest(figures: Array | None) -> float:
+        return 0.0 if figures is None else float(figures.max())
 
     return Conditions(
-        gyro_white=largest("gyro_noise_rad_per_sqrt_s"),
-        accel_white=largest("accel_noise_m_s2_sqrt_s"),
-        gyro_edge=largest("gyro_reading_error_rad"),
-        accel_edge=largest("accel_reading_error_m_s"),
+        gyro_white=largest(noise.gyro_noise_rad_per_sqrt_s),
+        accel_white=largest(noise.accel_noise_m_s2_sqrt_s),
+        gyro_edge=largest(noise.gyro_reading_error_rad),
+        accel_edge=largest(noise.accel_reading_error_m_s),
         gyro_instability=recording.noise.gyro_bias_instability or 0.0,
         accel_instability=recording.noise.accel_bias_instability or 0.0,
         latitude_rad=site.latitude_rad or 0.0,

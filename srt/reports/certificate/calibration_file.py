@@ -6,7 +6,7 @@ import hashlib
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from srt.arguments import require_type
 from srt.recording.bounded_file import read_bounded
@@ -14,7 +14,7 @@ from srt.result.calibration import Calibration, load_calibration
 from srt.result.json_file import json_text
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from srt.result.provenance import Provenance
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,20 +37,18 @@ class CalibrationFile:
     @property
     def serial(self) -> str | None:
         """Serial of the unit; None if not stated."""
-        serial: str | None = self.calibration.provenance.get("serial")
-        return serial
+        return self.calibration.provenance.serial
 
     @property
-    def origins(self) -> tuple[Mapping[str, Any], ...]:
+    def origins(self) -> tuple[Provenance, ...]:
         """Provenance of all recordings of the calibration whose samples have a hash."""
         provenance = self.calibration.provenance
-        tables = provenance.get("recordings") or [provenance]
-        return tuple(table for table in tables if table.get("data_sha256"))
+        return tuple(origin for origin in provenance.recordings or (provenance,) if origin.data_sha256)
 
     @property
     def hashes(self) -> tuple[str, ...]:
         """SHA-256 of the samples of all recordings of the calibration."""
-        return tuple(table["data_sha256"] for table in self.origins)
+        return tuple(str(origin.data_sha256) for origin in self.origins)
 
 
 def calibration_file(source: Calibration | str | PathLike[str]) -> CalibrationFile:

@@ -23,7 +23,6 @@ from srt.reports.certificate.unit_description import (
     unit_description,
 )
 from srt.reports.text.tables import decimals_for, fixed, text_table, wrap
-from srt.result.calibration import G_SENSITIVITY
 from srt.result.verdict import DOUBTFUL, USABLE, probability_text
 from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, GROUP_SLICES, INDEX, NAMES, SYMBOLS
 
@@ -256,18 +255,19 @@ def g_sensitivity_table(calibration: Calibration) -> CertificateTable | None:
     ----------
     calibration : Calibration
     """
-    stated = calibration.diagnostics.get(G_SENSITIVITY)
+    stated = calibration.diagnostics.g_sensitivity
     if stated is None:
         return None
+    shown = stated.matrix_deg_per_h_per_g.tolist(), stated.sigma_deg_per_h_per_g.tolist()
     rows = []
     for i, axis in enumerate("xyz"):
         cells = [CertificateCell(f"gyro {axis}")]
         for j in range(3):
-            value, sigma = (stated[f"{name}_deg_per_h_per_g"][i][j] for name in ("matrix", "sigma"))
+            value, sigma = (table[i][j] for table in shown)
             decimals = decimals_for(sigma)
             cells += [
-                CertificateCell(fixed(value, decimals), stated["matrix"][i][j]),
-                CertificateCell(f"± {fixed(sigma, decimals)}", stated["sigma"][i][j]),
+                CertificateCell(fixed(value, decimals), float(stated.matrix[i, j])),
+                CertificateCell(f"± {fixed(sigma, decimals)}", float(stated.sigma[i, j])),
             ]
         rows.append(tuple(cells))
     head = ("°/h per g", "along x", "sigma", "along y", "sigma", "along z", "sigma")
@@ -324,7 +324,8 @@ def residual_table(calibration: Calibration) -> CertificateTable | None:
     """
     if not calibration.residuals:
         return None
-    judged = {(row["sequence"], row["occurrence"]): row for row in calibration.verdict.get("sequences", ())}
+    tests = () if calibration.verdict is None else calibration.verdict.sequences
+    judged = {(row.sequence, row.occurrence): row for row in tests}
     by_turn: dict[tuple[str, int], list[Residual]] = {}
     for residual in calibration.residuals:
         by_turn.setdefault((residual.sequence, residual.occurrence), []).append(residual)
@@ -352,12 +353,12 @@ def residual_table(calibration: Calibration) -> CertificateTable | None:
             cells += [CertificateCell("-"), CertificateCell("-"), CertificateCell("solved for")]
         if judged:
             row = judged.get(turn)
-            freedom = 0 if row is None else row["degrees_of_freedom"]
+            freedom = 0 if row is None else row.degrees_of_freedom
             cells += [
-                CertificateCell(f"{row['chi_square']:.1f} / {freedom}")
+                CertificateCell(f"{row.chi_square:.1f} / {freedom}")
                 if row and freedom
                 else CertificateCell("not checkable"),
-                CertificateCell(probability_text(row["probability"]) or "-") if row else CertificateCell("-"),
+                CertificateCell(probability_text(row.probability) or "-") if row else CertificateCell("-"),
             ]
         rows.append(tuple(cells))
     note = (
@@ -435,7 +436,7 @@ def _left(residuals: Iterable[Residual]) -> list[Residual]:
 
 def _change_notes(source: CalibrationFile, change: ParameterChanges) -> Iterator[str]:
     old = change.old
-    dates = [plain(s.calibration.provenance.get("date")) or "a date not stated" for s in (old, source)]
+    dates = [plain(s.calibration.provenance.date) or "a date not stated" for s in (old, source)]
     yield f"Before: {plain(old.name)}, of {dates[0]}, SHA-256 {old.sha256}; now of {dates[1]}."
     temperatures = [temperature(s.calibration) for s in (old, source)]
     yield f"Temperature before: {temperatures[0]}; now: {temperatures[1]}."

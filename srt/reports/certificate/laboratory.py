@@ -6,7 +6,6 @@ The file of the laboratory is TOML. One line of the certificate lists what it do
 from __future__ import annotations
 
 import datetime
-import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final
 
@@ -171,11 +170,11 @@ def references_table(calibration: Calibration, laboratory: Laboratory) -> Certif
     # An error of the time base scales the gyros by as much.
     effect = calibration.contributions.get("clock")
     clock = None if effect is None else 1e6 * float(effect[GROUP_SLICES["gyro_scale"]].max())
-    tilt = alignment.get("alignment_sigma_mrad")
+    tilt = alignment.alignment_sigma_mrad
     known = {
-        "gravity": (_number(site.get("gravity_m_s2"), "m/s²", 9), _number(site.get("gravity_sigma_m_s2"), "m/s²", 2)),
-        "latitude": (_number(site.get("latitude_deg"), "°", 7), NOT_STATED),
-        "heading": (_number(alignment.get("heading_deg"), "°", 6), _number(tilt, "mrad", 3)),
+        "gravity": (_number(site.gravity_m_s2, "m/s²", 9), _number(site.gravity_sigma_m_s2, "m/s²", 2)),
+        "latitude": (_number(site.latitude_deg, "°", 7), NOT_STATED),
+        "heading": (_number(alignment.heading_deg, "°", 6), _number(tilt, "mrad", 3)),
         "time_base": ("clock of the recording", _number(clock, "ppm", 2)),
     }
     columns = 4 if laboratory.references else 3
@@ -204,7 +203,7 @@ def equipment_table(laboratory: Laboratory) -> CertificateTable | None:
     )
 
 
-def _number(value: object, unit: str, digits: int) -> str:
-    if not isinstance(value, int | float) or not math.isfinite(value):
+def _number(value: float | None, unit: str, digits: int) -> str:
+    if value is None:
         return NOT_STATED
     return f"{value:.{digits}g} {unit}" if unit != "°" else f"{value:.{digits}g}°"

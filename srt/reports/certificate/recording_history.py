@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from srt.constants import DEG
-from srt.estimation.calibration_builder import alignment_document, site_document
+from srt.estimation.calibration_builder import stated_alignment, stated_site
 from srt.exceptions import DataError, InputError, clipped
 from srt.model import rotations
 from srt.result.applier import Applier
+from srt.result.document import to_document
 from srt.sequences.checked_preparation import prepare_checked
 from srt.sequences.stationary_windows import find_turns
 
@@ -98,8 +99,8 @@ def check_recording(source: CalibrationFile, recording: Recording, name: str) ->
             f"{clipped(str(source.serial))}: name the recording that was calibrated."
         )
     calibration = source.calibration
-    made = {**calibration.site, **calibration.alignment}
-    stated = {**site_document(recording), **alignment_document(recording)}
+    made = to_document(calibration.site) | to_document(calibration.alignment)
+    stated = to_document(stated_site(recording)) | to_document(stated_alignment(recording))
     for key in {**made, **stated}:
         # Merged recordings state what they have in common alone.
         if made.get(key) != stated.get(key) and not (made.get(key) is None and len(source.hashes) > 1):
@@ -125,8 +126,8 @@ def recording_history(source: CalibrationFile, recording: Recording, name: str) 
     InputError
         If the recording cannot be processed.
     """
-    origin = next(table for table in source.origins if table["data_sha256"] == recording.data_sha256)
-    average = origin["options"].get("average", "linear")
+    origin = next(each for each in source.origins if each.data_sha256 == recording.data_sha256)
+    average = origin.options.get("average", "linear")
     try:
         data = prepare_checked(recording, recording.sequences or find_turns(recording), average)
     except DataError as error:

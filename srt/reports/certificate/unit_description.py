@@ -10,7 +10,7 @@ import numpy as np
 from srt.estimation.options import Options
 from srt.model.sensor_model import accel_triad, gyro_triad
 from srt.reports.certificate.tables import CertificateCell, CertificateTable, plain
-from srt.result.calibration import G_SENSITIVITY, VERSION, software
+from srt.result.calibration import VERSION, software
 from srt.sensor_errors import GROUP_SLICES, NAMES
 
 if TYPE_CHECKING:
@@ -39,10 +39,10 @@ def unit_description(
     limits : AcceptanceLimits or None
     """
     calibration = source.calibration
-    provenance, merged = calibration.provenance, calibration.provenance.get("recordings") or ()
+    provenance, merged = calibration.provenance, calibration.provenance.recordings or ()
     yield "Serial", plain(source.serial, SERIAL_LENGTH) or "not stated"
-    several = any(member.get("date") for member in merged)
-    yield "Date of the test", plain(provenance.get("date")) or ("several, below" if several else "not stated")
+    several = any(member.date for member in merged)
+    yield "Date of the test", plain(provenance.date) or ("several, below" if several else "not stated")
     yield "Site", _site(calibration)
     yield "Fixture", _fixture(calibration, merged=bool(merged))
     yield "Temperature", temperature(calibration)
@@ -55,34 +55,34 @@ def unit_description(
                 f"rotation rates up to {course.turned_deg_s:.3g} °/s"
             ),
         )
-    yield "SHA-256 of the samples", provenance.get("data_sha256") or "not stated"
+    yield "SHA-256 of the samples", provenance.data_sha256 or "not stated"
     yield "SHA-256 of the calibration", source.sha256
     yield "Calibration file", f"{plain(source.name)}, format version {VERSION}"
-    yield "Calibrated by", plain(provenance.get("software")) or "not stated"
+    yield "Calibrated by", plain(provenance.software) or "not stated"
     yield "Certificate by", software()
     if limits is not None:
         yield "Limits", plain(limits.name)
     usual = Options().as_dict()
-    special = {k: v for k, v in (provenance.get("options") or {}).items() if k not in usual or usual[k] != v}
+    special = {k: v for k, v in provenance.options.items() if k not in usual or usual[k] != v}
     if special:
         yield "Options", plain(", ".join(f"{key} {_option(value)}" for key, value in special.items()), 600)
-    voided = provenance.get("voided") or {}
-    if voided:
-        yield "Left out of the test", plain("; ".join(f"{key}: {reason}" for key, reason in voided.items()), 600)
+    if provenance.voided:
+        voided = "; ".join(f"{key}: {reason}" for key, reason in provenance.voided.items())
+        yield "Left out of the test", plain(voided, 600)
 
 
 def recordings_table(calibration: Calibration) -> CertificateTable | None:
     """Table of the recordings of a merged calibration; None for any other."""
-    members = calibration.provenance.get("recordings") or ()
+    members = calibration.provenance.recordings
     if not members:
         return None
     rows = tuple(
         (
             CertificateCell(str(k + 1)),
-            CertificateCell(plain(member.get("serial")) or "-"),
-            CertificateCell(plain(member.get("date")) or "-"),
-            CertificateCell(member.get("data_sha256") or "-"),
-            CertificateCell(plain(member.get("software")) or "-"),
+            CertificateCell(plain(member.serial) or "-"),
+            CertificateCell(plain(member.date) or "-"),
+            CertificateCell(member.data_sha256 or "-"),
+            CertificateCell(plain(member.software) or "-"),
         )
         for k, member in enumerate(members)
     )
@@ -93,39 +93,33 @@ def recordings_table(calibration: Calibration) -> CertificateTable | None:
 
 def _site(calibration: Calibration) -> str:
     site = calibration.site
-    latitude, gravity, sigma = (site.get(key) for key in ("latitude_deg", "gravity_m_s2", "gravity_sigma_m_s2"))
-    parts = ["latitude not stated" if latitude is None else f"latitude {latitude:.6g}°"]
-    if gravity is not None:
-        parts.append(f"gravity {gravity:.9g}" + (f" ± {sigma:.2g}" if sigma is not None else "") + " m/s²")
+    parts = ["latitude not stated" if site.latitude_deg is None else f"latitude {site.latitude_deg:.6g}°"]
+    if site.gravity_m_s2 is not None:
+        sigma = "" if site.gravity_sigma_m_s2 is None else f" ± {site.gravity_sigma_m_s2:.2g}"
+        parts.append(f"gravity {site.gravity_m_s2:.9g}{sigma} m/s²")
     return ", ".join(parts)
 
 
 def _fixture(calibration: Calibration, *, merged: bool) -> str:
     alignment = calibration.alignment
-    if not alignment.get("fixture"):
-        return (
-            "not the same in all recordings"
-            if merged and alignment.get("fixture", "") is None
-            else "none (turned freely)"
-        )
-    parts = []
-    for key, words, unit in (
-        ("heading_deg", "heading", "°"),
-        ("alignment_sigma_mrad", "alignment sigma", " mrad"),
-        ("rotation_sigma_mrad", "rotation sigma", " mrad"),
-        ("wobble_sigma_mrad", "wobble", " mrad"),
-    ):
-        if key == "wobble_sigma_mrad" and key not in alignment:  # seldom stated, and only two estimators rely on it
-            continue
-        value = alignment.get(key)
-        parts.append(f"{words} {f'{value:g}{unit}' if isinstance(value, int | float) else 'not stated'}")
-    return "two axes, " + ", ".join(parts)
+    if not alignment.fixture:
+        return "not the same in all recordings" if merged and alignment.fixture is None else "none (turned freely)"
+    parts = {
+        "heading": (alignment.heading_deg, "°"),
+        "alignment sigma": (alignment.alignment_sigma_mrad, " mrad"),
+        "rotation sigma": (alignment.rotation_sigma_mrad, " mrad"),
+    }
+    # Seldom stated, and only two estimators rely on it.
+    if alignment.wobble_sigma_mrad is not None or "wobble_sigma_mrad" in alignment.nulls:
+        parts["wobble"] = (alignment.wobble_sigma_mrad, " mrad")
+    stated = (f"{words} {'not stated' if x is None else f'{x:g}{unit}'}" for words, (x, unit) in parts.items())
+    return f"two axes, {', '.join(stated)}"
 
 
 def temperature(calibration: Calibration) -> str:
     """Text of the temperature of the test."""
     known = calibration.temperature
-    return "not recorded" if known is None else f"{known['mean_c']:.1f} °C, range {known['range_c']:.1f} °C"
+    return "not recorded" if known is None else f"{known.mean_c:.1f} °C, range {known.range_c:.1f} °C"
 
 
 def _option(value: Any) -> str:
@@ -159,16 +153,16 @@ def _sentences(calibration: Calibration, course: RecordingHistory | None) -> Ite
         yield "Accelerometers were tested up to 1 g: a quadratic term is not known, and grows beyond 1 g."
     fastest = "" if course is None else f" (up to {course.turned_deg_s:.3g} °/s)"
     yield (f"Gyros were tested at the rates of the rotations{fastest}: the scale factor at other rates is not known.")
-    for row in calibration.diagnostics.get("unseen_errors", ()):
-        yield f"{plain(row['sentence'])} No residual shows such an error."
+    for row in calibration.diagnostics.unseen_errors or ():
+        yield f"{plain(row.sentence)} No residual shows such an error."
     known = calibration.temperature
     yield (
         "The temperature of the test was not recorded; the temperature dependence is not known."
         if known is None
-        else f"The temperature dependence is not known: the test was made at {known['mean_c']:.1f} °C, within "
-        f"{known['range_c']:.1f} °C."
+        else f"The temperature dependence is not known: the test was made at {known.mean_c:.1f} °C, within "
+        f"{known.range_c:.1f} °C."
     )
-    followed = G_SENSITIVITY in calibration.diagnostics
+    followed = calibration.g_sensitivity is not None
     yield (
         f"{'The' if followed else 'Gyro g-sensitivity, and the'} dependence of all sensors on vibration, pressure, "
         f"supply and magnetic field, {'is' if followed else 'are'} not among the parameters; the "
@@ -180,7 +174,7 @@ def _sentences(calibration: Calibration, course: RecordingHistory | None) -> Ite
     )
     yield (
         "Changes from turn-on to turn-on or with age are known only as far as the sigmas of the biases hold them."
-        if calibration.provenance.get("recordings")
+        if calibration.provenance.recordings
         else "Changes from turn-on to turn-on or with age are not known: this is one test."
     )
     yield (
@@ -191,9 +185,9 @@ def _sentences(calibration: Calibration, course: RecordingHistory | None) -> Ite
             else "not measured; this test has no reference for it."
         )
     )
-    if calibration.site.get("latitude_deg") is None:
+    if calibration.site.latitude_deg is None:
         yield "The Earth rate is in the gyro biases, as no latitude is stated; their sigmas hold it."
-    if "unseen_errors" not in calibration.diagnostics:
+    if calibration.diagnostics.unseen_errors is None:
         yield "Gravity is taken as stated: its error is a common error of all accelerometer scale factors."
 
 

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
     from srt.result.calibration import Calibration
+    from srt.result.diagnostics import Estimate
     from srt.sensor_errors import SensorErrors
     from srt.types import Array
 
@@ -144,16 +145,16 @@ def parameter_rows(
 
 def g_sensitivity_table(calibration: Calibration) -> str:
     """Table of the gyro g-sensitivity and of the scatter of the stationary rates; empty if not estimated."""
-    found = calibration.diagnostics.get("g_sensitivity")
-    if not found:
+    found = calibration.diagnostics.g_sensitivity
+    if found is None:
         return ""
-    matrix, sigma = found["matrix_deg_per_h_per_g"], found["sigma_deg_per_h_per_g"]
-    scatter = found["rest_rate_scatter_rad_s"]
+    matrix, sigma = found.matrix_deg_per_h_per_g.tolist(), found.sigma_deg_per_h_per_g.tolist()
+    scatter = found.rest_rate_scatter_rad_s
     decimals = decimals_for(min(max(row) for row in sigma))
     rows = []
     for i, axis in enumerate("xyz"):
         elements = [f"{fixed(v, decimals)} ± {fixed(s, decimals)}" for v, s in zip(matrix[i], sigma[i], strict=True)]
-        rates = [fixed(scatter[when][i] / DEG_PER_H, 2) for when in ("before", "after", "expected")]
+        rates = [fixed(float(rates[i]) / DEG_PER_H, 2) for rates in (scatter.before, scatter.after, scatter.expected)]
         rows.append([f"gyro {axis}", *elements, *rates])
     heads = ["°/h per g", *(f"along {axis}" for axis in "xyz"), "scatter\n°/h", "\nafter", "\nexpected"]
     table = text_table(heads, rows, "lrrrrrr", gap=1)
@@ -282,7 +283,7 @@ def source_label(source: str) -> str:
 
 
 def _heading(calibration: Calibration, title: str) -> Iterable[str]:
-    serial = calibration.provenance.get("serial")
+    serial = calibration.provenance.serial
     yield from wrap(f"{title}{f' (serial {serial})' if serial else ''}: {calibration.estimator}")
     # Only the first sentence: the fixed parameters follow the table, with the reasons.
     message = calibration.message.split(" Fixed, not observed:")[0]
@@ -293,7 +294,7 @@ def _heading(calibration: Calibration, title: str) -> Iterable[str]:
         yield from wrap(f"Largest correction of each iteration: {steps}.")
     temperature = calibration.temperature
     if temperature is not None:
-        yield f"Temperature {temperature['mean_c']:.1f} °C, range {temperature['range_c']:.1f} °C."
+        yield f"Temperature {temperature.mean_c:.1f} °C, range {temperature.range_c:.1f} °C."
 
 
 def _held(calibration: Calibration) -> Iterable[str]:
@@ -305,40 +306,39 @@ def _held(calibration: Calibration) -> Iterable[str]:
 
 
 def _asymmetry(calibration: Calibration) -> Iterable[str]:
-    groups = calibration.diagnostics.get("asymmetry")
+    groups = calibration.diagnostics.asymmetry or {}
     if groups:
         yield "Asymmetries"
-    for group, row in (groups or {}).items():
-        word = "significant" if row["probability"] < _SIGNIFICANT else "not significant"
-        without = ", ".join(_without(name, **estimate) for name, estimate in row["without"].items())
+    for group, row in groups.items():
+        word = "significant" if row.probability < _SIGNIFICANT else "not significant"
+        without = ", ".join(_without(name, estimate) for name, estimate in row.without.items())
         yield from wrap(
-            f"{group.replace('_', ' ')} estimated: {word} (chi-square {row['chi_square']:.3g} for "
-            f"{row['degrees_of_freedom']}, {p_value_text(row['probability'])}). Fixed at zero: {without}.",
+            f"{group.replace('_', ' ')} estimated: {word} (chi-square {row.chi_square:.3g} for "
+            f"{row.degrees_of_freedom}, {p_value_text(row.probability)}). Fixed at zero: {without}.",
             indent=" ",
         )
 
 
-def _without(name: str, value: float, sigma: float) -> str:
+def _without(name: str, estimate: Estimate) -> str:
     """Value and sigma of a parameter in display units."""
     i = INDEX[name]
-    factor = DISPLAY_FACTORS[i]
-    decimals = decimals_for(sigma * factor)
-    return f"{SYMBOLS[i]} {fixed(value * factor, decimals)} ± {fixed(sigma * factor, decimals)} {DISPLAY_UNITS[i]}"
+    value, sigma = estimate.value * DISPLAY_FACTORS[i], estimate.sigma * DISPLAY_FACTORS[i]
+    decimals = decimals_for(sigma)
+    return f"{SYMBOLS[i]} {fixed(value, decimals)} ± {fixed(sigma, decimals)} {DISPLAY_UNITS[i]}"
 
 
 def _unseen_errors(calibration: Calibration) -> Iterable[str]:
-    rows = calibration.diagnostics.get("unseen_errors")
+    rows = calibration.diagnostics.unseen_errors or ()
     if rows:
         yield "Errors that no residual shows"
-    for row in rows or ():
-        yield from wrap(row["sentence"], indent=" ")
+    for row in rows:
+        yield from wrap(row.sentence, indent=" ")
 
 
 def _notes(calibration: Calibration) -> Iterable[str]:
-    targets = calibration.diagnostics.get("targets")
-    if targets:
-        met = targets["met_after"]
-        name, short = targets["limiting"], targets["shortfall"]
+    targets = calibration.diagnostics.targets
+    if targets is not None:
+        met, name, short = targets.met_after, targets.limiting, targets.shortfall
         yield from wrap(
             f"All targets are met after sequence {met}; {name} is nearest to its target: "
             f"{short:.2g} of the required sigma."

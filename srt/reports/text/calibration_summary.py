@@ -89,7 +89,7 @@ def calibration_text(
 
 def verdict_lines(calibration: Calibration, title: str) -> Iterator[str]:
     """Heading, status, and agreement of the measurements."""
-    serial = calibration.provenance.get("serial")
+    serial = calibration.provenance.serial
     yield f"{title}{f' (serial {serial})' if serial else ''}: {calibration.estimator}"
     message = calibration.message.split(" Fixed, not observed:")[0].split(" Held, not observed:")[0]
     yield message if calibration.status == "converged" else f"Status {calibration.status.replace('_', ' ')}: {message}"
@@ -107,8 +107,7 @@ def _notes(calibration: Calibration) -> Iterator[str]:
 
 def _advice(calibration: Calibration, source: str, with_moves: tuple[float, float] | None) -> Iterator[str]:
     """Next steps for the user."""
-    noise = calibration.noise
-    estimated = [key for name, key in _STATED_NOISE.items() if name in noise.get("estimated", ())]
+    estimated = [key for name, key in _STATED_NOISE.items() if name in (calibration.noise.estimated or ())]
     if any(key.startswith(("gyro_noise", "accel_noise")) for key in estimated) or (
         estimated and calibration.judgement.word != SOUND
     ):
@@ -118,7 +117,7 @@ def _advice(calibration: Calibration, source: str, with_moves: tuple[float, floa
         )
     if source and (calibration.judgement.word != SOUND or calibration.warnings):
         yield f"To do: look for faults of the recording with 'srt inspect {source} --deep'."
-    if moves := calibration.diagnostics.get("unused_moves"):
+    if moves := calibration.diagnostics.unused_moves:
         low, high = (0.0, 0.0) if with_moves is None else with_moves
         gain = f"gives {low:.2f}-{high:.2f} of these sigmas" if high else "uses them"
         yield f"To do: {moves} recorded moves are not used by the closed form: '--estimator least-squares' {gain}."

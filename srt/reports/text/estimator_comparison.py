@@ -32,7 +32,7 @@ def comparison_text(comparison: Comparison, *, title: str = "Comparison", detail
     str
         Lines of at most 80 characters with four estimators, of 120 with details; without a line feed at the end.
     """
-    serials = {c.provenance.get("serial") for c in comparison.calibrations.values()} - {None}
+    serials = {c.provenance.serial for c in comparison.calibrations.values()} - {None}
     serial = f" (serial {serials.pop()})" if serials else ""
     reasons = [f"{name} failed: {reason}" for name, reason in comparison.failures.items()]
     reasons += [f"{name} is left out: {reason}" for name, reason in comparison.left_out.items()]

@@ -55,12 +55,11 @@ def state_table(fleet: Fleet) -> str:
     for number, unit in enumerate(fleet.units):
         cells = [unit.name, unit.serial or "", _STATUS.get(unit.status, unit.status), "", "", "", "", ""]
         if unit.calibration is not None:
-            verdict = unit.calibration.verdict
-            freedom = verdict.get("degrees_of_freedom")
+            test = unit.calibration.verdict
             cells[3:7] = [
                 unit.calibration.judgement.word,
-                fixed(verdict["chi_square"] / freedom, 2) if freedom else "-",
-                probability_text(verdict.get("probability")) or "-",
+                fixed(test.chi_square / test.degrees_of_freedom, 2) if test and test.degrees_of_freedom else "-",
+                (test and probability_text(test.probability)) or "-",
                 str(len(unit.calibration.warnings)),
             ]
             cells[7] = _outlying(fleet, number) if unit.sound else "not tested"

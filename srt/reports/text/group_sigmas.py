@@ -29,19 +29,16 @@ _HEADS: Final = {
 
 def live_table(calibration: Calibration) -> str:
     """Sigmas after each sequence of a live filter; empty without one."""
-    reports = calibration.diagnostics.get("live")
+    reports = calibration.diagnostics.live
     if not reports:
         return ""
-    rows = [
-        [report["sequence"], probability_text(report["probability"]), *group_sigmas(np.array(report["sigma"]))]
-        for report in reports
-    ]
-    met = next((report["sequence"] for report in reports if report["targets_met"]), None)
+    rows = [[report.sequence, probability_text(report.probability), *group_sigmas(report.sigma)] for report in reports]
+    met = next((report.sequence for report in reports if report.targets_met), None)
     lines = [
         *wrap("Largest 1-sigma of each group after each sequence; p of its innovations given all sequences before"),
         text_table(["seq.", "p", *group_heads()], rows, "lr" + "r" * len(GROUP_SLICES), gap=1),
     ]
-    if calibration.diagnostics.get("targets"):
+    if calibration.diagnostics.targets:
         lines += wrap("The targets are not met." if met is None else f"All targets are met after sequence {met}.")
     return "\n".join(lines)
 

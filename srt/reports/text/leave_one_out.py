@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 from srt.reports.text.tables import decimals_for, fixed, text_table, wrap
 from srt.result.verdict import p_value_text, probability_text
 from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, INDEX, SYMBOLS
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
     from srt.result.calibration import Calibration
+    from srt.result.consistency import Consistency, Influence, LeaveOneOut
 
 UNLIKELY: Final = 0.05
 """Family-wise significance level: 5 %, the customary one, divided by the number of tests (Bonferroni)."""
@@ -37,24 +38,24 @@ def verdict_text(calibration: Calibration, *, parameters: bool = False) -> str:
         Lines of at most 80 characters; empty without a verdict.
     """
     verdict = calibration.verdict
-    if not verdict:
+    if verdict is None:
         return ""
     parts = ["Verdict\n" + "\n".join(wrap(str(calibration.judgement)))]
-    if verdict["sequences"]:
-        parts.append(sequence_table(calibration, full=parameters))
-    if parameters and verdict["parameters"]:
+    if verdict.sequences:
+        parts.append(sequence_table(calibration, verdict, full=parameters))
+    if parameters and verdict.parameters:
         parts.append(observability_table(verdict, _word(calibration)))
     return "\n\n".join(parts)
 
 
-def sequence_table(calibration: Calibration, *, full: bool = True) -> str:
+def sequence_table(calibration: Calibration, verdict: Consistency, *, full: bool = True) -> str:
     """Table of the leave-one-out test of every sequence, with a legend.
 
     The extended Kalman filter adds the normalised innovation squared, a robust loss the weight of each sequence.
     """
-    rows = calibration.verdict["sequences"]
-    innovations = calibration.diagnostics.get("filter") or calibration.diagnostics.get("live")
-    weights = calibration.diagnostics.get("weights")
+    rows = verdict.sequences
+    innovations = calibration.diagnostics.filter or calibration.diagnostics.live
+    weights = calibration.diagnostics.weights
     word = _word(calibration)
     headers, alignment = [word, "chi2 / dof", "p", "shift if\nomitted"], "lrrl"
     if innovations:
@@ -65,35 +66,33 @@ def sequence_table(calibration: Calibration, *, full: bool = True) -> str:
     shown: list[int] = list(range(len(rows)))
     left_off = ""
     if len(rows) > _LONG and not full:
-        unlikely = sorted(range(len(rows)), key=lambda i: 1.0 if (p := rows[i]["probability"]) is None else p)
+        unlikely = sorted(range(len(rows)), key=lambda i: 1.0 if (p := rows[i].probability) is None else p)
         shown = sorted(unlikely[:_SHOWN])
         left_off = f" The {_SHOWN} least likely of {len(rows)}; --verdict shows all."
     for i in shown:
         row = rows[i]
-        freedom = row["degrees_of_freedom"]
-        cells = [_title(row), f"{row['chi_square']:.1f} / {freedom}", probability_text(row["probability"])]
+        freedom = row.degrees_of_freedom
+        cells = [row.title, f"{row.chi_square:.1f} / {freedom}", probability_text(row.probability)]
         if not freedom:
             cells[1:] = ["not checkable", ""]
-        cells.append(_influence(row))
+        cells.append(_influence(row.largest_influence))
         if innovations:
             cells += [
-                f"{innovations[i]['nis']:.1f} / {innovations[i]['degrees_of_freedom']}",
-                probability_text(innovations[i]["probability"]),
+                f"{innovations[i].nis:.1f} / {innovations[i].degrees_of_freedom}",
+                probability_text(innovations[i].probability),
             ]
         if weights:
-            cells.append(fixed(weights[i]["weight"], 2))
+            cells.append(fixed(weights[i].weight, 2))
         table.append(cells)
     lines = [text_table(headers, table, alignment), *([left_off] if left_off else [])]
     lines += _notes(rows, word, innovations=bool(innovations))
-    worst = calibration.verdict.get("contradicting")
+    worst = verdict.contradicting
     if worst is not None:
-        lines += wrap(
-            f"{word.capitalize()} {_title(worst)} contradicts the others, {p_value_text(worst['probability'])}."
-        )
+        lines += wrap(f"{word.capitalize()} {worst.title} contradicts the others, {p_value_text(worst.probability)}.")
     return "\n".join(lines)
 
 
-def _notes(rows: Sequence[dict[str, Any]], word: str, *, innovations: bool) -> list[str]:
+def _notes(rows: Sequence[LeaveOneOut], word: str, *, innovations: bool) -> list[str]:
     limit = UNLIKELY / len(rows)
     notes = [
         f"chi2 / dof: chi-square of the {word} against the prediction from all others, and its degrees of freedom. "
@@ -105,35 +104,36 @@ def _notes(rows: Sequence[dict[str, Any]], word: str, *, innovations: bool) -> l
     if innovations:
         notes.append(f"innovation: the same test, with the prediction from the {word}s before it alone (NIS).")
     out = [line for note in notes for line in wrap(note, " ")]
-    for key, words in (
-        ("lost_without", f"Parameters that are not observable without one {word}:"),
-        ("only_witness_of", f"Parameters that one {word} alone determines, so that the others cannot check them:"),
+    lost = f"Parameters that are not observable without one {word}:"
+    alone = f"Parameters that one {word} alone determines, so that the others cannot check them:"
+    for words, found in (
+        (lost, [(row.title, row.lost_without) for row in rows]),
+        (alone, [(row.title, row.only_witness_of) for row in rows]),
     ):
-        found = [(_title(row), row[key]) for row in rows if row[key]]
-        if found:
-            shown = "; ".join(f"{title}: {_symbols(names)}" for title, names in found)
+        shown = "; ".join(f"{title}: {_symbols(names)}" for title, names in found if names)
+        if shown:
             out += wrap(f"{words} {shown}.", " ")
     return out
 
 
-def observability_table(verdict: Mapping[str, Any], word: str = "sequence") -> str:
+def observability_table(verdict: Consistency, word: str = "sequence") -> str:
     """Table of observability: information, variance inflation and largest correlation of every parameter."""
     rows: list[list[str] | None] = []
-    for row in verdict["parameters"]:
-        i = INDEX[row["name"]]
-        sigma = row["sigma"] * DISPLAY_FACTORS[i]
-        shown = ", ".join(f"{_title(s)} {100.0 * s['share']:.0f} %" for s in row["shown_by"][:_MOST])
-        more = len(row["shown_by"]) - _MOST
-        correlation = row["largest_correlation"]
+    for row in verdict.parameters:
+        i = INDEX[row.name]
+        sigma = row.sigma * DISPLAY_FACTORS[i]
+        shown = ", ".join(f"{s.title} {100.0 * s.share:.0f} %" for s in row.shown_by[:_MOST])
+        more = len(row.shown_by) - _MOST
+        correlation = row.largest_correlation
         rows.append(
             [
                 SYMBOLS[i],
                 fixed(sigma, decimals_for(sigma)),
                 DISPLAY_UNITS[i],
-                f"{row['witnesses']:.1f}" if row["witnesses"] is not None else "-",
+                f"{row.witnesses:.1f}" if row.witnesses is not None else "-",
                 shown + (f", +{more}" if more > 0 else ""),
-                f"{row['variance_inflation']:.1f}",
-                f"{correlation['value']:+.2f} {SYMBOLS[INDEX[correlation['with']]]}" if correlation else "-",
+                f"{row.variance_inflation:.1f}",
+                f"{correlation.value:+.2f} {SYMBOLS[INDEX[correlation.with_]]}" if correlation else "-",
             ]
         )
     headers = ["", "sigma", "unit", "inde-\npendent", "information from", "infla-\ntion", "correlation"]
@@ -144,12 +144,12 @@ def observability_table(verdict: Mapping[str, Any], word: str = "sequence") -> s
         "inflation: its variance over its variance with all other parameters known.",
         "correlation: largest correlation of its error with that of another parameter.",
     ]
-    weakest = verdict["weakest_combination"]
+    weakest = verdict.weakest_combination
     if weakest is not None:
-        terms = " ".join(f"{value:+.2f} {SYMBOLS[INDEX[name]]}" for name, value in weakest["combination"].items())
+        terms = " ".join(f"{value:+.2f} {SYMBOLS[INDEX[name]]}" for name, value in weakest.combination.items())
         notes.append(
             f"Least observable combination: {terms}, each over its prior sigma; posterior sigma "
-            f"{100.0 * weakest['sigma_over_prior']:.2g} % of the prior."
+            f"{100.0 * weakest.sigma_over_prior:.2g} % of the prior."
         )
     return "\n".join([text_table(headers, rows, "lrlrlrl"), *(line for note in notes for line in wrap(note, " "))])
 
@@ -158,15 +158,8 @@ def _word(calibration: Calibration) -> str:
     return "recording" if calibration.estimator == "merged" else "sequence"
 
 
-def _influence(row: Mapping[str, Any]) -> str:
-    largest = row["largest_influence"]
-    if largest is None:
-        return "not observable"
-    return f"{SYMBOLS[INDEX[largest['parameter']]]} {largest['sigmas']:+.2g}"
-
-
-def _title(row: Mapping[str, Any]) -> str:
-    return f"{row['sequence']} ({row['occurrence']})" if row["occurrence"] > 1 else str(row["sequence"])
+def _influence(largest: Influence | None) -> str:
+    return "not observable" if largest is None else f"{SYMBOLS[INDEX[largest.parameter]]} {largest.sigmas:+.2g}"
 
 
 def _symbols(names: Sequence[str]) -> str:

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 from srt.reports.text.tables import WIDTH, decimals_for, fixed, text_table, wrap
 from srt.result.verdict import probability_text
 from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, GROUP_SLICES, INDEX, SYMBOLS
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from srt.result.calibration import Calibration
+    from srt.result.repeatability import Repeatability
 
 _DIGITS: Final = 7
 """Largest number of significant digits of a value; the sigma of noise-free data would require more."""
@@ -25,41 +24,43 @@ def repeatability_text(calibration: Calibration) -> str:
     str
         Lines of at most 80 characters, as far as the recordings' names allow; empty if it was not merged.
     """
-    table = calibration.diagnostics.get("repeatability")
-    if not table:
+    table = calibration.diagnostics.repeatability
+    if table is None:
         return ""
     parts = [f"Recordings\n{_recordings(table)}", f"Values by recording\n{_values(table)}"]
-    if table["degrees_of_freedom"]:
+    if table.degrees_of_freedom:
         parts.append(f"Repeatability\n{_scatter(table)}")
         parts.append("\n".join(part for line in _groups(table) for part in wrap(line)))
     return "\n\n".join(parts)
 
 
-def _recordings(table: Mapping[str, Any]) -> str:
+def _recordings(table: Repeatability) -> str:
     rows = [
         [
-            row["name"],
-            row["estimator"],
-            row["status"].replace("_", " "),
-            row["date"] or "-",
-            "-" if row["temperature_c"] is None else f"{row['temperature_c']:.1f}",
+            row.name,
+            row.estimator,
+            row.status.replace("_", " "),
+            row.date or "-",
+            "-" if row.temperature_c is None else f"{row.temperature_c:.1f}",
         ]
-        for row in table["recordings"]
+        for row in table.recordings
     ]
-    rows += [[row["name"], "", f"{row['status'].replace('_', ' ')}, left out", "", ""] for row in table["left_out"]]
+    rows += [[row.name, "", f"{row.status.replace('_', ' ')}, left out", "", ""] for row in table.left_out]
     return text_table(["name", "estimator", "status", "date", "°C"], rows, "llllr")
 
 
-def _values(table: Mapping[str, Any]) -> str:
+def _values(table: Repeatability) -> str:
     """Tables of value and sigma by recording, as many recordings side by side as the width permits."""
-    names = [row["name"] for row in table["recordings"]]
+    names = [row.name for row in table.recordings]
     left: list[list[str]] = []
     columns: list[list[tuple[str, str]]] = [[] for _ in names]
-    for row in table["parameters"]:
-        i = INDEX[row["name"]]
+    for row in table.parameters:
+        i = INDEX[row.name]
         left.append([SYMBOLS[i], DISPLAY_UNITS[i]])
-        for column, value, sigma in zip(columns, row["values"], row["sigmas"], strict=True):
-            column.append(("held", "") if value is None else _rounded(value, sigma, DISPLAY_FACTORS[i]))
+        for column, value, sigma in zip(columns, row.values, row.sigmas, strict=True):
+            column.append(
+                ("held", "") if value is None or sigma is None else _rounded(value, sigma, DISPLAY_FACTORS[i])
+            )
     text, first = [], 0
     while first < len(names):
         used = 2 + max(len(cells[0]) for cells in left) + 1 + max(len(cells[1]) for cells in left)
@@ -79,26 +80,26 @@ def _values(table: Mapping[str, Any]) -> str:
     return "\n\n".join(text)
 
 
-def _scatter(table: Mapping[str, Any]) -> str:
+def _scatter(table: Repeatability) -> str:
     rows: list[list[str] | None] = []
-    for row in table["parameters"]:
-        freedom = row["degrees_of_freedom"]
-        if not freedom:
+    for row in table.parameters:
+        freedom = row.degrees_of_freedom
+        away = row.largest_deviation
+        if away is None or row.spread is None:
             continue
-        i = INDEX[row["name"]]
-        factor, sigma = DISPLAY_FACTORS[i], min(s for s in row["sigmas"] if s is not None)
+        i = INDEX[row.name]
+        factor, sigma = DISPLAY_FACTORS[i], min(s for s in row.sigmas if s is not None)
         decimals = decimals_for(sigma * factor)
-        away = row["largest_deviation"]
         rows.append(
             [
                 SYMBOLS[i],
                 DISPLAY_UNITS[i],
-                _rounded(row["weighted_mean"], sigma, factor)[0],
-                fixed(row["spread"] * factor, decimals),
+                _rounded(row.weighted_mean, sigma, factor)[0],
+                fixed(row.spread * factor, decimals),
                 fixed(sigma * factor, decimals),
-                f"{row['chi_square']:.1f} / {freedom}",
-                probability_text(row["probability"]),
-                f"{away['sigmas']:+.1f} {away['recording']}",
+                f"{row.chi_square:.1f} / {freedom}",
+                probability_text(row.probability),
+                f"{away.sigmas:+.1f} {away.recording}",
             ]
         )
     headers = ["", "unit", "mean", "scatter", "least\nsigma", "chi2 / dof", "p", "farthest"]
@@ -114,18 +115,18 @@ def _scatter(table: Mapping[str, Any]) -> str:
     )
 
 
-def _groups(table: Mapping[str, Any]) -> list[str]:
+def _groups(table: Repeatability) -> list[str]:
     """Sentences on the variation between recordings beyond noise."""
     found = []
-    for row in table["groups"]:
-        if row["between_sigma"] > 0.0:
-            i = GROUP_SLICES[row["group"]].start
-            size = row["between_sigma"] * DISPLAY_FACTORS[i]
-            words = f"{row['group'].replace('_', ' ')} {fixed(size, decimals_for(size))} {DISPLAY_UNITS[i]}"
-            found.append(f"{words} (p = {probability_text(row['probability'])})")
+    for row in table.groups:
+        if row.between_sigma > 0.0:
+            i = GROUP_SLICES[row.group].start
+            size = row.between_sigma * DISPLAY_FACTORS[i]
+            words = f"{row.group.replace('_', ' ')} {fixed(size, decimals_for(size))} {DISPLAY_UNITS[i]}"
+            found.append(f"{words} (p = {probability_text(row.probability)})")
     whole = (
-        f"All parameters together: chi-square {table['chi_square']:.4g} for {table['degrees_of_freedom']} degrees of "
-        f"freedom, p = {probability_text(table['probability'])}."
+        f"All parameters together: chi-square {table.chi_square:.4g} for {table.degrees_of_freedom} degrees of "
+        f"freedom, p = {probability_text(table.probability)}."
     )
     if not found:
         return [whole, "Noise explains all differences between the recordings."]
