@@ -17,7 +17,15 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.closed_form.measurement_covariance import accel_drift, covariance, disturbances, projection, through
+from srt.closed_form.measurement_covariance import (
+    accel_drift,
+    covariance,
+    disturbances,
+    effect,
+    of_independent,
+    projection,
+    through,
+)
 from srt.estimation.convergence import CONVERGED_CORRECTION, CONVERGED_SIGMAS, MAX_STEP, PARAMETER_UNITS
 from srt.estimation.error_sources import earth_rate_sigma
 from srt.estimation.g_sensitivity import LEAST_SCATTER
@@ -350,16 +358,16 @@ class _Iteration:
         solved = np.asarray(np.isfinite(gain).all(axis=(1, 2)))
         gain[~solved] = 0.0
         seen, found = through(gain, projected), disturbances(measurements, self.data, self.wander)
-        total = covariance(projected, found.values())
-        by_source = {name: covariance(seen, [source]) for name, source in found.items()}
+        roots = {name: effect(projected, source) for name, source in found.items()}
+        total = sum(_squared(G) for G in roots.values()) + of_independent(projected, found.values())
+        by_source = {name: _squared(gain @ G) + of_independent(seen, [found[name]]) for name, G in roots.items()}
         noise, bias = self.data.noise, np.arange(N_PARAMETERS)[GROUP_SLICES["gyro_bias"]]
         unseen = accel_drift(measurements, noise.accel_unseen, self.data.window_drift)
         by_source["accel_bias_instability"] += covariance(seen, [unseen])
         # The errors of the fixed values propagate into the estimated parameters.
         by_fixed = measurements.H * np.where(self.formulas.fixed, self.fixed_sigma, 0.0)
-        held = by_fixed @ np.swapaxes(by_fixed, -1, -2)
-        by_source["held_values"] = gain @ held @ np.swapaxes(gain, -1, -2)
-        total = total + held
+        by_source["held_values"] = _squared(gain @ by_fixed)
+        total = total + _squared(by_fixed)
         if noise.gyro_flicker is None:
             # The reported bias is the unit's; the bias during this test differs from it by one random draw. A stated
             # bias instability includes this already: its part common to all windows is an error of the bias alone.
@@ -386,6 +394,10 @@ class _Iteration:
                 bias_by_sequence=self.offset[u],
                 g_sensitivity=self.g_sensitivity[u],
             )
+
+
+def _squared(root: Array) -> Array:
+    return np.asarray(root @ np.swapaxes(root, -1, -2))
 
 
 def _parts(which: Indices) -> Iterator[Indices]:

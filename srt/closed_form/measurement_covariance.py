@@ -17,7 +17,7 @@ from srt.estimation.error_sources import Source
 from srt.model.rotations import cross_matrix, rotation_matrix
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Collection, Iterable
 
     from srt.estimation.error_sources import Slopes
     from srt.estimation.srt_measurements import SrtMeasurements
@@ -124,24 +124,27 @@ def through(gain: Array, projected: Draws) -> Draws:
     }
 
 
-def covariance(projected: Draws, found: Iterable[Source | Draws]) -> Array:
+def covariance(projected: Draws, found: Collection[Source | Draws]) -> Array:
     """Covariance of z, or of what else is projected, by several sources together, shape (..., n_z, n_z)."""
+    G = np.concatenate([effect(projected, source) for source in found], axis=-1)
+    return np.asarray(G @ np.swapaxes(G, -1, -2) + of_independent(projected, found))
+
+
+def of_independent(projected: Draws, found: Iterable[Source | Draws]) -> Array:
+    """The part of :func:`covariance` by the errors of single windows and rotations."""
     rows = projected["turn"].shape[:-2]
     own: dict[str, Array] = {}
-    roots = [np.zeros((*rows, 0))]
     for source in found:
-        roots.append(effect(projected, source))
         for kind, R in source.own.items() if isinstance(source, Source) else ():
             own[kind] = R + own.get(kind, 0.0)
-    G = np.concatenate(roots, axis=-1)
-    out = G @ np.swapaxes(G, -1, -2)
+    out = np.zeros((*rows, rows[-1]))
     for kind, R in own.items():
         P = projected[kind]
         # For every error of the kind, its projection, (..., n_z, 3), times its covariance.
         PR = np.empty_like(P)
         np.matmul(np.swapaxes(P, -2, -3), R, out=np.swapaxes(PR, -2, -3))
         out += PR.reshape(*rows, -1) @ np.swapaxes(P.reshape(*rows, -1), -1, -2)
-    return np.asarray(out)
+    return out
 
 
 def slopes_of(measurements: SrtMeasurements) -> Slopes:
