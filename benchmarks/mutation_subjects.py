@@ -60,7 +60,6 @@ SUBJECTS = (
         ),
         ("integrate_attitude", "integrals", "_at_start"),
         (("-0.5 * earth_rate", "-1.0 * earth_rate"),),
-        ("stream.starts[k] - a",),
     ),
     Subject(
         "eq. 2, samples",
@@ -246,7 +245,7 @@ SUBJECTS = (
                 "axis=-1) * 0.9 * sources.alignment_sigma(data.recording)",
             ),
             ("(data.recording.site.gravity_sigma_m_s2 * -up)", "(0.9 * data.recording.site.gravity_sigma_m_s2 * -up)"),
-            (".force * size[", ".force * 0.9 * size["),
+            ("slope * size[", "slope * 0.9 * size["),
             ("parts * floor[", "0.9 * parts * floor["),
             ("by.rate * floor[", "0.9 * by.rate * floor["),
         ),

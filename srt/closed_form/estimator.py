@@ -14,7 +14,7 @@ import numpy as np
 from srt.closed_form.formulas import SelectedFormulas
 from srt.closed_form.iteration import iterate
 from srt.closed_form.leave_one_out import contradictions, second_order_variance, sequence_diagnostics
-from srt.closed_form.measurement_covariance import accel_drift, disturbances, effect
+from srt.closed_form.measurement_covariance import accel_drift, covariance, disturbances, effect
 from srt.estimation import g_sensitivity_report
 from srt.estimation.calibration_builder import build_calibration
 from srt.estimation.drift_model import DriftEstimate, DriftSearch, change, gyro_statistics, possible_sigma
@@ -202,11 +202,8 @@ def _g_sensitivity(
     of_rates = np.einsum("ab,wc->acwb", m.gyro.matrix, m.poses.weights)
     projection = {kind: np.zeros((9, *part.shape[1:])) for kind, part in solution.projection.items()}
     projection["rate"] = of_rates.reshape(9, W, 3)
-    by_source = disturbances(m, data, solution.wander).values()
-    by_draw = np.concatenate([effect(projection, source) for source in by_source], axis=1)
-    found = g_sensitivity_report.estimated_g_sensitivity(
-        data, rest, solution.g_sensitivity, by_draw @ by_draw.T, solution.wander
-    )
+    by_noise = covariance(projection, disturbances(m, data, solution.wander).values())
+    found = g_sensitivity_report.estimated_g_sensitivity(data, rest, solution.g_sensitivity, by_noise, solution.wander)
     return found, g_sensitivity_report.warnings(m.poses.unobserved, None, automatic=automatic)
 
 

@@ -6,7 +6,6 @@ their full Jacobian is inverted: ``δ = (S H)⁻¹ S z``; at zero error that equ
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Final
 
@@ -128,15 +127,22 @@ class SelectedFormulas:
 
     def gain(self, measurements: SrtMeasurements) -> Array:
         """Gain G = (S H)⁻¹ S of δ = G z, shape (..., 27, n_z); NaN for a unit whose equations are singular."""
-        S, H = self.selection, measurements.H[..., self.kept]
-        G = np.zeros((*H.shape[:-2], N_PARAMETERS, S.shape[1]))
+        H = measurements.H
+        return self._solve(H, np.broadcast_to(self.selection, (*H.shape[:-2], *self.selection.shape)))
+
+    def correction(self, measurements: SrtMeasurements) -> Array:
+        """Correction δ = (S H)⁻¹ S z, shape (..., 27); NaN for a unit whose equations are singular."""
+        return self._solve(measurements.H, self.selection @ measurements.z[..., None])[..., 0]
+
+    def _solve(self, H: Array, right: Array) -> Array:
+        out = np.zeros((*H.shape[:-2], N_PARAMETERS, right.shape[-1]))
         try:
-            G[..., self.kept, :] = np.linalg.solve(S @ H, np.broadcast_to(S, (*H.shape[:-2], *S.shape)))
+            out[..., self.kept, :] = np.linalg.solve(self.selection @ H[..., self.kept], right)
         except np.linalg.LinAlgError:
             if H.ndim == 2 or len(H) == 1:
-                return np.full(G.shape, np.nan)
-            return np.stack([self.gain(replace(measurements, H=own)) for own in measurements.H])
-        return G
+                return np.full(out.shape, np.nan)
+            return np.stack([self._solve(own, part) for own, part in zip(H, right, strict=True)])
+        return out
 
     @cached_property
     def coefficients(self) -> Array:

@@ -17,7 +17,15 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.closed_form import measurement_covariance
+from srt.closed_form.measurement_covariance import (
+    accel_drift,
+    covariance,
+    disturbances,
+    effect,
+    of_independent,
+    projection,
+    through,
+)
 from srt.estimation.convergence import CONVERGED_CORRECTION, CONVERGED_SIGMAS, MAX_STEP, PARAMETER_UNITS
 from srt.estimation.error_sources import earth_rate_sigma
 from srt.estimation.g_sensitivity import LEAST_SCATTER
@@ -31,7 +39,7 @@ from srt.sequences.prepared_units import together
 from srt.sequences.stillness import moved_windows, suspect_units
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from srt.closed_form.formulas import SelectedFormulas
     from srt.estimation.options import Options
@@ -43,6 +51,9 @@ if TYPE_CHECKING:
 
 _NEAR: Final = 1e-3
 """Correction, in ``PARAMETER_UNITS``, below which the covariance is computed: it changes with the estimate by 1e-3."""
+
+_COVARIANCES: Final = 16
+"""Units whose covariances are computed together: with more, they no longer fit into a processor's cache."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,16 +128,18 @@ class _Iteration:
         self.integrated = np.full(W, options.window_attitude == "integrated")
         self._processor: SrtProcessor | None = None
         self.solutions: dict[int, Solution] = {}
-        self.alone: list[int] = []
+        self.count, self.alone = 0, list[_Iteration]()
 
     def run(self, progress: Callable[[int, float], None] | None) -> None:
         """Iterate until the corrections are negligible, or the largest number of iterations is reached."""
-        for i in range(self.options.max_playbacks):
+        while self.count < self.options.max_playbacks:
             if not self.number.size:
                 return
             near = self.corrections[:, -1] < _NEAR if self.corrections.size else np.zeros(len(self.number), dtype=bool)
             fresh = near & np.isnan(self.sigma[:, 0])
-            measurements = self._process(nominal=i == 0 or not self.options.measured_vertical, noise=bool(fresh.any()))
+            nominal = self.count == 0 or not self.options.measured_vertical
+            measurements = self._process(nominal=nominal, noise=bool(fresh.any()))
+            self.count += 1
             if fresh.any():
                 moving = self._moving(measurements, fresh)
                 if self._integrate(moving):
@@ -137,10 +150,9 @@ class _Iteration:
                     if not still.size:
                         return
                     measurements, fresh = measurements.of(still), fresh[still]
-            gain = self.formulas.gain(measurements)
             if fresh.any():
-                self._assess(measurements, gain, fresh)
-            correction, failures = self._correct(measurements, gain)
+                self._assess(measurements, fresh)
+            correction, failures = self._correct(measurements)
             size = np.max(np.abs(correction) / PARAMETER_UNITS, axis=1)
             self.corrections = np.column_stack([self.corrections, size])
             if progress is not None and size.size:
@@ -173,7 +185,6 @@ class _Iteration:
             return
         moving = self._moving(measurements, settled)
         if self._integrate(moving):
-            self.sigma[:] = np.nan
             return
         done = np.flatnonzero(settled & ~moving.any(axis=1))
         # The last correction is below 0.01 sigma: linear prediction gives z without another iteration.
@@ -212,27 +223,27 @@ class _Iteration:
             with_noise=noise,
         )
 
-    def _assess(self, measurements: SrtMeasurements, gain: Array, fresh: Mask) -> None:
+    def _assess(self, measurements: SrtMeasurements, fresh: Mask) -> None:
         """Compute the sigmas of the parameters, and store the noise integrals that belong to them."""
         integrals = measurements.integrals
         found = [part for part in (integrals.noise, integrals.time_parts) if part is not None]
         self.noise = self.noise or [np.zeros_like(part) for part in found]
         for stored, part in zip(self.noise, found, strict=True):
             stored[fresh] = part[fresh]
-        own, which = copy(self), np.flatnonzero(fresh)
-        own._keep(which)
-        measurements = measurements.of(which)
-        seen = measurement_covariance.through(gain[which], own._projection(measurements))
-        sources = measurement_covariance.disturbances(measurements, own.data, own.wander).values()
-        variance = sum(np.sum(measurement_covariance.effect(seen, source) ** 2, axis=-1) for source in sources)
-        self.sigma[fresh] = np.sqrt(variance)
+        for which in _parts(np.flatnonzero(fresh)):
+            own, chosen = copy(self), measurements.of(which)
+            own._keep(which)
+            seen = through(self.formulas.gain(chosen), own._projection(chosen))
+            variance = covariance(seen, disturbances(chosen, own.data, own.wander).values())
+            self.sigma[which] = np.sqrt(np.einsum("upp->up", variance))
 
-    def _correct(self, measurements: SrtMeasurements, gain: Array) -> tuple[Array, list[str | None]]:
+    def _correct(self, measurements: SrtMeasurements) -> tuple[Array, list[str | None]]:
         """Correct the estimates; corrections (units, 27), and the reason where a unit cannot continue."""
         composed = self.options.step == "coefficients"
-        delta = np.einsum("...pz,...z->...p", self.formulas.coefficients if composed else gain, measurements.z)
-        unsolved = np.asarray(~np.isfinite(gain).all(axis=(1, 2)))
-        infinite = np.asarray(~np.isfinite(delta).all(axis=1))
+        solution = self.formulas.correction(measurements)
+        delta = measurements.z @ self.formulas.coefficients.T if composed else solution.copy()
+        infinite = np.asarray(~np.isfinite(measurements.z).all(axis=1))
+        unsolved = np.asarray(~np.isfinite(solution).all(axis=1)) & ~infinite
         delta[unsolved | infinite] = 0.0
         largest = np.max(np.abs(delta) / PARAMETER_UNITS, axis=1)
         delta *= (MAX_STEP / np.maximum(largest, MAX_STEP))[:, None]
@@ -305,17 +316,23 @@ class _Iteration:
         return np.asarray(moving & ~self.integrated)
 
     def _integrate(self, moving: Mask) -> bool:
-        """Integrate moving windows of a single unit, True if there are any; of several units, note those for later."""
+        """Integrate moving windows of a single unit, True if there are any; of several units, each continues alone."""
         if len(moving) > 1:
-            self.alone += self.number[moving.any(axis=1)].tolist()
+            # The windows that are integrated are the same for all units of an iteration.
+            for u in np.flatnonzero(moving.any(axis=1)):
+                own = copy(self)
+                own._keep(np.array([u]))
+                own._integrate(moving[u][None])
+                self.alone.append(own)
             return False
         if not moving.any():
             return False
         self.integrated, self._processor = self.integrated | moving[0], None
+        self.sigma[:] = np.nan
         return True
 
     def _projection(self, measurements: SrtMeasurements) -> dict[str, Array]:
-        return measurement_covariance.projection(measurements, self.data, self._bias_gain(measurements))
+        return projection(measurements, self.data, self._bias_gain(measurements))
 
     def _finish_inside(self, which: Indices, status: str, messages: list[str]) -> None:
         """Solutions of units that did not converge, at the last estimate inside the sensor model."""
@@ -331,54 +348,61 @@ class _Iteration:
 
     def _finish(self, measurements: SrtMeasurements, which: Indices, status: str, messages: list[str]) -> None:
         """Store the solutions of some of the units, from their last measurements."""
-        if not which.size:
-            return
-        own = copy(self)
-        own._keep(which)
-        projection = own._projection(measurements)
-        found = measurement_covariance.disturbances(measurements, own.data, own.wander)
-        total = measurement_covariance.covariance(projection, found.values())
-        gain = self.formulas.gain(measurements)
+        for part in _parts(np.arange(len(which))):
+            own = copy(self)
+            own._keep(which[part])
+            own._store(measurements.of(part), status, [messages[u] for u in part])
+
+    def _store(self, measurements: SrtMeasurements, status: str, messages: list[str]) -> None:
+        gain, projected = self.formulas.gain(measurements), self._projection(measurements)
         solved = np.asarray(np.isfinite(gain).all(axis=(1, 2)))
         gain[~solved] = 0.0
-        seen = measurement_covariance.through(gain, projection)
-        roots = {name: measurement_covariance.effect(seen, source) for name, source in found.items()}
-        covariance = {name: G @ np.swapaxes(G, -1, -2) for name, G in roots.items()}
-        noise, bias = own.data.noise, np.arange(N_PARAMETERS)[GROUP_SLICES["gyro_bias"]]
-        beyond = measurement_covariance.accel_drift(measurements, noise.accel_unseen, own.data.window_drift)
-        unseen = measurement_covariance.effect(seen, beyond)
-        covariance["accel_bias_instability"] += unseen @ np.swapaxes(unseen, -1, -2)
+        seen, found = through(gain, projected), disturbances(measurements, self.data, self.wander)
+        roots = {name: effect(projected, source) for name, source in found.items()}
+        total = sum(_squared(G) for G in roots.values()) + of_independent(projected, found.values())
+        by_source = {name: _squared(gain @ G) + of_independent(seen, [found[name]]) for name, G in roots.items()}
+        noise, bias = self.data.noise, np.arange(N_PARAMETERS)[GROUP_SLICES["gyro_bias"]]
+        unseen = accel_drift(measurements, noise.accel_unseen, self.data.window_drift)
+        by_source["accel_bias_instability"] += covariance(seen, [unseen])
         # The errors of the fixed values propagate into the estimated parameters.
         by_fixed = measurements.H * np.where(self.formulas.fixed, self.fixed_sigma, 0.0)
-        held = by_fixed @ np.swapaxes(by_fixed, -1, -2)
-        covariance["held_values"] = gain @ held @ np.swapaxes(gain, -1, -2)
-        total = total + held
+        by_source["held_values"] = _squared(gain @ by_fixed)
+        total = total + _squared(by_fixed)
         if noise.gyro_flicker is None:
             # The reported bias is the unit's; the bias during this test differs from it by one random draw. A stated
             # bias instability includes this already: its part common to all windows is an error of the bias alone.
-            covariance["gyro_bias_instability"][:, bias, bias] += own.wander**2
+            by_source["gyro_bias_instability"][:, bias, bias] += self.wander**2
         left = np.eye(measurements.z.shape[1]) - measurements.H @ gain
         residual = left @ total @ np.swapaxes(left, -1, -2)
-        for u, number in enumerate(own.number.tolist()):
-            corrections = own.corrections[u].tolist()
+        for u, number in enumerate(self.number.tolist()):
+            corrections = self.corrections[u].tolist()
             last = corrections[-1] if corrections else np.inf
             self.solutions[number] = Solution(
-                errors=SensorErrors(own.vector[u]),
-                U=own.U[u],
-                covariance={name: P[u] for name, P in covariance.items()},
+                errors=SensorErrors(self.vector[u]),
+                U=self.U[u],
+                covariance={name: P[u] for name, P in by_source.items()},
                 measurement_covariance=total[u],
                 residual_covariance=residual[u],
                 gain=gain[u],
-                projection={kind: part[u] for kind, part in projection.items()},
+                projection={kind: part[u] for kind, part in projected.items()},
                 measurements=measurements.of(u),
                 corrections=tuple(corrections),
                 status=status if solved[u] else "outside_model",
                 message=messages[u].format(count=len(corrections), last=last),
                 integrated=tuple(np.flatnonzero(self.integrated).tolist()),
-                wander=own.wander[u],
-                bias_by_sequence=own.offset[u],
-                g_sensitivity=own.g_sensitivity[u],
+                wander=self.wander[u],
+                bias_by_sequence=self.offset[u],
+                g_sensitivity=self.g_sensitivity[u],
             )
+
+
+def _squared(root: Array) -> Array:
+    return np.asarray(root @ np.swapaxes(root, -1, -2))
+
+
+def _parts(which: Indices) -> Iterator[Indices]:
+    """Units whose covariances are computed together."""
+    return (which[a : a + _COVARIANCES] for a in range(0, len(which), _COVARIANCES))
 
 
 def iterate_units(
@@ -412,11 +436,8 @@ def iterate_units(
     uncertain = np.zeros(N_PARAMETERS) if fixed_sigma is None else fixed_sigma
     iteration = _Iteration(data, options, formulas, start, U, uncertain)
     iteration.run(progress)
-    for u in iteration.alone:
-        # Its moving windows are integrated, which those of the others are not.
-        own = _Iteration(data.of_units(np.array([u])), options, formulas, start[u : u + 1], U[u : u + 1], uncertain)
+    for own in iteration.alone:
         own.run(progress)
-        iteration.solutions[u] = own.solutions[0]
     return [iteration.solutions[u] for u in range(len(start))]
 
 

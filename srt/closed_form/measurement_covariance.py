@@ -8,7 +8,7 @@ rotations, the gyro bias pooled over all windows, one heading error for the whol
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,19 +17,15 @@ from srt.estimation.error_sources import Source
 from srt.model.rotations import cross_matrix, rotation_matrix
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Collection, Iterable
 
     from srt.estimation.error_sources import Slopes
     from srt.estimation.srt_measurements import SrtMeasurements
     from srt.sequences.preparation import PreparedRecording
-    from srt.types import Array
+    from srt.types import Array, Indices
 
     Draws = dict[str, Array]
     """Effects of S draws on errors of a kind ("turn", "rate", "force"), shape (..., n, 3, S) each."""
-
-
-_ROUNDING: Final = 1e-12
-"""Relative increase of a variance that keeps its Cholesky factor real."""
 
 
 def projection(measurements: SrtMeasurements, data: PreparedRecording, bias_gain: Array) -> Draws:
@@ -46,20 +42,20 @@ def projection(measurements: SrtMeasurements, data: PreparedRecording, bias_gain
     dict of str to ndarray, shape (..., n_z, K or W, 3)
     """
     m, K, W = measurements, data.K, len(measurements.pool)
-    each, unit = np.arange(K), np.eye(3 * W).reshape(W, 3, 3 * W)
+    each, unit, by_attitude = np.arange(K), np.eye(3 * W).reshape(W, 3, 3 * W), m.attitude_effect
     units, windows = m.z.shape[:-1], np.arange(W)
     turn, rate, force = (np.zeros((*units, 2 * K + W + 3, n, 3)) for n in (K, W, W))
     # The horizontal rows of sequence k are 2 k and 2 k + 1; views have them as axes of their own.
     of_turn, of_force = (G[..., : 2 * K, :, :].reshape(*units, K, 2, -1, 3) for G in (turn, force))
-    of_turn[..., each, :, each, :] = np.moveaxis(m.attitude_effect, -3, 0)
+    of_turn[..., each, :, each, :] = np.moveaxis(by_attitude, -3, 0)
     turn[..., : 2 * K, :, :] = of_turn.reshape(*units, 2 * K, K, 3)
     seen, by_regression = m.after_g_sensitivity(unit)
-    rest = np.einsum("w,...was->...as", m.pool, seen)
+    flat = seen.reshape(*seen.shape[:-3], W, -1)
+    rest = (m.pool @ flat).reshape(*flat.shape[:-2], 3, -1)
     # The bias offset of a sequence is subtracted from the compensated rate.
-    own = np.einsum("kw,...was->...kas", m.share, seen) - rest[..., None, :, :]
-    through = m.integrals.time @ m.gyro.matrix[..., None, :, :]
-    phi = by_regression - through @ (bias_gain[..., None, :, None] * own)
-    rate[..., : 2 * K, :, :] = (m.attitude_effect @ phi).reshape(*units, 2 * K, W, 3)
+    own = ((m.share - m.pool) @ flat).reshape(*flat.shape[:-2], K, 3, -1)
+    by_bias = by_attitude @ m.integrals.time @ (m.gyro.matrix * bias_gain[..., None, :])[..., None, :, :]
+    rate[..., : 2 * K, :, :] = (by_attitude @ by_regression - by_bias @ own).reshape(*units, 2 * K, W, 3)
     rate[..., 2 * K + W :, :, :] = rest.reshape(*rest.shape[:-1], W, 3)
     of_force[..., each, :, data.end, :] += np.moveaxis(m.basis @ m.integrals.C_end, -3, 0)
     of_force[..., each, :, data.start, :] -= np.moveaxis(m.basis, -3, 0)
@@ -70,35 +66,26 @@ def projection(measurements: SrtMeasurements, data: PreparedRecording, bias_gain
 
 
 def effect(projected: Draws, source: Source | Draws) -> Array:
-    """Effect G on z of the unit draws of a source, shape (..., n_z, S); those of its shared unknowns come last."""
+    """Effect G on z of the unit draws of a source, or of its shared unknowns, shape (..., n_z, S)."""
     rows = projected["turn"].shape[:-2]
-    if not isinstance(source, Source):
-        by_kind = (
-            projected[kind].reshape(*rows, -1) @ draws.reshape(*draws.shape[:-3], -1, draws.shape[-1])
-            for kind, draws in source.items()
-        )
-        return np.asarray(sum(by_kind))
-    out = [_each(projected[kind], _root(R)) for kind, R in source.own.items() if np.any(R)]
-    shared = np.zeros((*rows, 3, source.unknowns))
-    for kind, parts in source.shared.items():
-        for number, J in parts:
-            member = (number[:, None] == np.arange(source.unknowns)).astype(float)
-            shared += np.swapaxes(_each(projected[kind], J), -1, -2) @ member
-    return np.concatenate([part.reshape(*rows, -1) for part in (*out, np.swapaxes(shared, -1, -2))], axis=-1)
+    if isinstance(source, Source):
+        source = {kind: _of_unknowns(parts, source.unknowns) for kind, parts in source.shared.items()}
+    by_kind = [
+        projected[kind].reshape(*rows, -1) @ draws.reshape(*draws.shape[:-3], -1, draws.shape[-1])
+        for kind, draws in source.items()
+    ]
+    return np.asarray(sum(by_kind)) if by_kind else np.zeros((*rows, 0))
 
 
-def _each(projected: Array, matrices: Array) -> Array:
-    """Products (..., n_z, n, 3) of the projections of n errors, (..., n_z, n, 3), and n matrices, (..., n, 3, 3)."""
-    return np.asarray(np.swapaxes(np.swapaxes(projected, -2, -3) @ matrices, -2, -3))
-
-
-def _root(covariance: Array) -> Array:
-    """Cholesky factors of covariances (..., 3, 3), some of which are zero."""
-    size = np.einsum("...aa->...", covariance)[..., None, None]
-    scale = np.where(size > 0.0, size, 1.0)
-    # Rounding must not make the covariance of a rotation about one axis indefinite.
-    out = np.linalg.cholesky(covariance / scale + _ROUNDING * np.eye(3)) * np.sqrt(scale)
-    return np.asarray(np.where(size > 0.0, out, 0.0))
+def _of_unknowns(parts: list[tuple[Indices, Array]], unknowns: int) -> Array:
+    """Effect of shared unknowns on the n errors of a kind, shape (..., n, 3, 3 unknowns)."""
+    n, lead = len(parts[0][0]), np.broadcast_shapes(*(J.shape[:-3] for _, J in parts))
+    out = np.zeros((*lead, n, 3, unknowns, 3))
+    for number, J in parts:
+        which = np.flatnonzero(number >= 0)
+        each = np.broadcast_to(J, (*lead, n, 3, 3))[..., which, :, :]
+        out[..., which, :, number[which], :] += np.moveaxis(each, -3, 0)
+    return out.reshape(*lead, n, 3, -1)
 
 
 def disturbances(measurements: SrtMeasurements, data: PreparedRecording, wander: Array) -> dict[str, Source | Draws]:
@@ -137,22 +124,27 @@ def through(gain: Array, projected: Draws) -> Draws:
     }
 
 
-def covariance(projected: Draws, found: Iterable[Source | Draws]) -> Array:
+def covariance(projected: Draws, found: Collection[Source | Draws]) -> Array:
     """Covariance of z, or of what else is projected, by several sources together, shape (..., n_z, n_z)."""
+    G = np.concatenate([effect(projected, source) for source in found], axis=-1)
+    return np.asarray(G @ np.swapaxes(G, -1, -2) + of_independent(projected, found))
+
+
+def of_independent(projected: Draws, found: Iterable[Source | Draws]) -> Array:
+    """The part of :func:`covariance` by the errors of single windows and rotations."""
     rows = projected["turn"].shape[:-2]
     own: dict[str, Array] = {}
-    draws: list[Source | Draws] = []
     for source in found:
-        if isinstance(source, Source):
-            for kind, R in source.own.items():
-                own[kind] = R + own.get(kind, 0.0)
-        draws.append(Source(shared=source.shared) if isinstance(source, Source) else source)
-    G = np.concatenate([effect(projected, source) for source in draws], axis=-1)
-    out = G @ np.swapaxes(G, -1, -2)
+        for kind, R in source.own.items() if isinstance(source, Source) else ():
+            own[kind] = R + own.get(kind, 0.0)
+    out = np.zeros((*rows, rows[-1]))
     for kind, R in own.items():
         P = projected[kind]
-        out += _each(P, R).reshape(*rows, -1) @ np.swapaxes(P.reshape(*rows, -1), -1, -2)
-    return np.asarray(out)
+        # For every error of the kind, its projection, (..., n_z, 3), times its covariance.
+        PR = np.empty_like(P)
+        np.matmul(np.swapaxes(P, -2, -3), R, out=np.swapaxes(PR, -2, -3))
+        out += PR.reshape(*rows, -1) @ np.swapaxes(P.reshape(*rows, -1), -1, -2)
+    return out
 
 
 def slopes_of(measurements: SrtMeasurements) -> Slopes:
@@ -163,7 +155,10 @@ def slopes_of(measurements: SrtMeasurements) -> Slopes:
 
 def accel_drift(measurements: SrtMeasurements, size: Array, course: Array) -> Draws:
     """Accelerometer biases of 1-sigma ``size``, shape (..., 3), that follow courses (W, n)."""
-    return {"force": sources.by_drift(slopes_of(measurements).force * size[..., None, None, :], course)}
+    if not np.any(size):
+        return {}
+    slope = measurements.accel.sensitivity(measurements.force)
+    return {"force": sources.by_drift(slope * size[..., None, None, :], course)}
 
 
 def _gyro_instability(

@@ -313,7 +313,7 @@ class SrtProcessor:
         parts = (
             horizontal.reshape(*force.shape[:-2], 2 * self.data.K, -1),
             model.down_jacobian(force, accel),
-            np.einsum("w,...wap->...ap", self._pool, by_rate),
+            (self._pool @ by_rate.reshape(*rate.shape[:-1], -1)).reshape(*rate.shape[:-2], 3, -1),
         )
         return np.concatenate(parts, axis=-2)
 

@@ -18,6 +18,7 @@ to the start of each sequence. The steps up to the attitude are in :mod:`srt.mod
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -79,15 +80,19 @@ def integrate_attitude(
     shape, earth_rate = earth_rate.shape[:-1], earth_rate.reshape(-1, 3)
     offset = np.zeros((K, 3)) if bias_offset is None else bias_offset.reshape(-1, 3)
     steps = steps_of(stream, gyro, offset, sample_noise_rad)
-    sequence_of, chain = steps.sequence_of, steps.chain
-    sums = _ErrorSums(stream, with_noise=with_noise)
+    chain, units = steps.chain, gyro.bias.size // 3
+    sums = _ErrorSums(stream, units, with_noise=with_noise)
     attitude = np.empty((3, 3, n if stream.F is not None else 0))
-    for a in range(0, n, BLOCK):
-        b = min(a + BLOCK, n)
-        theta, X, C_mid = steps.block(a, b)
-        if stream.F is not None:
-            attitude[:, :, a:b] = C_mid
-        sums.add(theta, X, a, range(int(sequence_of[a]), int(sequence_of[b - 1]) + 1))
+    # A block has whole units, or samples of one unit.
+    whole = max(BLOCK * units // max(n, 1), 1) * n // units
+    for first in range(0, n, max(whole, 1)):
+        end = min(first + whole, n)
+        for a in range(first, end, BLOCK):
+            b = min(a + BLOCK, end)
+            theta, X, C_mid = steps.block(a, b)
+            if stream.F is not None:
+                attitude[:, :, a:b] = C_mid
+            sums.add(theta, X, a)
     to_start = np.swapaxes(_matrices(chain.edges[:, :K]), 1, 2)
     if stream.F is not None:
         attitude = _at_start(stream, attitude, to_start, earth_rate)
@@ -97,38 +102,45 @@ def integrate_attitude(
 class _ErrorSums:
     """Sums over the samples of each sequence that become the :class:`RotationIntegrals`, in the stream's frame."""
 
-    def __init__(self, stream: GyroStream, *, with_noise: bool) -> None:
-        K = len(stream.starts) - 1
-        self._stream = stream
-        self._sums = np.zeros((K, 9, 7 if stream.velocity is None else 10))
-        self._noise = np.zeros((K, 3, 3, 3)) if with_noise else None
-        self._parts = _PartSums(stream) if with_noise else None
-        self._angle = np.zeros((K, 3))
+    def __init__(self, stream: GyroStream, units: int, *, with_noise: bool) -> None:
+        K = (len(stream.starts) - 1) // units
+        # The samples of one unit follow those of another, as many of each.
+        self._stream, self._starts, self._rotation = stream, stream.starts[: K + 1], stream.rotation[:K]
+        self._columns = 7 if stream.velocity is None else 10
+        self._sums = np.zeros((units, K, 9, self._columns + (9 if with_noise else 0)))
+        self._parts = _PartSums(self._starts, self._rotation, units) if with_noise else None
+        self._angle = np.zeros((units, K, 3))
 
-    def add(self, theta: Array, X: Array, a: int, sequences: range) -> None:
-        """Add a block of m samples from number ``a`` on: Δθ (3, m) and Ĉ D (3, 3, m), of the given sequences."""
-        stream, m = self._stream, theta.shape[1]
+    def add(self, theta: Array, X: Array, a: int) -> None:
+        """Add a block of m samples from number ``a`` on: Δθ (3, m) and Ĉ D (3, 3, m), of units or a part of one."""
+        stream, (first, a_in_unit), m = self._stream, divmod(a, int(self._starts[-1])), theta.shape[1]
         b = a + m
-        dt = stream.interval_s[a:b]
-        flat = X.reshape(9, -1)
-        V = _integrands(theta, dt, None if stream.velocity is None else stream.velocity[:, a:b])
+        flat = X.reshape(9, m)
+        V = np.empty((self._sums.shape[-1], m))
+        # Weights of Ĉ D in its sums: Δθ, |Δθ|, Δt and, where given, f Δt.
+        V[:3] = theta
+        np.abs(theta, out=V[3:6])
+        V[6] = stream.interval_s[a:b]  # gyro bias, [P] eq. 21 with the weight F
+        if stream.velocity is not None:
+            V[7:10] = stream.velocity[:, a:b]
         F = None if stream.F is None else stream.F[a:b]
         if F is not None:
-            V *= F
-        weighted = flat * V[6] if self._parts is not None or self._noise is not None else flat
-        squared = weighted if F is None or self._noise is None else weighted * F
+            V[: self._columns] *= F
+        each = min(int(self._starts[-1]), m)
+        units = slice(first, first + m // each)
         if self._parts is not None:
-            self._parts.add(weighted, a)
-        for k in sequences:
-            s, e = max(int(stream.starts[k]) - a, 0), min(int(stream.starts[k + 1]) - a, m)
-            self._sums[k] += flat[:, s:e] @ V[:, s:e].T
-            if self._noise is not None:
-                # All products of two elements in one multiplication; those of the same column are needed.
-                products = (squared[:, s:e] @ flat[:, s:e].T).reshape(3, 3, 3, 3)
-                self._noise[k] += np.einsum("abcb->acb", products)
-            s, e = max(int(stream.rotation[k, 0]) - a, 0), min(int(stream.rotation[k, 1]) - a, m)
+            # All products of two elements of Ĉ D in one multiplication; those of the same column are needed.
+            weighted = np.multiply(flat, V[6], out=V[self._columns :])
+            self._parts.add(weighted.reshape(9, -1, each), units, a_in_unit)
+            if F is not None:
+                weighted *= F
+        by_unit, weights, angles = (x.reshape(len(x), -1, each).swapaxes(0, 1) for x in (flat, V, theta))
+        within = np.clip(self._starts - a_in_unit, 0, each).tolist()
+        turning = np.clip(self._rotation - a_in_unit, 0, each).tolist()
+        for k, ((s, e), (begin, end)) in enumerate(zip(pairwise(within), turning, strict=True)):
             if e > s:
-                self._angle[k] += theta[:, s:e].sum(axis=1)
+                self._sums[units, k] += by_unit[..., s:e] @ weights[..., s:e].swapaxes(1, 2)
+                self._angle[units, k] += angles[..., begin:end].sum(axis=-1)
 
     def integrals(
         self, edges: rotations.Quaternions, to_start: Array, earth_rate: Array, gyro: Triad
@@ -150,7 +162,8 @@ class _ErrorSums:
         elapsed = np.diff(time_s[stream.starts])
         # The Earth's rotation ([P] eq. 2) is removed exactly from the attitudes, and from the integrals by its mean: it
         # is less than 1e-3 rad in a sequence, and a tenth of that remains.
-        K, _, columns = self._sums.shape
+        K, columns = len(to_start), self._columns
+        found = self._sums.reshape(K, 3, 3, -1)
 
         def since_start(attitude: rotations.Quaternions, seconds: Array) -> Array:
             earth = rotations.rotation_matrix(-earth_rate * seconds[:, None])
@@ -160,11 +173,12 @@ class _ErrorSums:
         if stream.F is not None:
             C_turned = since_start(edges[:, K + 1 :], time_s[stream.rotation[:, 1]] - time_s[stream.starts[:-1]])
         middle = rotations.rotation_matrix(-0.5 * earth_rate * elapsed[:, None]) @ to_start
-        sums = np.einsum("kad,kdbm->kabm", middle, self._sums.reshape(K, 3, 3, columns))
-        noise, parts = self._noise, None
-        if noise is not None:
-            noise = np.einsum("kad,kdeb,kce->kacb", middle, noise, middle)
+        sums = (middle @ found[..., :columns].reshape(K, 3, -1)).reshape(K, 3, 3, columns)
+        noise = parts = None
         if self._parts is not None:
+            of_columns = np.einsum("kdbeb->kbde", found[..., columns:].reshape(K, 3, 3, 3, 3))
+            turned = middle[:, None] @ of_columns @ np.swapaxes(middle, 1, 2)[:, None]
+            noise = np.moveaxis(turned, 1, 3)
             parts = middle[:, None] @ self._parts.sums.reshape(3, 3, K, -1).transpose(2, 3, 0, 1)
         time = sums[..., 6]
         return RotationIntegrals(
@@ -174,29 +188,29 @@ class _ErrorSums:
             time=time,
             weight_s=elapsed if stream.F is None else _totals(stream.interval_s * stream.F, stream.starts),
             # The Earth's part of the angle, in B. Integrated windows add little to it and are not excluded.
-            angle=self._angle - np.einsum("ka,kab->kb", earth_rate, _by_unit(time, gyro.matrix)),
+            angle=self._angle.reshape(K, 3) - np.einsum("ka,kab->kb", earth_rate, _by_unit(time, gyro.matrix)),
             noise=noise,
             time_parts=parts,
-            velocity=None if stream.velocity is None else sums[..., 7:],
+            velocity=None if stream.velocity is None else sums[..., 7:10],
             C_turned=C_turned,
         )
 
 
 class _PartSums:
-    """Sums of a 3x3 quantity over the parts of all rotations, shape (9, K P)."""
+    """Sums of a 3x3 quantity over the parts of all rotations, shape (9, units, K P)."""
 
-    def __init__(self, stream: GyroStream) -> None:
-        inner = equal_parts(stream.rotation, parts_per_rotation(len(stream.rotation)))[:, 1:-1]
-        begins = np.concatenate([stream.starts[:-1, None], inner], axis=1).ravel()
-        self._edges = np.append(begins, stream.starts[-1])
-        self.sums = np.zeros((9, len(begins)))
+    def __init__(self, starts: Indices, rotation: Indices, units: int) -> None:
+        inner = equal_parts(rotation, parts_per_rotation(len(rotation)))[:, 1:-1]
+        begins = np.concatenate([starts[:-1, None], inner], axis=1).ravel()
+        self._edges = np.append(begins, starts[-1])
+        self.sums = np.zeros((9, units, len(begins)))
 
-    def add(self, values: Array, first: int) -> None:
-        """Add samples, (9, m), from number ``first`` on."""
-        edges = np.clip(self._edges - first, 0, values.shape[1])
+    def add(self, values: Array, units: slice, first: int) -> None:
+        """Add samples of units, (9, units, m), from number ``first`` of each unit on."""
+        edges = np.clip(self._edges - first, 0, values.shape[-1])
         some = np.flatnonzero(edges[1:] > edges[:-1])  # a part of a very short rotation may hold no sample
         if some.size:
-            self.sums[:, some] += np.add.reduceat(values[:, : edges[-1]], edges[some], axis=1)
+            self.sums[:, units, some] += np.add.reduceat(values[..., : edges[-1]], edges[some], axis=-1)
 
 
 def _by_unit(matrices: Array, right: Array) -> Array:
@@ -204,17 +218,6 @@ def _by_unit(matrices: Array, right: Array) -> Array:
     units = right.size // 9
     product = matrices.reshape(units, -1, 3, 3) @ right.reshape(units, 1, 3, 3)
     return np.asarray(product.reshape(matrices.shape))
-
-
-def _integrands(theta: Array, dt: Array, velocity: Array | None) -> Array:
-    """Weights of Ĉ D in its sums: Δθ, |Δθ|, Δt and, where given, f Δt; shape (7 or 10, m)."""
-    V = np.empty((7 if velocity is None else 10, len(dt)))
-    V[:3] = theta
-    np.abs(theta, out=V[3:6])
-    V[6] = dt  # gyro bias, [P] eq. 21 with the weight F
-    if velocity is not None:
-        V[7:] = velocity
-    return V
 
 
 def _matrices(q: rotations.Quaternions) -> Array:

@@ -146,7 +146,7 @@ def force_error_jacobian(f: Array, accel: Triad) -> Array:
     """
     J = np.zeros((*f.shape, N_PARAMETERS))
     # δf = D (δMa f + δλ_Asym ∘ |f| + δλ_Bias)  ([P] eqs. 6-11)
-    linear = np.einsum("pbc,...c->...bp", ACCEL_BASIS, f)
+    linear = (f @ ACCEL_BASIS.T.reshape(3, 27)).reshape(*f.shape, 9)
     J[..., _S["accel_scale"]], J[..., _S["accel_misalignment"]] = linear[..., :3], linear[..., 3:]
     J[..., _S["accel_asymmetry"]] = np.abs(f)[..., None] * np.eye(3)
     J[..., _S["accel_bias"]] = np.eye(3)
@@ -168,7 +168,7 @@ def rate_error_jacobian(omega: Array, gyro: Triad, rectified: Array | float = 0.
     """
     J = np.zeros((*omega.shape, N_PARAMETERS))
     # δω = D (δMg ω̂ + δκ_Asym ∘ |ω̂| + δκ_Bias)  ([P] eqs. 6-11)
-    linear = np.einsum("pbc,...c->...bp", GYRO_BASIS, omega)
+    linear = (omega @ GYRO_BASIS.T.reshape(3, 18)).reshape(*omega.shape, 6)
     J[..., _S["gyro_scale"]], J[..., _S["gyro_orthogonality"]] = linear[..., :3], linear[..., 3:]
     J[..., _S["gyro_asymmetry"]] = (np.abs(omega) + rectified)[..., None] * np.eye(3)
     J[..., _S["gyro_bias"]] = np.eye(3)

@@ -13,10 +13,10 @@ from sims.physics.imu import ImuModel, read_out
 from sims.physics.table_motion import table1_motion
 from srt.closed_form.formulas import SelectedFormulas
 from srt.closed_form.iteration import iterate, iterate_units
-from srt.constants import DEG_PER_SQRT_H, MICRO_G
+from srt.constants import DEG_PER_H, DEG_PER_SQRT_H, MICRO_G
 from srt.estimation.options import Options
 from srt.model.sensor_model import Triad, outside_model, triads
-from srt.recording.recording import Fixture, Site
+from srt.recording.recording import Fixture, ImuNoise, Site
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SensorErrors
 from srt.sequences.checked_preparation import prepare_checked
 from srt.sequences.prepared_units import together
@@ -93,6 +93,19 @@ def test_batches_of_any_size_give_the_same():
             assert np.abs(off).max() < 1e-9
 
 
+def test_stated_bias_instability_of_units_together():
+    """The drift within rotations has as many parts for units together as for each of them."""
+    stated = ImuNoise(gyro_bias_instability=0.01 * DEG_PER_H, accel_bias_instability=10.0 * MICRO_G)
+    data, truth = units()
+    data = [prepared(replace(unit.recording, noise=stated)) for unit in data]
+    first, U = starts(truth)
+    formulas = SelectedFormulas(data[0], Options())
+    found = iterate_units(together(data), Options(), formulas, first, U)
+    alone = iterate(data[0], Options(), formulas, SensorErrors(first[0]), U[0])
+    np.testing.assert_allclose(found[0].errors.vector, alone.errors.vector, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(sigma(found[0]), sigma(alone), rtol=1e-9)
+
+
 def test_errors_are_within_their_sigmas():
     """NEES over the units is chi-square."""
     nees = 0.0
@@ -129,7 +142,7 @@ def test_a_unit_that_moved_in_a_window_leaves_the_others():
     found = iterate_units(together(moved), Options(), formulas, first, U)
     assert [bool(solution.integrated) for solution in found] == [k == 5 for k in range(COUNT)]
     alone = iterate(moved[5], Options(), formulas, SensorErrors(first[5]), U[5])
-    np.testing.assert_array_equal(found[5].errors.vector, alone.errors.vector)
+    np.testing.assert_allclose(found[5].errors.vector, alone.errors.vector, rtol=0, atol=1e-12)
 
 
 def test_units_of_other_schedules_are_refused():

@@ -75,9 +75,16 @@ def quiet():
 
 
 def effects(data, measurements, name):
-    """Effect of all unit draws of a source on the measurements, shape (n_z, S)."""
+    """Effect of all shared unit draws of a source on the measurements, shape (n_z, S)."""
     source = measurement_covariance.disturbances(measurements, data, np.zeros(3))[name]
     return measurement_covariance.effect(measurement_covariance.projection(measurements, data, np.zeros(3)), source)
+
+
+def covariance(data, measurements, name):
+    """Covariance of the measurements by a source, shape (n_z, n_z)."""
+    source = measurement_covariance.disturbances(measurements, data, np.zeros(3))[name]
+    projected = measurement_covariance.projection(measurements, data, np.zeros(3))
+    return measurement_covariance.covariance(projected, [source])
 
 
 @cache
@@ -143,8 +150,7 @@ def test_edges_of_windows_against_the_samples():
     recording = read_out(motion(), PERFECT, ImuModel(gyro_quantization=1.0 * ARCSEC), np.random.default_rng(2))
     data, measurements = processed(recording)
     edges = shared_edges(data)
-    # The draws of the edges that no rotation shares come first.
-    columns = effects(data, measurements, "gyro_quantization")[:, -3 * (edges.max() + 1) :]
+    columns = effects(data, measurements, "gyro_quantization")
     columns = columns.reshape(len(columns), -1, 3)
     dt, e, flipped = recording.nominal_interval_s, 1e-8, 0
     for w, samples in enumerate(data.windows.samples.tolist()):
@@ -265,21 +271,20 @@ def test_monte_carlo_of_one_source(name, units):
     it the pulses of an axis at rest do not change, and their error is not random.
     """
     run, data, measurements, still = many()
-    G, imu = effects(data, measurements, name), replace(ImuModel(), **SOURCES[name])
+    R, imu = covariance(data, measurements, name), replace(ImuModel(), **SOURCES[name])
     if name.endswith("quantization"):
         white = {"gyro_quantization": "gyro_noise", "accel_quantization": "accel_noise"}[name]
         imu = replace(imu, **{white: 0.3 * SOURCES[name][name]})
-        walk = effects(data, measurements, white) * (0.3 * SOURCES[name][name] / SOURCES[white][white])
-        G = np.concatenate([G, walk], axis=1)
-    row = np.linalg.norm(G, axis=1)
+        R = R + covariance(data, measurements, white) * (0.3 * SOURCES[name][name] / SOURCES[white][white]) ** 2
+    row = np.sqrt(np.diag(R))
     scale = np.where(row > 0.0, row, 1.0)
-    U, size, _ = np.linalg.svd(G / scale[:, None], full_matrices=False)
-    kept = size > 1e-3 * size[0]
+    variance, U = np.linalg.eigh(R / np.outer(scale, scale))
+    kept = variance > 1e-6 * variance[-1]
     rng, total = np.random.default_rng(20261125), 0.0
     for _ in range(units):
         recording = replace(read_out(run, PERFECT, imu, rng), noise=data.recording.noise)
         z = (processed(recording)[1].z - still) / scale
-        total += float(np.sum((U[:, kept].T @ z / size[kept]) ** 2))
+        total += float(np.sum((U[:, kept].T @ z) ** 2 / variance[kept]))
     freedom = units * int(kept.sum())
     assert chi2.ppf(1e-3 / 12.0, freedom) < total < chi2.isf(1e-3 / 12.0, freedom), total / freedom
 
