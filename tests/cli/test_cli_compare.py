@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from g_sensitive import with_g_sensitivity
 
 import srt
 import srt.comparison.estimator_comparison
@@ -20,6 +21,8 @@ from srt.cli.calibrate import calibrate
 from srt.cli.compare import SHARED_OPTIONS, compare
 from srt.constants import MICRO_G
 from srt.recording.writing import write_recording
+from srt.result.consistency import AddedNoise
+from srt.result.diagnostics import Drift
 from srt.sensor_errors import DISPLAY_FACTORS, INDEX, NAMES
 
 pytestmark = pytest.mark.usefixtures("plain_layout")
@@ -231,17 +234,19 @@ def test_a_drift_that_the_closed_form_does_not_model_makes_verdicts_differ_and_i
     assert "least-squares and closed-form agree" in document["verdict"]
 
 
-FORCE = {"added_noise": {"force_m_s2": {"added": 1e-4, "own": 1e-4}, "rate_rad_s": {"added": 0.0, "own": 1e-6}}}
-LINEAR = {"drift": [{"sensor": "gyro", "form": "linear", "modelled": True}]}
-FOUND = {"drift": [{"sensor": "gyro", "form": "linear", "modelled": False}]}
-G_SENSITIVE = {"g_sensitivity": {"matrix": np.zeros((3, 3)).tolist()}}
+FORCE = {"force_m_s2": AddedNoise(added=1e-4, own=1e-4), "rate_rad_s": AddedNoise(added=0.0, own=1e-6)}
+LINEAR, FOUND = (
+    {"drift": (Drift(sensor="gyro", form="linear", change_rad_s=np.ones(3), modelled=modelled),)}
+    for modelled in (True, False)
+)
+G_SENSITIVE = {"g_sensitivity": with_g_sensitivity(np.zeros((3, 3))).g_sensitivity}
 
 
 @pytest.mark.parametrize(
     ("of_closed_form", "of_others", "added", "sentence"),
     [
         (
-            *({}, {}, FORCE),
+            *({}, {}, {"added_noise": FORCE}),
             "least-squares, ekf and graph are doubtful, closed-form sound: least-squares, ekf and graph model added "
             "noise of the specific forces, closed-form does not.",
         ),
@@ -268,12 +273,12 @@ def test_different_verdicts_are_1_and_what_only_some_of_the_estimators_model_is_
     closed, best = calibrations["closed-form"], calibrations["least-squares"]
     others = replace(
         best,
-        diagnostics={**best.diagnostics, **of_others},
-        verdict={**best.verdict, **added, "sigma_factor": [1.0, 2.0]},
+        diagnostics=replace(best.diagnostics, **of_others),
+        verdict=replace(best.verdict, **added, sigma_factor=(1.0, 2.0)),
     )
-    inflated = {**closed.noise, "sigma_inflation": 1.0 if added else 2.0}
+    inflated = replace(closed.noise, sigma_inflation=1.0 if added else 2.0)
     results(
-        closed_form=replace(closed, diagnostics={**closed.diagnostics, **of_closed_form}, noise=inflated),
+        closed_form=replace(closed, diagnostics=replace(closed.diagnostics, **of_closed_form), noise=inflated),
         **dict.fromkeys(("least_squares", "ekf", "graph"), others),
     )
     assert main(["compare", str(recording), "-q"]) == 1

@@ -9,6 +9,7 @@ import pytest
 from srt.diagnosis.cause_comparison import CLOSE, Cause, compare, with_runner_up
 from srt.diagnosis.findings import RunnerUp, finding
 from srt.diagnosis.staged_diagnosis import Diagnosis
+from srt.result.document import to_document
 
 N = 12
 ALL = Cause("sensor_time_offset", np.ones((N, 1)), {})
@@ -50,5 +51,5 @@ def test_a_close_runner_up_is_told_and_a_distant_one_is_not():
     assert told.runner_up == RunnerUp("gyro_axis_delayed", pytest.approx(math.log(3.0)))
     assert math.log(3.0) < CLOSE
     assert "One gyro axis has another delay" in told.runner_up.sentence
-    (row,) = Diagnosis((told,)).as_dicts()
-    assert row["runner_up"] == asdict(told.runner_up)
+    (fault,) = Diagnosis((told,)).faults
+    assert to_document(fault)["runner_up"] == asdict(told.runner_up)
