@@ -25,7 +25,7 @@ from estimators.square_root_filter import SquareRootFilter
 from srt.estimation.convergence import PARAMETER_UNITS
 from srt.estimation.fixed_parameters import fixed_sigma, reason_on_request
 from srt.exceptions import InputError
-from srt.joint.attitudes import placed
+from srt.joint.initial_attitudes import placed
 from srt.joint.iteration import apply_correction
 from srt.joint.linear_system import attitude_columns, global_columns
 from srt.joint.linearisation import Linearisation, linearise

@@ -20,7 +20,7 @@ from scipy.linalg import block_diag, solve_triangular
 
 from estimators.kalman_filter import prior_root
 from estimators.sequential_filter import SequenceUpdate, SequentialFilter, require_valid
-from srt.joint.attitudes import placed
+from srt.joint.initial_attitudes import placed
 from srt.joint.iteration import apply_correction
 from srt.joint.joint_model import JointModel
 from srt.joint.linear_system import global_columns

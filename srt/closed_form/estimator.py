@@ -6,8 +6,9 @@ and one chi-square for each triad shows a drift of its biases. ``least-squares``
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -21,15 +22,23 @@ from srt.estimation.drift_model import DriftEstimate, DriftSearch, change, gyro_
 from srt.estimation.fixed_parameters import fixed_sigma, reason_on_request
 from srt.estimation.g_sensitivity import MODE as G_SENSITIVE
 from srt.estimation.g_sensitivity import RestRates
-from srt.estimation.goodness_of_fit import chi_square, contradicting_group, is_misfit, residual_statistics
+from srt.estimation.goodness_of_fit import (
+    chi_square,
+    contradicting_group,
+    is_misfit,
+    residual_statistics,
+)
 from srt.estimation.initial_estimates import initial_estimate
+from srt.estimation.rest_rate_scatter import gyro_instability
 from srt.estimation.solver_result import SolverResult
 from srt.exceptions import DataError
 from srt.model import closed_form
 from srt.model.table1 import SEQUENCES
-from srt.noise.drift_forms import FALSE_ALARM, LINEAR, drift_test
+from srt.noise.drift_forms import FALSE_ALARM, LINEAR, drift_test, variance_component
+from srt.noise.variance_components import expected_variance
 from srt.result.calibration import Residual
 from srt.result.diagnostics import Diagnostics
+from srt.result.verdict import MISFIT_PROBABILITY
 from srt.sensor_errors import NAMES
 from srt.sequences.checked_preparation import prepare_checked
 from srt.sequences.moves import recorded_moves
@@ -39,7 +48,7 @@ if TYPE_CHECKING:
     from srt.estimation.drift_model import Sensor
     from srt.estimation.options import Options
     from srt.estimation.registry import Progress
-    from srt.noise.drift_forms import DriftTest
+    from srt.noise.drift_forms import DriftTest, Statistics
     from srt.recording.recording import Recording
     from srt.result.calibration import Calibration
     from srt.result.diagnostics import GSensitivity
@@ -70,10 +79,11 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
     formulas = SelectedFormulas(data, options)
     first = initial_estimate(data, options)
     solution = iterate(data, options, formulas, *first, progress, fixed_sigma=uncertain)
+    used = options
     if options.gyro_bias == "auto" and _shows_g_sensitivity(data, solution, formulas.fixed):
-        following = replace(options, gyro_bias=G_SENSITIVE)
-        solution = iterate(data, following, formulas, *first, progress, fixed_sigma=uncertain)
-    data, solution = _at_limit(data, options, formulas, solution, uncertain)
+        used = replace(options, gyro_bias=G_SENSITIVE)
+        solution = iterate(data, used, formulas, *first, progress, fixed_sigma=uncertain)
+    data, solution = _with_instability(data, used, formulas, solution, uncertain)
     fixed = {name: reason_on_request(name, uncertain, data) for name in options.fixed_names}
     for name in formulas.missing:
         absent = [s for s in closed_form.sequences_needed(name) if s not in data.ids]
@@ -96,23 +106,40 @@ def _shows_g_sensitivity(data: PreparedRecording, solution: Solution, fixed: Mas
     return g_sensitivity_report.significant_g_sensitivity(data, m.force, m.rest_rate, m.integrated) is not None
 
 
-def _at_limit(
+def _with_instability(
     data: PreparedRecording, options: Options, formulas: SelectedFormulas, solution: Solution, uncertain: Array
 ) -> tuple[PreparedRecording, Solution]:
-    """Solution with the largest bias instability that the windows cannot exclude, if that alone explains a misfit."""
-    larger = replace(data, noise_at_limit=True)
-    grown = np.any(data.noise.accel_limit > data.noise.accel_flicker)
-    if not grown or solution.status != "converged" or not is_misfit(*_chi_square(solution, formulas.fixed)):
+    """Solution with the bias instability that residuals and rates at rest show, if that alone explains them."""
+    if solution.status != "converged" or formulas.fixed.all():
         return data, solution
-    if _drift(data, solution, formulas.fixed)[0]:
+    noise, m, sizes = data.noise, solution.measurements, dict[str, Any]()
+    if np.any(noise.accel_limit > noise.accel_flicker):
+        seen, expected = _accel_instability(data, solution, formulas.fixed)
+        shown = variance_component(seen).p_value < MISFIT_PROBABILITY or noise.accel_flicker.any()
+        if shown or is_misfit(*_chi_square(solution, formulas.fixed)):
+            sizes["accel_instability"] = expected
+    if noise.gyro_wander is None and options.gyro_bias == "auto":
+        size = gyro_instability(data, m.gyro.inverse, m.rest_rate, m.integrated, (), m.window_sequence)
+        sizes |= {} if size is None else {"gyro_instability": size}
+    if not sizes or _drift(data, solution, formulas.fixed)[0]:
         return data, solution
-    found = iterate(larger, options, formulas, solution.errors, solution.U, fixed_sigma=uncertain)
+    other = replace(data, **sizes)
+    found = iterate(other, options, formulas, solution.errors, solution.U, fixed_sigma=uncertain)
     fit = _chi_square(found, formulas.fixed)
-    tests = [(t.chi_square, t.degrees_of_freedom) for t in contradictions(larger, found, formulas.fixed)]
+    tests = [(t.chi_square, t.degrees_of_freedom) for t in contradictions(other, found, formulas.fixed)]
     if found.status != "converged" or is_misfit(*fit) or contradicting_group(tests, *fit) is not None:
         return data, solution
     corrections = (*solution.corrections, *found.corrections)
-    return larger, replace(found, corrections=corrections, message=f"Converged after {len(corrections)} iterations.")
+    return other, replace(found, corrections=corrections, message=f"Converged after {len(corrections)} iterations.")
+
+
+def _accel_instability(data: PreparedRecording, solution: Solution, fixed: Mask) -> tuple[Statistics, float]:
+    """What residuals show of a bias instability of the accelerometers, and that expected with the spectra, m/s²."""
+    m, noise = solution.measurements, data.noise
+    by_instability = effect(solution.projection, accel_drift(m, np.ones(3), data.window_drift))
+    (seen,) = residual_statistics(m.z, m.H[:, ~fixed], solution.measurement_covariance, by_instability)
+    used = float(noise.accel_flicker.max()) ** 2
+    return seen, math.sqrt(expected_variance(seen, used, noise.accel_spectra))
 
 
 def _chi_square(
@@ -169,7 +196,7 @@ def _result(
 def _drift(
     data: PreparedRecording, solution: Solution, fixed: Mask
 ) -> tuple[tuple[DriftEstimate, ...], DriftSearch, Array]:
-    """Significant drift of each triad; a possible one of the accelerometers, and its covariance.
+    """Significant drift of each triad; a possible one of the accelerometers, and the covariance by what is not seen.
 
     The test has one chi-square for each triad, that of a linear drift.
     """
@@ -185,7 +212,13 @@ def _drift(
     )
     possible = 0.0 if tests["accel"] is None else possible_sigma(accel, tests["accel"].p_value)
     root = possible * solution.gain @ linear
-    return found, DriftSearch(possible=possible), root @ root.T
+    by_unseen = root @ root.T
+    if data.noise.accel_unseen.any():
+        expected = _accel_instability(data, solution, fixed)[1]
+        further = max(expected**2 - float(data.noise.accel_flicker.max()) ** 2, 0.0)
+        root = solution.gain @ effect(solution.projection, accel_drift(m, np.ones(3), data.window_drift))
+        by_unseen = by_unseen + further * root @ root.T
+    return found, DriftSearch(possible=possible), by_unseen
 
 
 def _g_sensitivity(

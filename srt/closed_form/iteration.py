@@ -18,7 +18,6 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from srt.closed_form.measurement_covariance import (
-    accel_drift,
     covariance,
     disturbances,
     effect,
@@ -362,8 +361,6 @@ class _Iteration:
         total = sum(_squared(G) for G in roots.values()) + of_independent(projected, found.values())
         by_source = {name: _squared(gain @ G) + of_independent(seen, [found[name]]) for name, G in roots.items()}
         noise, bias = self.data.noise, np.arange(N_PARAMETERS)[GROUP_SLICES["gyro_bias"]]
-        unseen = accel_drift(measurements, noise.accel_unseen, self.data.window_drift)
-        by_source["accel_bias_instability"] += covariance(seen, [unseen])
         # The errors of the fixed values propagate into the estimated parameters.
         by_fixed = measurements.H * np.where(self.formulas.fixed, self.fixed_sigma, 0.0)
         by_source["held_values"] = _squared(gain @ by_fixed)

@@ -11,15 +11,24 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from scipy.special import chdtri
 
+from srt.estimation.drift_model import gyro_statistics
 from srt.estimation.error_sources import raw_rate_variance
 from srt.estimation.g_sensitivity import MODE as G_SENSITIVE
+from srt.noise.drift_forms import variance_component
+from srt.noise.variance_components import expected_variance
+from srt.result.verdict import MISFIT_PROBABILITY
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from srt.estimation.drift_model import DriftTerm
     from srt.estimation.srt_measurements import SrtMeasurements
     from srt.sequences.preparation import PreparedRecording
-    from srt.types import Array, Mask
+    from srt.types import Array, Indices, Mask
 
 
+_POINTS: Final = 500
+"""Points of the integral over a standard deviation."""
 _SCATTER_PROBABILITY: Final = 1e-3
 """p-value of chi-square below which the biases of the sequences differ by more than their noise."""
 
@@ -46,6 +55,28 @@ def bias_gain(measurements: SrtMeasurements, data: PreparedRecording, mode: str,
     return np.asarray(wander**2 / np.maximum(wander**2 + own, 1e-300))
 
 
+def gyro_instability(
+    data: PreparedRecording, slope: Array, rest: Array, integrated: Mask, present: Sequence[DriftTerm], owner: Indices
+) -> float | None:
+    """Expected bias instability of the gyros, rad/s; None if the rates at rest do not show it.
+
+    It is not shown either where a bias of each sequence is more likely.
+
+    Parameters
+    ----------
+    data, slope, rest, integrated, present
+        As in :func:`srt.estimation.drift_model.gyro_statistics`.
+    owner : ndarray of int, shape (W,)
+        Sequence of each window.
+    """
+    courses = {"instability": data.drift.windows, "sequences": np.eye(data.K)[owner]}
+    found = gyro_statistics(data, slope, rest, integrated, present, courses)
+    flicker, scatter = (variance_component(found[name]) for name in courses)
+    if flicker.p_value > MISFIT_PROBABILITY or flicker.ratio < scatter.ratio:
+        return None
+    return math.sqrt(expected_variance(found["instability"], 0.0, (0.0, math.inf)))
+
+
 def window_rate_variance(measurements: SrtMeasurements, data: PreparedRecording) -> Array:
     """Noise variance of the compensated mean rate of every window, shape (..., W, 3), (rad/s)²."""
     D2 = measurements.gyro.inverse**2
@@ -69,7 +100,7 @@ def excess_variance(rates: Array, expected: Array, *, bounded: bool = False) -> 
         Variance by noise alone. An axis has no excess if noise explains its rates (chi-square, p > 1e-3) with or
         without the sequence that deviates most.
     bounded : bool
-        True: an axis without excess has what the three axes together cannot exclude, as no figure is stated.
+        True: an axis without excess has what is expected of the three axes together, as no figure is stated.
     """
     n = rates.shape[-2] - 1
 
@@ -88,6 +119,21 @@ def excess_variance(rates: Array, expected: Array, *, bounded: bool = False) -> 
     # The gyros of a unit are alike: if two scatter, the third does too, although its biases happen to lie closer.
     alike = np.where(np.count_nonzero(wanders, axis=-1) == 2, own.mean(axis=-1), 0.0)
     if bounded:
-        shown = np.mean(np.maximum(own, np.var(near, axis=-2, ddof=1) - expected), axis=-1)
-        alike = np.maximum(np.maximum(alike, shown), 0.0) + expected.mean(axis=-1) * math.sqrt(2.0 / (3.0 * n))
+        shown = np.where(scatters(rates), np.var(near, axis=-2, ddof=1), np.var(rates, axis=-2, ddof=1))
+        alike = np.maximum(alike, _expected_excess(shown, n, expected))
     return np.asarray(np.where(wanders, own, alike[..., None]))
+
+
+def _expected_excess(shown: Array, n: int, expected: Array) -> Array:
+    """Expected variance beyond noise that the axes share, from variances (..., 3) with n degrees of freedom each.
+
+    The prior is uniform in its root.
+    """
+    size = np.sqrt(
+        expected.mean(axis=-1) * math.sqrt(2.0 / (3.0 * n)) + np.maximum(shown - expected, 0.0).mean(axis=-1)
+    )
+    root = size[..., None] * np.geomspace(1e-2, 1e2, _POINTS)
+    variance = root[..., None] ** 2 + expected[..., None, :]
+    log = -0.5 * n * np.sum(np.log(variance) + shown[..., None, :] / variance, axis=-1)
+    weight = np.exp(log - log.max(axis=-1, keepdims=True)) * root  # geometric spacing
+    return np.asarray(np.sum(weight * root**2, axis=-1) / weight.sum(axis=-1))

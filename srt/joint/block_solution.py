@@ -86,6 +86,15 @@ class BlockSolution:
         """Whitened residuals at the solution, shape (m,)."""
         return np.asarray(self.system.b + self.system.A @ self.delta)
 
+    @property
+    def log_likelihood(self) -> float:
+        """Logarithm of the restricted likelihood of the rows, up to a constant."""
+        noise = sum(
+            float(np.log(np.abs(np.diagonal(W, axis1=1, axis2=2))).sum()) for W in self.system.whitening.values()
+        )
+        found = sum(float(np.log(np.abs(np.diag(part.R))).sum()) for part in self._conditionals)
+        return noise - found - 0.5 * float(self.residual @ self.residual)
+
     @cached_property
     def with_parameters(self) -> Array:
         """Covariance of all columns with the reported parameters, shape (n, 27)."""

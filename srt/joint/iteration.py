@@ -26,11 +26,16 @@ from srt.estimation.fixed_parameters import (
     seen_by_earth_rate_alone,
 )
 from srt.estimation.observability import admission_sigma, admit, default_prior, observed_limit
-from srt.joint.attitudes import initial_attitudes, placed
 from srt.joint.block_solution import eliminate
+from srt.joint.initial_attitudes import initial_attitudes, placed
 from srt.joint.linear_system import N_ERRORS, global_columns, total
 from srt.joint.linearisation import Linearisation, linearise
-from srt.joint.model_selection import add_drift, add_g_sensitivity, add_instability, add_unmodelled_noise
+from srt.joint.model_selection import (
+    add_drift,
+    add_g_sensitivity,
+    add_instability,
+    add_unmodelled_noise,
+)
 from srt.joint.recording_opening import contradicting_move
 from srt.joint.residual_analysis import contradicting_rests, contradictions
 from srt.joint.solution_analysis import (

@@ -26,9 +26,9 @@ from srt.estimation.g_sensitivity import MODE as G_SENSITIVE
 from srt.estimation.observability import admission_sigma
 from srt.estimation.rest_rate_scatter import excess_variance
 from srt.estimation.srt_measurements import SrtProcessor
-from srt.joint.attitudes import mounting_limit, mounting_prior, nominal_end, nominal_start
 from srt.joint.drift import DriftTerms, drift_chain, drift_states
 from srt.joint.joint_state import CompensatedData, JointState, LevelFrame
+from srt.joint.nominal_attitudes import mounting_limit, mounting_prior, nominal_end, nominal_start
 from srt.joint.stated_rates import SteadyReadings
 from srt.model import measurement_model as model
 from srt.model.analytic_platform import integrate_attitude, parts_per_rotation
@@ -355,6 +355,14 @@ class JointModel:
         if noise.accel_flicker.any():
             out["accel"] = drift_states(self._accel_chain, noise.accel_flicker, ("force", by.force))
         return out
+
+    def with_data(self, data: PreparedRecording) -> None:
+        """Use data with another noise model."""
+        self.data = data
+        if data.noise.gyro_wander is not None:
+            self.bias_scatter = data.noise.gyro_wander
+        for chain in ("_gyro_chain", "_accel_chain"):
+            self.__dict__.pop(chain, None)
 
     @cached_property
     def _gyro_chain(self) -> DriftChain | None:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from srt.joint.attitudes import pose_nominal
+from srt.joint.nominal_attitudes import pose_nominal
 
 if TYPE_CHECKING:
     from srt.joint.joint_model import JointModel

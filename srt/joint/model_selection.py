@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
-from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -19,11 +19,12 @@ from srt.estimation.drift_model import (
 from srt.estimation.error_sources import NO_ERRORS, accel_drift, by_drift
 from srt.estimation.g_sensitivity_report import significant_g_sensitivity
 from srt.estimation.goodness_of_fit import contradicting_group, is_misfit, one_group_explains
+from srt.estimation.rest_rate_scatter import gyro_instability
 from srt.joint.block_solution import BlockSolution
 from srt.joint.drift import DriftTerms
 from srt.joint.linearisation import linearise
 from srt.joint.residual_analysis import contradictions, unmodelled_noise
-from srt.joint.solution_analysis import goodness_of_fit, whole_solution
+from srt.joint.solution_analysis import accel_instability, force_statistics, goodness_of_fit, whole_solution
 from srt.model.sensor_model import gyro_triad
 from srt.noise.drift_forms import WALK, Statistics, variance_component
 from srt.result.verdict import MISFIT_PROBABILITY
@@ -34,10 +35,15 @@ if TYPE_CHECKING:
     from srt.estimation.drift_model import DriftTerm, Sensor
     from srt.joint.joint_model import JointModel
     from srt.joint.joint_state import JointState
+    from srt.joint.linearisation import Linearisation
     from srt.joint.solver import IterationState, JointSolver
     from srt.types import Array
 
 
+_SIZES: Final = (-5.0, 5.0)
+"""Range of a bias instability of the gyros, logarithm of its ratio to the noise of a window."""
+_SIZE_TOLERANCE: Final = 0.1
+"""Tolerance of that logarithm; the recordings themselves tell it to a fifth at best."""
 _SAME_NOISE: Final = (0.1, 1e-6)
 """Relative and absolute (rad, m/s², rad/s) change of the unmodelled error that is negligible."""
 
@@ -60,18 +66,19 @@ def add_g_sensitivity(joint: JointModel, solver: JointSolver, iteration: Iterati
 
 
 def add_instability(joint: JointModel, solver: JointSolver, iteration: IterationState) -> bool:
-    """Use a smooth drift, or the largest bias instability not excluded, if either explains the residuals."""
-    data = joint.data
-    if solver.weights() or any(joint.unmodelled_sigma) or np.all(data.noise.accel_limit <= data.noise.accel_flicker):
+    """Use a smooth drift, or a bias instability of accelerometers or gyros or both, if it explains the residuals."""
+    if solver.weights() or any(joint.unmodelled_sigma):
         return False
     solution = whole_solution(joint, solver, iteration)
     fit = goodness_of_fit(joint, solver, solution, solution.system)
-    if not is_misfit(*fit):
-        if not shows_instability(joint, solution, fit[1]):
-            return False
-        tests = [(test.chi_square, test.degrees_of_freedom) for test in contradictions(joint, solution)]
-        if contradicting_group(tests, *fit, free=joint.turned_by_hand) is not None:
-            return False
+    misfit = is_misfit(*fit)
+    shown = _instabilities(joint, iteration, solution, fit[1], misfit=misfit)
+    if not shown:
+        return False
+    tests = [(test.chi_square, test.degrees_of_freedom) for test in contradictions(joint, solution)]
+    faulty = one_group_explains if misfit else contradicting_group
+    if faulty(tests, *fit, free=joint.turned_by_hand):
+        return False
     assert iteration.point is not None
     state, found = iteration.point.state, search(joint, iteration, solution, fit[1])
     smooth = tuple(term for term in found.terms if term.sensor == "accel" and term.form != WALK)
@@ -83,18 +90,83 @@ def add_instability(joint: JointModel, solver: JointSolver, iteration: Iteration
             iteration.state = after
             return True
         joint.drift = drift
-    joint.data = replace(data, noise_at_limit=True)
-    if _explains(joint, solver, iteration, state):
-        return True
-    joint.data = data
+    if any(term.sensor == "gyro" for term in found.terms):
+        shown = [sensors for sensors in shown if "gyro" not in sensors]
+    data, scatter = joint.data, joint.bias_scatter
+    for sensors in shown:
+        at = state
+        if "gyro" in sensors:
+            at = replace(state, bias_deviation=np.zeros_like(state.bias_deviation))
+            joint.with_data(replace(data, gyro_instability=_gyro_size(joint, solver, iteration, at)))
+        if "accel" in sensors:
+            now = solution if at is state else _solution(joint, solver, iteration, at)
+            joint.with_data(replace(joint.data, accel_instability=accel_instability(joint, now)))
+        if _explains(joint, solver, iteration, at):
+            if "gyro" in sensors:
+                iteration.state = replace(iteration.state, bias_deviation=at.bias_deviation)
+            return True
+        joint.with_data(data)
+        joint.bias_scatter = scatter
     return False
+
+
+def _instabilities(
+    joint: JointModel, iteration: IterationState, solution: BlockSolution, freedom: int, *, misfit: bool
+) -> list[tuple[str, ...]]:
+    """Sensors whose bias instability is to be tried, one alternative after the other.
+
+    With a misfit, all that is not stated; else what windows, residuals or rates at rest show.
+    """
+    noise, point = joint.data.noise, iteration.point
+    assert point is not None
+    accel = bool(np.any(noise.accel_limit > noise.accel_flicker))
+    # The error of a g-sensitivity is in the rates at rest, too.
+    gyro = noise.gyro_wander is None and joint.options.gyro_bias == "auto" and joint.drift.force_axes is None
+    if misfit:
+        alternatives = [("accel",) * accel, ("gyro",) * gyro, ("gyro", "accel") if accel and gyro else ()]
+        return [sensors for sensors in alternatives if sensors]
+    accel = accel and bool(noise.accel_flicker.any() or shows_instability(joint, solution, freedom))
+    if gyro and joint.bias_walks:
+        slope, rest = _rest_rates(joint, point)
+        owner, terms = joint.window_sequence, joint.drift.terms
+        gyro = gyro_instability(joint.data, slope, rest, joint.integrated, terms, owner) is not None
+    else:
+        gyro = False
+    return [("gyro",) * gyro + ("accel",) * accel] if gyro or accel else []
+
+
+def _gyro_size(joint: JointModel, solver: JointSolver, iteration: IterationState, state: JointState) -> float:
+    """Bias instability of the gyros by restricted likelihood at a state, rad/s."""
+    from scipy.optimize import minimize_scalar  # heavy, and few calibrations come here
+
+    data, noise = joint.data, joint.data.noise
+    window = float(np.median(noise.gyro_white) / np.sqrt(np.median(data.windows.duration_s)))
+
+    def cost(log_ratio: float) -> float:
+        joint.with_data(replace(data, gyro_instability=window * math.exp(log_ratio)))
+        return -_solution(joint, solver, iteration, state).log_likelihood
+
+    best = minimize_scalar(cost, bounds=_SIZES, method="bounded", options={"xatol": _SIZE_TOLERANCE})
+    joint.with_data(data)
+    return window * math.exp(float(best.x))
+
+
+def _solution(joint: JointModel, solver: JointSolver, iteration: IterationState, state: JointState) -> BlockSolution:
+    """Solution of the model as it is now, linearised at a state."""
+    return BlockSolution(linearise(joint, state, joint.compensate(state), iteration.free, solver.prior))
+
+
+def _rest_rates(joint: JointModel, point: Linearisation) -> tuple[Array, Array]:
+    """Derivative of compensated rates by raw ones, and rates at rest with their bias and the drift that is modelled."""
+    slope = np.asarray(np.linalg.inv(gyro_triad(point.state.errors).matrix), dtype=np.float64)
+    drift = joint.drift.raw("gyro", point.state.drift, "windows")
+    return slope, joint.rest_rate(point.state, point.compensated) + drift @ slope.T
 
 
 def _explains(joint: JointModel, solver: JointSolver, iteration: IterationState, state: JointState) -> bool:
     """True if the model as it is now explains the residuals at a state, and no sequence contradicts the others."""
-    system = linearise(joint, state, joint.compensate(state), iteration.free, solver.prior)
-    solution = BlockSolution(system)
-    fit = goodness_of_fit(joint, solver, solution, system)
+    solution = _solution(joint, solver, iteration, state)
+    fit = goodness_of_fit(joint, solver, solution, solution.system)
     tests = [(test.chi_square, test.degrees_of_freedom) for test in contradictions(joint, solution)]
     return not is_misfit(*fit) and contradicting_group(tests, *fit, free=joint.turned_by_hand) is None
 
@@ -150,11 +222,9 @@ def add_drift(joint: JointModel, solver: JointSolver, iteration: IterationState)
 def search(joint: JointModel, iteration: IterationState, solution: BlockSolution, freedom: int) -> DriftSearch:
     """Search the residuals of a joint solution for bias drift that it does not model."""
     assert iteration.point is not None
-    state, compensated, data = iteration.point.state, iteration.point.compensated, joint.data
+    compensated, data = iteration.point.compensated, joint.data
     keys = candidates(data, joint.drift.terms)
-    # Rates at rest with their bias and with the drift that is modelled.
-    slope = np.asarray(np.linalg.inv(gyro_triad(state.errors).matrix), dtype=np.float64)
-    rest = joint.rest_rate(state, compensated) + joint.drift.raw("gyro", state.drift, "windows") @ slope.T
+    slope, rest = _rest_rates(joint, iteration.point)
 
     def of_gyro(courses: Mapping[str, Array]) -> dict[str, Statistics]:
         return gyro_statistics(data, slope, rest, joint.integrated, joint.drift.terms, courses)
@@ -162,11 +232,11 @@ def search(joint: JointModel, iteration: IterationState, solution: BlockSolution
     def by_window(sensor: Sensor) -> Statistics:
         if sensor == "gyro":
             return of_gyro({"each": np.eye(len(rest))})["each"]
-        return _force_statistics(solution, [np.eye(3 * len(rest)).reshape(len(rest), 3, -1)], freedom)[0]
+        return force_statistics(solution, [np.eye(3 * len(rest)).reshape(len(rest), 3, -1)], freedom)[0]
 
     forms = [key for key in keys if key[0] == "accel"]
     effects = [by_drift(compensated.force_slope, data.drift_shapes[form].tested.windows) for _, form in forms]
-    found = dict(zip(forms, _force_statistics(solution, effects, freedom), strict=True))
+    found = dict(zip(forms, force_statistics(solution, effects, freedom), strict=True))
     found |= {("gyro", form): statistics for form, statistics in of_gyro(gyro_courses(data, keys)).items()}
     courses = {form: shape.windows for form, shape in data.drift_shapes.items()}
     return most_significant(found, len(keys), joint.drift.terms, joint.unmodelled_sigma.force, courses, by_window)
@@ -179,19 +249,4 @@ def shows_instability(joint: JointModel, solution: BlockSolution, freedom: int) 
     instability that the windows show.
     """
     effect = accel_drift(joint.data, solution.system.compensated.force_slope, joint.data.noise.accel_limit)
-    return variance_component(_force_statistics(solution, [effect], freedom)[0]).p_value < MISFIT_PROBABILITY
-
-
-def _force_statistics(solution: BlockSolution, effects: list[Array], freedom: int) -> list[Statistics]:
-    """Statistics of groups of coefficients with ``effects`` on the specific forces of the windows, (W, 3, q) each."""
-    if not effects:
-        return []
-    system, residual = solution.system, solution.residual
-    rows = system.rows_of("force").index.ravel()
-    white = (-system.whitening["force"] @ np.concatenate(effects, axis=2)).reshape(len(rows), -1)
-    by_columns = np.asarray(system.A[rows].T @ white)
-    information = white.T @ white - by_columns.T @ solution.with_columns(by_columns)
-    gradient, square = white.T @ residual[rows], float(residual @ residual)
-    ends = np.cumsum([0, *(effect.shape[2] for effect in effects)]).tolist()
-    at = [slice(a, b) for a, b in pairwise(ends)]
-    return [Statistics(gradient[own], information[own, own], square, freedom) for own in at]
+    return variance_component(force_statistics(solution, [effect], freedom)[0]).p_value < MISFIT_PROBABILITY

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from copy import copy
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,7 +26,8 @@ from srt.joint.residual_analysis import (
     residuals,
     sequence_diagnostics,
 )
-from srt.noise.drift_forms import LINEAR
+from srt.noise.drift_forms import LINEAR, Statistics
+from srt.noise.variance_components import expected_variance
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES
 
 if TYPE_CHECKING:
@@ -288,6 +291,30 @@ def whole_solution(joint: JointModel, solver: JointSolver, iteration: IterationS
     return iteration.whole[2]
 
 
+def accel_instability(joint: JointModel, solution: BlockSolution) -> float:
+    """Expected bias instability of the accelerometers by the spectra within the windows and the residuals, m/s²."""
+    noise, system = joint.data.noise, solution.system
+    effect = accel_drift(joint.data, system.compensated.force_slope, np.ones(3))
+    seen = force_statistics(solution, [effect], 0)[0]
+    used = float(noise.accel_flicker.max()) ** 2
+    return math.sqrt(expected_variance(seen, used, noise.accel_spectra))
+
+
+def force_statistics(solution: BlockSolution, effects: list[Array], freedom: int) -> list[Statistics]:
+    """Statistics of groups of coefficients with ``effects`` on the specific forces of the windows, (W, 3, q) each."""
+    if not effects:
+        return []
+    system, residual = solution.system, solution.residual
+    rows = system.rows_of("force").index.ravel()
+    white = (-system.whitening["force"] @ np.concatenate(effects, axis=2)).reshape(len(rows), -1)
+    by_columns = np.asarray(system.A[rows].T @ white)
+    information = white.T @ white - by_columns.T @ solution.with_columns(by_columns)
+    gradient, square = white.T @ residual[rows], float(residual @ residual)
+    ends = np.cumsum([0, *(effect.shape[2] for effect in effects)]).tolist()
+    at = [slice(a, b) for a, b in pairwise(ends)]
+    return [Statistics(gradient[own], information[own, own], square, freedom) for own in at]
+
+
 def _unseen_drift(joint: JointModel, solution: BlockSolution, found: DriftSearch) -> Array:
     """Covariance of the parameters by drift of the accelerometers that is not modelled, shape (27, 27).
 
@@ -295,9 +322,14 @@ def _unseen_drift(joint: JointModel, solution: BlockSolution, found: DriftSearch
     """
     system, data = solution.system, joint.data
     slope = system.compensated.force_slope
-    sources = [accel_drift(data, slope, data.noise.accel_unseen)]
+    sources = []
+    if data.noise.accel_unseen.any():
+        unseen = max(accel_instability(joint, solution) ** 2 - data.noise.accel_flicker.max() ** 2, 0.0)
+        sources.append(accel_drift(data, slope, np.full(3, math.sqrt(unseen))))
     if found.possible > 0.0:
         sources.append(by_drift(slope * found.possible, data.drift_shapes[LINEAR].windows))
+    if not sources:
+        return np.zeros((N_PARAMETERS, N_PARAMETERS))
     effect = system.whitening["force"] @ np.concatenate(sources, axis=2)
     rows = system.rows_of("force").index
     root = np.einsum("wap,was->ps", solution.rows_with_parameters[rows], effect)

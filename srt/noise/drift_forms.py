@@ -43,6 +43,8 @@ _SCATTER_RANGE: Final = (-14.0, 3.0)
 """Range of the variance of independent errors, logarithm of the ratio to their estimate without a walk."""
 _WALK_RANGE: Final = (-9.0, 12.0)
 """The same for the variance of a random walk at the end of the recording."""
+_VARIANCES: Final = 1000
+"""Variances at which the likelihood of a component is computed."""
 _SEEN: Final = 1e-10
 """Eigenvalue of the information, relative to the largest, below which a coefficient is not testable."""
 _SHORTEST: Final = 1e-6
@@ -278,10 +280,13 @@ class VarianceComponent(NamedTuple):
     p_value : float
         Of the likelihood ratio, if the variance is zero: half that of chi-square with one degree of freedom, because a
         variance is not negative (Self and Liang 1987).
+    ratio : float
+        Twice the logarithm of that likelihood ratio.
     """
 
     sigma: float
     p_value: float
+    ratio: float
 
 
 def of_courses(found: Statistics, courses: Array) -> Statistics:
@@ -344,16 +349,17 @@ def variance_component(found: Statistics) -> VarianceComponent:
     With the eigenvalues λ of the information and the gradient g along its eigenvectors the log likelihood of a variance
     v is ``½ Σ [v g² / (1 + v λ) − log(1 + v λ)]``.
     """
-    from scipy.optimize import minimize_scalar  # heavy, and few calibrations have such a drift
-
     values, vectors = np.linalg.eigh(found.information)
     values, along = np.maximum(values, 0.0), (vectors.T @ found.gradient) ** 2
-
-    def cost(log_variance: float) -> float:
-        v = math.exp(log_variance)
-        return float(np.sum(np.log1p(v * values) - v * along / (1.0 + v * values)))
-
-    size = -math.log(float(values[-1]))
-    # From a hundredth of the sigma of the best-known coefficient to a million times that sigma.
-    best = minimize_scalar(cost, bounds=(size - 9.2, size + 27.6), method="bounded")
-    return VarianceComponent(math.exp(0.5 * float(best.x)), 0.5 * float(chdtrc(1, max(-float(best.fun), 0.0))))
+    if not values.max(initial=0.0) > 0.0:
+        return VarianceComponent(0.0, 1.0, 0.0)
+    # From a hundredth of the sigma of the best-known coefficient to a million times that sigma, then a parabola.
+    log_variance = np.linspace(-9.2, 27.6, _VARIANCES) - math.log(float(values[-1]))
+    v = np.exp(log_variance)[:, None]
+    ratio = np.sum(v * along / (1.0 + v * values) - np.log1p(v * values), axis=1)
+    i = min(max(int(np.argmax(ratio)), 1), _VARIANCES - 2)
+    slope, bend = 0.5 * (ratio[i + 1] - ratio[i - 1]), ratio[i + 1] - 2.0 * ratio[i] + ratio[i - 1]
+    shift = float(np.clip(-slope / bend, -1.0, 1.0)) if bend < 0.0 else 0.0
+    best = max(float(ratio[i] + (slope + 0.5 * bend * shift) * shift), 0.0)
+    sigma = math.exp(0.5 * float(log_variance[i] + shift * (log_variance[1] - log_variance[0])))
+    return VarianceComponent(sigma, 0.5 * float(chdtrc(1, best)), best)

@@ -63,6 +63,8 @@ class InstabilityAtRest:
         (p = 1e-3).
     white : ndarray, shape (3,)
         White noise of the same fit, in units of the readings times √s.
+    square, doubt : float
+        Estimate of the square of the Allan floor, negative where noise happens to be small, and its 1-sigma.
     """
 
     shown: bool
@@ -70,6 +72,8 @@ class InstabilityAtRest:
     bound: float
     limit: float
     white: Array
+    square: float
+    doubt: float
 
 
 def instability_at_rest(
@@ -161,9 +165,9 @@ def _fitted(observed: Array, design: Array, freedom: Array, *, filtered: bool) -
         A = np.delete(A, slice(3, 6), axis=1)
     y = observed.T.ravel()
     relative = np.tile(np.sqrt(2.0 * _MEDIAN / freedom), 3)
-    square, doubt, white = _least_squares(A, y, relative)
+    square, doubt, white, free = _least_squares(A, y, relative)
     # Without instability, both processes vanish: their sum has more power in a test of that.
-    tied, tied_doubt, _ = _least_squares(np.column_stack([A[:, :-2], A[:, -2] + A[:, -1]]), y, relative)
+    tied, tied_doubt, _, _ = _least_squares(np.column_stack([A[:, :-2], A[:, -2] + A[:, -1]]), y, relative)
     shown = tied > _SIGNIFICANT * tied_doubt
     return InstabilityAtRest(
         shown=shown,
@@ -171,10 +175,12 @@ def _fitted(observed: Array, design: Array, freedom: Array, *, filtered: bool) -
         bound=math.sqrt(max(square, tied) + doubt),
         limit=math.sqrt(max(square, tied) + _SIGNIFICANT * doubt),
         white=white,
+        square=free,
+        doubt=doubt,
     )
 
 
-def _least_squares(A: Array, y: Array, relative: Array) -> tuple[float, float, Array]:
+def _least_squares(A: Array, y: Array, relative: Array) -> tuple[float, float, Array, float]:
     """Last unknown of a fit without negative unknowns, its 1-sigma, and the square roots of the first three."""
     expected = y
     for _ in range(_PASSES):
@@ -184,5 +190,6 @@ def _least_squares(A: Array, y: Array, relative: Array) -> tuple[float, float, A
         solution = nonnegative_least_squares(weighted / scale, y / sigma) / scale
         expected = A @ solution
     information = (weighted / scale).T @ (weighted / scale)
-    doubt = float(np.sqrt(np.linalg.pinv(information)[-1, -1]) / scale[-1])
-    return float(solution[-1]), doubt, np.sqrt(solution[:3])
+    inverse = np.linalg.pinv(information)
+    free = inverse[-1] @ ((weighted / scale).T @ (y / sigma)) / scale[-1]
+    return float(solution[-1]), float(np.sqrt(inverse[-1, -1]) / scale[-1]), np.sqrt(solution[:3]), float(free)

@@ -50,8 +50,10 @@ class NoiseModel:
     accel_flicker : ndarray, shape (3,), m/s²
         The same for the accelerometers, as stated or as the windows show it.
     accel_unseen : ndarray, shape (3,), m/s²
-        Bias instability beyond ``accel_flicker`` that the windows cannot exclude to 1 sigma. The weights do not include
-        it, the sigmas do.
+        Bias instability beyond ``accel_flicker`` that the windows cannot exclude to 1 sigma.
+    accel_spectra : (float, float), (m/s²)²
+        Square of the bias instability of the accelerometers as the spectra within the windows show it, negative where
+        the noise happens to be small, and its 1-sigma.
     accel_limit : ndarray, shape (3,), m/s²
         Largest bias instability that the windows cannot exclude, at least ``accel_flicker``.
     filter_s : ndarray, shape (2,), s
@@ -70,15 +72,21 @@ class NoiseModel:
     gyro_flicker: Array | None
     accel_flicker: Array
     accel_unseen: Array
+    accel_spectra: tuple[float, float]
     accel_limit: Array
     filter_s: Array
     estimated: tuple[str, ...] = ()
     floored: tuple[str, ...] = ()
 
-    @property
-    def at_limit(self) -> NoiseModel:
-        """Noise with the largest bias instability that the windows cannot exclude."""
-        return replace(self, accel_flicker=self.accel_limit, accel_unseen=np.zeros(3))
+    def with_accel_instability(self, instability: float) -> NoiseModel:
+        """Noise with a bias instability of the accelerometers, m/s², that spectra and residuals together show."""
+        flicker = np.full(3, instability)
+        return replace(self, accel_flicker=flicker, accel_unseen=np.zeros(3), accel_limit=flicker)
+
+    def with_gyro_instability(self, instability: float, windows: Indices) -> NoiseModel:
+        """Noise with a bias instability of the gyros, rad/s, that the rates at rest show."""
+        flicker = np.full(3, instability)
+        return replace(self, gyro_flicker=flicker, gyro_wander=flicker * flicker_spread(windows))
 
     def gyro_sample(self, interval_s: float) -> Array:
         """1-sigma of the angle of a single sample, random walk and quantization, shape (3,), rad."""
@@ -123,9 +131,10 @@ def noise_model(recording: Recording, windows: Indices) -> NoiseModel:
         figures[f"{sensor}_white"] = np.maximum(figures[f"{sensor}_white"], least)
     instability = stated.gyro_bias_instability
     spread = flicker_spread(windows)
-    accel = (stated.accel_bias_instability or 0.0, 0.0, stated.accel_bias_instability or 0.0)
+    accel = (stated.accel_bias_instability or 0.0, 0.0, stated.accel_bias_instability or 0.0, (0.0, 0.0))
     if stated.accel_bias_instability is None:
-        accel = _accel_instability(recording, windows, float(found.filter_s[1]))
+        if np.any(white[3:] > ACCEL_FLOOR):  # without noise, as in simulations, rounding would count
+            accel = _accel_instability(recording, windows, float(found.filter_s[1]))
         estimated.append("accel_bias_instability")
     if instability is None:
         estimated.append("gyro_bias_instability")
@@ -136,6 +145,7 @@ def noise_model(recording: Recording, windows: Indices) -> NoiseModel:
         gyro_flicker=None if instability is None else np.full(3, instability),
         accel_flicker=np.full(3, accel[0]),
         accel_unseen=np.full(3, accel[1]),
+        accel_spectra=accel[3],
         accel_limit=np.full(3, accel[2]),
         filter_s=found.filter_s,
         estimated=tuple(estimated),
@@ -143,7 +153,9 @@ def noise_model(recording: Recording, windows: Indices) -> NoiseModel:
     )
 
 
-def _accel_instability(recording: Recording, windows: Indices, filter_s: float) -> tuple[float, float, float]:
+def _accel_instability(
+    recording: Recording, windows: Indices, filter_s: float
+) -> tuple[float, float, float, tuple[float, float]]:
     """Bias instability of the accelerometers that the windows show, that beyond it to 1 sigma, and the largest, m/s².
 
     If the noise is stated, an instability that the windows do not show counts as none, unless residuals ask for it.
@@ -155,10 +167,11 @@ def _accel_instability(recording: Recording, windows: Indices, filter_s: float) 
     force = recording.accel if recording.kind == "rate" else recording.accel / dt
     found = instability_at_rest(force, windows, dt, filter_s)
     if found is None:
-        return 0.0, 0.0, 0.0
+        return 0.0, 0.0, 0.0, (0.0, 0.0)
     if recording.noise.accel_noise is not None:
-        return found.value, 0.0, found.limit
-    return found.value, math.sqrt(found.bound**2 - found.value**2), found.limit
+        return found.value, 0.0, found.limit, (found.square, found.doubt)
+    unseen = math.sqrt(found.bound**2 - found.value**2)
+    return found.value, unseen, found.limit, (found.square, found.doubt)
 
 
 def flicker_spread(windows: Indices) -> float:

@@ -71,8 +71,8 @@ class PreparedRecording:
         Windows of sequences that lost their end, which joint estimation uses alone: label and window.
     moves : int
         Number of moves between sequences, the last of the K.
-    noise_at_limit : bool
-        Use the largest bias instability that the windows cannot exclude.
+    accel_instability, gyro_instability : float, m/s² and rad/s, optional
+        Bias instability that residuals show, in place of that of the windows alone.
     """
 
     recording: Recording
@@ -85,14 +85,17 @@ class PreparedRecording:
     voided: dict[str, str]
     poses: tuple[tuple[SequenceLabel, int], ...] = ()
     moves: int = 0
-    noise_at_limit: bool = False
+    accel_instability: float | None = None
+    gyro_instability: float | None = None
 
     @cached_property
     def noise(self) -> NoiseModel:
         """Stated noise of the unit, completed from the windows at the first use; one fit for equal windows."""
         samples = self.windows.samples
         found = self.recording.memo(("noise", samples.tobytes()), lambda: noise_model(self.recording, samples))
-        return found.at_limit if self.noise_at_limit else found
+        if self.accel_instability is not None:
+            found = found.with_accel_instability(self.accel_instability)
+        return found if self.gyro_instability is None else found.with_gyro_instability(self.gyro_instability, samples)
 
     @property
     def K(self) -> int:

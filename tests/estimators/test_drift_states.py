@@ -22,8 +22,8 @@ pytest.importorskip("filterpy")
 from estimators.kalman_filter import run_filter
 from estimators.nuisance_elimination import eliminate_nuisances
 from srt.estimation.observability import default_prior
-from srt.joint.attitudes import placed
 from srt.joint.block_solution import BlockSolution
+from srt.joint.initial_attitudes import placed
 from srt.joint.linearisation import linearise
 from srt.joint.recording_opening import open_joint_model
 

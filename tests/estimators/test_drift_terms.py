@@ -18,8 +18,8 @@ from srt.sensor_errors import N_PARAMETERS, SensorErrors
 pytest.importorskip("filterpy")
 from estimators.kalman_filter import run_filter
 from srt.estimation.observability import default_prior
-from srt.joint.attitudes import placed
 from srt.joint.drift import DriftTerms
+from srt.joint.initial_attitudes import placed
 from srt.joint.linearisation import linearise
 from srt.joint.recording_opening import open_joint_model
 

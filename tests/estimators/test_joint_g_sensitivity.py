@@ -27,9 +27,9 @@ from estimators.kalman_filter import run_filter
 from estimators.unscented_filter import SequenceModel
 from srt.estimation.convergence import PARAMETER_UNITS
 from srt.estimation.observability import default_prior
-from srt.joint.attitudes import placed
 from srt.joint.block_solution import BlockSolution
 from srt.joint.drift import DriftTerms
+from srt.joint.initial_attitudes import placed
 from srt.joint.linearisation import linearise
 from srt.joint.recording_opening import open_joint_model
 

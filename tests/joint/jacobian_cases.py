@@ -16,7 +16,7 @@ import sims
 from sims.physics.free_motion import Placement, Turn, placed_motion
 from sims.physics.turn_profiles import trapezoid
 from srt.estimation.options import Options
-from srt.joint.attitudes import initial_attitudes
+from srt.joint.initial_attitudes import initial_attitudes
 from srt.joint.linearisation import linearise
 from srt.joint.recording_opening import open_joint_model
 from srt.model.prior import Prior

@@ -91,8 +91,9 @@ def test_without_stated_noise_the_weights_have_what_the_windows_show_and_the_bou
     found = noise_model(replace(recording, noise=srt.ImuNoise()), windows)
     np.testing.assert_array_equal(found.accel_flicker, 0.0)
     assert np.all((found.accel_unseen > 0.0) & (found.accel_limit > found.accel_unseen))
-    limit = found.at_limit
-    np.testing.assert_array_equal(limit.accel_flicker, found.accel_limit)
-    np.testing.assert_array_equal(limit.accel_unseen, 0.0)
+    assert 0.0 < found.accel_spectra[1] <= found.accel_unseen[0] ** 2
+    shown = found.with_accel_instability(2.0 * MICRO_G)
+    np.testing.assert_array_equal([shown.accel_flicker, shown.accel_limit], 2.0 * MICRO_G)
+    np.testing.assert_array_equal(shown.accel_unseen, 0.0)
     stated = noise_model(recording, windows)
     np.testing.assert_array_equal(stated.accel_limit, stated.accel_flicker)

@@ -1,0 +1,28 @@
+"""Sigmas and verdicts where no noise is stated, of units by a generator that shares nothing with the estimators."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from foreign_motion import GRADES
+from unstated_noise import STATEMENTS, outcome
+
+LOW, HIGH = 0.70, 1.15
+"""Mean NEES per parameter that is asked for; the closed form, which has no weights, may have 0.60."""
+UNITS = 2
+
+
+@pytest.mark.parametrize("statement", STATEMENTS)
+@pytest.mark.parametrize(
+    ("kind", "estimator"),
+    [("fixture", "closed-form"), ("fixture", "least-squares"), ("fixture", "graph"), ("hand", "least-squares")],
+)
+def test_sigmas_are_true_and_the_units_own_noise_is_sound(kind, estimator, statement):
+    """Mean NEES over four grades: the bounds and 3.5 standard errors of a chi-square."""
+    found = [outcome(seed, kind, grade, statement, estimator) for grade in GRADES for seed in range(UNITS)]
+    freedom = sum(row[1] for row in found)
+    mean = sum(row[0] for row in found) / freedom
+    error = 3.5 * math.sqrt(2.0 / freedom)
+    assert (0.60 if estimator == "closed-form" else LOW) * (1.0 - error) <= mean <= HIGH * (1.0 + error)
+    assert {row[2] for row in found} == {"sound"}
