@@ -34,7 +34,7 @@ class Alignment:
         Clockwise from north, of the table x axis.
     alignment_sigma_mrad, rotation_sigma_mrad, wobble_sigma_mrad : float or None
     nulls : tuple of str
-        Fields that the file gives as null, see :mod:`srt.result.document`: unknown, or different in merged recordings.
+        Fields that the file gives as null, see ``srt/result/document.py``: unknown, or different in merged recordings.
     """
 
     fixture: bool | None = None
