@@ -33,7 +33,7 @@ INSTABILITY = {
 }
 """Allan floor of gyros and accelerometers, rad/s and m/s²."""
 STATEMENTS = ("nothing, none", "nothing, instability", "all, instability")
-"""What is stated, and whether the unit has an instability."""
+"""Statement of the noise, and bias instability of the unit."""
 LONGEST_S = 6000.0
 
 

@@ -134,7 +134,7 @@ def _with_instability(
 
 
 def _accel_instability(data: PreparedRecording, solution: Solution, fixed: Mask) -> tuple[Statistics, float]:
-    """What residuals show of a bias instability of the accelerometers, and that expected with the spectra, m/s²."""
+    """Statistics of an accelerometer instability in the residuals, and its expectation with the spectra, m/s²."""
     m, noise = solution.measurements, data.noise
     by_instability = effect(solution.projection, accel_drift(m, np.ones(3), data.window_drift))
     (seen,) = residual_statistics(m.z, m.H[:, ~fixed], solution.measurement_covariance, by_instability)

@@ -318,7 +318,7 @@ def force_statistics(solution: BlockSolution, effects: list[Array], freedom: int
 def _unseen_drift(joint: JointModel, solution: BlockSolution, found: DriftSearch) -> Array:
     """Covariance of the parameters by drift of the accelerometers that is not modelled, shape (27, 27).
 
-    It is the bias instability that the windows cannot exclude, and a possible linear drift.
+    It is the expected bias instability beyond that of the weights, and a possible linear drift.
     """
     system, data = solution.system, joint.data
     slope = system.compensated.force_slope

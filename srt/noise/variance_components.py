@@ -33,7 +33,7 @@ def expected_variance(shown: Statistics, used: float, measured: tuple[float, flo
     Parameters
     ----------
     shown : Statistics
-        Of the effects for unit variance.
+        Statistics of the effects for unit variance.
     used : float
         Variance u that the weights include.
     measured : (float, float)

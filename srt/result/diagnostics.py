@@ -105,7 +105,7 @@ class GSensitivity:
     ----------
     matrix, sigma : ndarray, rad/s per m/s²
     covariance : ndarray, shape (9, 9), or None
-        Of the elements by rows; None in files of earlier versions.
+        Covariance of the elements by rows; None in files of earlier versions.
     unit : str
     matrix_deg_per_h_per_g, sigma_deg_per_h_per_g : ndarray
     not_seen_along : ndarray, shape (m, 3)
