@@ -6,7 +6,6 @@ and one chi-square for each triad shows a drift of its biases. ``least-squares``
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
@@ -35,7 +34,6 @@ from srt.exceptions import DataError
 from srt.model import closed_form
 from srt.model.table1 import SEQUENCES
 from srt.noise.drift_forms import FALSE_ALARM, LINEAR, drift_test, variance_component
-from srt.noise.variance_components import expected_variance
 from srt.result.calibration import Residual
 from srt.result.diagnostics import Diagnostics
 from srt.result.verdict import MISFIT_PROBABILITY
@@ -114,10 +112,10 @@ def _with_instability(
         return data, solution
     noise, m, sizes = data.noise, solution.measurements, dict[str, Any]()
     if np.any(noise.accel_limit > noise.accel_flicker):
-        seen, expected = _accel_instability(data, solution, formulas.fixed)
+        _, seen = _by_instability(data, solution, formulas.fixed)
         shown = variance_component(seen).p_value < MISFIT_PROBABILITY or noise.accel_flicker.any()
         if shown or is_misfit(*_chi_square(solution, formulas.fixed)):
-            sizes["accel_instability"] = expected
+            sizes["accel_instability"] = noise.expected_accel_instability(seen)[0]
     if noise.gyro_wander is None and options.gyro_bias == "auto":
         size = gyro_instability(data, m.gyro.inverse, m.rest_rate, m.integrated, (), m.window_sequence)
         sizes |= {} if size is None else {"gyro_instability": size}
@@ -133,13 +131,11 @@ def _with_instability(
     return other, replace(found, corrections=corrections, message=f"Converged after {len(corrections)} iterations.")
 
 
-def _accel_instability(data: PreparedRecording, solution: Solution, fixed: Mask) -> tuple[Statistics, float]:
-    """Statistics of an accelerometer instability in the residuals, and its expectation with the spectra, m/s²."""
-    m, noise = solution.measurements, data.noise
+def _by_instability(data: PreparedRecording, solution: Solution, fixed: Mask) -> tuple[Array, Statistics]:
+    """Effect of an accelerometer instability of 1 m/s² on the measurements, and its statistics in the residuals."""
+    m = solution.measurements
     by_instability = effect(solution.projection, accel_drift(m, np.ones(3), data.window_drift))
-    (seen,) = residual_statistics(m.z, m.H[:, ~fixed], solution.measurement_covariance, by_instability)
-    used = float(noise.accel_flicker.max()) ** 2
-    return seen, math.sqrt(expected_variance(seen, used, noise.accel_spectra))
+    return by_instability, residual_statistics(m.z, m.H[:, ~fixed], solution.measurement_covariance, by_instability)[0]
 
 
 def _chi_square(
@@ -214,10 +210,9 @@ def _drift(
     root = possible * solution.gain @ linear
     by_unseen = root @ root.T
     if data.noise.accel_unseen.any():
-        expected = _accel_instability(data, solution, fixed)[1]
-        further = max(expected**2 - float(data.noise.accel_flicker.max()) ** 2, 0.0)
-        root = solution.gain @ effect(solution.projection, accel_drift(m, np.ones(3), data.window_drift))
-        by_unseen = by_unseen + further * root @ root.T
+        by_instability, seen = _by_instability(data, solution, fixed)
+        root = data.noise.expected_accel_instability(seen)[1] * solution.gain @ by_instability
+        by_unseen = by_unseen + root @ root.T
     return found, DriftSearch(possible=possible), by_unseen
 
 

@@ -100,7 +100,7 @@ def add_instability(joint: JointModel, solver: JointSolver, iteration: Iteration
             joint.with_data(replace(data, gyro_instability=_gyro_size(joint, solver, iteration, at)))
         if "accel" in sensors:
             now = solution if at is state else _solution(joint, solver, iteration, at)
-            joint.with_data(replace(joint.data, accel_instability=accel_instability(joint, now)))
+            joint.with_data(replace(joint.data, accel_instability=accel_instability(joint, now)[0]))
         if _explains(joint, solver, iteration, at):
             if "gyro" in sensors:
                 iteration.state = replace(iteration.state, bias_deviation=at.bias_deviation)

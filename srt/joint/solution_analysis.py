@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from copy import copy
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -27,7 +26,6 @@ from srt.joint.residual_analysis import (
     sequence_diagnostics,
 )
 from srt.noise.drift_forms import LINEAR, Statistics
-from srt.noise.variance_components import expected_variance
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES
 
 if TYPE_CHECKING:
@@ -291,13 +289,10 @@ def whole_solution(joint: JointModel, solver: JointSolver, iteration: IterationS
     return iteration.whole[2]
 
 
-def accel_instability(joint: JointModel, solution: BlockSolution) -> float:
-    """Expected bias instability of the accelerometers by the spectra within the windows and the residuals, m/s²."""
-    noise, system = joint.data.noise, solution.system
-    effect = accel_drift(joint.data, system.compensated.force_slope, np.ones(3))
-    seen = force_statistics(solution, [effect], 0)[0]
-    used = float(noise.accel_flicker.max()) ** 2
-    return math.sqrt(expected_variance(seen, used, noise.accel_spectra))
+def accel_instability(joint: JointModel, solution: BlockSolution) -> tuple[float, float]:
+    """Expected bias instability of the accelerometers, and the part of it that the weights lack, m/s²."""
+    effect = accel_drift(joint.data, solution.system.compensated.force_slope, np.ones(3))
+    return joint.data.noise.expected_accel_instability(force_statistics(solution, [effect], 0)[0])
 
 
 def force_statistics(solution: BlockSolution, effects: list[Array], freedom: int) -> list[Statistics]:
@@ -324,8 +319,7 @@ def _unseen_drift(joint: JointModel, solution: BlockSolution, found: DriftSearch
     slope = system.compensated.force_slope
     sources = []
     if data.noise.accel_unseen.any():
-        unseen = max(accel_instability(joint, solution) ** 2 - data.noise.accel_flicker.max() ** 2, 0.0)
-        sources.append(accel_drift(data, slope, np.full(3, math.sqrt(unseen))))
+        sources.append(accel_drift(data, slope, np.full(3, accel_instability(joint, solution)[1])))
     if found.possible > 0.0:
         sources.append(by_drift(slope * found.possible, data.drift_shapes[LINEAR].windows))
     if not sources:

@@ -43,6 +43,8 @@ _SCATTER_RANGE: Final = (-14.0, 3.0)
 """Range of the variance of independent errors, logarithm of the ratio to their estimate without a walk."""
 _WALK_RANGE: Final = (-9.0, 12.0)
 """The same for the variance of a random walk at the end of the recording."""
+_LEAST_CHANGE: Final = 1e-3 - 1.0
+"""Least relative change of the noise along an effect: a thousandth of it is left."""
 _VARIANCES: Final = 1000
 """Variances at which the likelihood of a component is computed."""
 _SEEN: Final = 1e-10
@@ -215,6 +217,18 @@ class Statistics:
     chi_square: float
     freedom: int
 
+    def likelihood_ratio(self, variances: Array) -> Array:
+        """Twice the logarithm of the restricted likelihood ratio of common variances (n,) of the coefficients.
+
+        With the eigenvalues λ of the information and the gradient g along its eigenvectors it is
+        ``Σ [v g² / (1 + v λ) − log(1 + v λ)]``. A negative variance v takes noise away that the weights include:
+        v λ > −1, but where weights and effects are two models of the same noise.
+        """
+        values, vectors = np.linalg.eigh(self.information)
+        v = variances[:, None]
+        changed = np.maximum(v * np.maximum(values, 0.0), _LEAST_CHANGE)
+        return np.asarray(np.sum(v * (vectors.T @ self.gradient) ** 2 / (1.0 + changed) - np.log1p(changed), axis=1))
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DriftTest:
@@ -344,19 +358,13 @@ def form_or_scatter(found: Statistics, course: Array, scatter: float, *, walk: b
 
 
 def variance_component(found: Statistics) -> VarianceComponent:
-    """Estimate the common variance of coefficients, and test it.
-
-    With the eigenvalues λ of the information and the gradient g along its eigenvectors the log likelihood of a variance
-    v is ``½ Σ [v g² / (1 + v λ) − log(1 + v λ)]``.
-    """
-    values, vectors = np.linalg.eigh(found.information)
-    values, along = np.maximum(values, 0.0), (vectors.T @ found.gradient) ** 2
-    if not values.max(initial=0.0) > 0.0:
+    """Estimate the common variance of coefficients, and test it."""
+    largest = float(np.linalg.norm(found.information, 2)) if found.information.size else 0.0
+    if not largest > 0.0:
         return VarianceComponent(0.0, 1.0, 0.0)
     # From a hundredth of the sigma of the best-known coefficient to a million times that sigma, then a parabola.
-    log_variance = np.linspace(-9.2, 27.6, _VARIANCES) - math.log(float(values[-1]))
-    v = np.exp(log_variance)[:, None]
-    ratio = np.sum(v * along / (1.0 + v * values) - np.log1p(v * values), axis=1)
+    log_variance = np.linspace(-9.2, 27.6, _VARIANCES) - math.log(largest)
+    ratio = found.likelihood_ratio(np.exp(log_variance))
     i = min(max(int(np.argmax(ratio)), 1), _VARIANCES - 2)
     slope, bend = 0.5 * (ratio[i + 1] - ratio[i - 1]), ratio[i + 1] - 2.0 * ratio[i] + ratio[i - 1]
     shift = float(np.clip(-slope / bend, -1.0, 1.0)) if bend < 0.0 else 0.0

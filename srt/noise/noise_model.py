@@ -16,8 +16,10 @@ import numpy as np
 from srt.constants import STANDARD_GRAVITY_M_S2
 from srt.noise.instability_at_rest import instability_at_rest
 from srt.noise.random_walk import random_walk
+from srt.noise.variance_components import expected_variance
 
 if TYPE_CHECKING:
+    from srt.noise.drift_forms import Statistics
     from srt.recording.recording import Recording
     from srt.types import Array, Indices
 
@@ -51,7 +53,7 @@ class NoiseModel:
         The same for the accelerometers, as stated or as the windows show it.
     accel_unseen : ndarray, shape (3,), m/s²
         Bias instability beyond ``accel_flicker`` that the windows cannot exclude to 1 sigma.
-    accel_spectra : (float, float), (m/s²)²
+    accel_spectra : ndarray, shape (2,), (m/s²)²
         Square of the bias instability of the accelerometers as the spectra within the windows show it, negative where
         the noise happens to be small, and its 1-sigma.
     accel_limit : ndarray, shape (3,), m/s²
@@ -72,11 +74,20 @@ class NoiseModel:
     gyro_flicker: Array | None
     accel_flicker: Array
     accel_unseen: Array
-    accel_spectra: tuple[float, float]
+    accel_spectra: Array
     accel_limit: Array
     filter_s: Array
     estimated: tuple[str, ...] = ()
     floored: tuple[str, ...] = ()
+
+    def expected_accel_instability(self, shown: Statistics) -> tuple[float, float]:
+        """Expected bias instability of the accelerometers, and the part of it that the weights lack, m/s².
+
+        It is by the spectra within the windows and by what residuals show of an instability of one.
+        """
+        used = float(self.accel_flicker.max()) ** 2
+        square = expected_variance(shown, used, self.accel_spectra)
+        return math.sqrt(square), math.sqrt(max(square - used, 0.0))
 
     def with_accel_instability(self, instability: float) -> NoiseModel:
         """Noise with a bias instability of the accelerometers, m/s², that spectra and residuals together show."""
@@ -145,7 +156,7 @@ def noise_model(recording: Recording, windows: Indices) -> NoiseModel:
         gyro_flicker=None if instability is None else np.full(3, instability),
         accel_flicker=np.full(3, accel[0]),
         accel_unseen=np.full(3, accel[1]),
-        accel_spectra=accel[3],
+        accel_spectra=np.array(accel[3]),
         accel_limit=np.full(3, accel[2]),
         filter_s=found.filter_s,
         estimated=tuple(estimated),

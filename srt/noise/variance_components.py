@@ -18,38 +18,29 @@ if TYPE_CHECKING:
 
 _POINTS: Final = 2000
 """Points of the integral over a standard deviation."""
-_ROUNDING: Final = 1e-3
-"""Least share of the information that is left without any of the noise that the weights include."""
 _STEPS: Final = 50
 """Largest number of scoring steps; convergence takes about ten."""
 
 
-def expected_variance(shown: Statistics, used: float, measured: tuple[float, float]) -> float:
+def expected_variance(shown: Statistics, used: float, measured: Array | tuple[float, float]) -> float:
     """Expected common variance of random effects, from what residuals show of them and from a measurement of it.
 
-    With the eigenvalues λ of the information and the gradient g along its eigenvectors the log likelihood of a variance
-    u + v, where the weights include u, is ``½ Σ [v g² / (1 + v λ) − log(1 + v λ)]``. The prior is uniform in √(u + v).
+    The prior is uniform in the square root of the variance.
 
     Parameters
     ----------
     shown : Statistics
         Statistics of the effects for unit variance.
     used : float
-        Variance u that the weights include.
-    measured : (float, float)
+        Variance that the weights include.
+    measured : array_like, shape (2,)
         Another estimate of the variance, and its 1-sigma; infinite if there is none.
     """
-    values, vectors = np.linalg.eigh(shown.information)
-    # u λ < 1 but where weights and effect are two models of the same noise.
-    values = np.clip(values, 0.0, (1.0 - _ROUNDING) / used if used > 0.0 else None)
-    along = (vectors.T @ shown.gradient) ** 2
     estimate, sigma = measured
     # The roots lie between a hundredth and a hundred times the size that both would barely show.
-    size = np.sqrt(1.0 / np.sqrt(1.0 / sigma**2 + 0.5 * float(values @ values)) + used)
+    size = np.sqrt(1.0 / np.sqrt(1.0 / sigma**2 + 0.5 * np.sum(shown.information**2)) + used)
     root = size * np.geomspace(1e-2, 1e2, _POINTS)
-    v = root[:, None] ** 2 - used
-    log = 0.5 * np.sum(v * along / (1.0 + v * values) - np.log1p(v * values), axis=1)
-    log -= 0.5 * ((root**2 - estimate) / sigma) ** 2
+    log = 0.5 * (shown.likelihood_ratio(root**2 - used) - ((root**2 - estimate) / sigma) ** 2)
     weight = np.exp(log - log.max()) * root  # geometric spacing
     return float(weight @ root**2 / weight.sum())
 
