@@ -89,7 +89,7 @@ def plan(
     """Plan a rotation test for the fixture, unit and targets of PLAN: a TOML file, or the name of a shipped one.
 
     With a total time, the plan minimises the worst sigma over target in that time. Without, it is the shortest test
-    that meets all targets. A lower bound is printed: no plan of this length can be better.
+    that meets all targets. A lower bound is printed: with the closed form, no plan of this length can be better.
 
     Exit codes: 0 all targets are met; 1 some are not, or cannot be; 2 wrong usage or unreadable input.
     """

@@ -300,7 +300,7 @@ class _Iteration:
         expected = rest_rate_variance(measurements, self.data) + earth_rate_sigma(self.data.recording) ** 2
         # Without a fixture, errors of the rotations are larger, and the bound would spoil the weights.
         unstated = self.data.recording.noise.gyro_noise is None and self.data.recording.fixture is not None
-        excess = excess_variance(deviation, expected, bounded=unstated)
+        excess = excess_variance(deviation, expected, expected if unstated else None)
         scatter = np.sqrt(np.einsum("uab,ub->ua", measurements.gyro.matrix**2, excess))
         return np.where(shown[:, None], scatter, 0.0)
 

@@ -89,7 +89,7 @@ def rest_rate_variance(measurements: SrtMeasurements, data: PreparedRecording) -
     return np.asarray(np.mean(own**2 @ window_rate_variance(measurements, data), axis=-2))
 
 
-def excess_variance(rates: Array, expected: Array, *, bounded: bool = False) -> Array:
+def excess_variance(rates: Array, expected: Array, noise: Array | None = None) -> Array:
     """Variance of biases between sequences beyond what their noise explains, shape (..., 3), (rad/s)².
 
     Parameters
@@ -99,8 +99,9 @@ def excess_variance(rates: Array, expected: Array, *, bounded: bool = False) -> 
     expected : ndarray, shape (..., 3), (rad/s)²
         Variance by noise alone. An axis has no excess if noise explains its rates (chi-square, p > 1e-3) with or
         without the sequence that deviates most.
-    bounded : bool
-        True: an axis without excess has what is expected of the three axes together, as no figure is stated.
+    noise : ndarray, shape (..., 3), (rad/s)², optional
+        Variance by the noise of the gyros alone. If given, as no figure is stated, an axis without excess has what is
+        expected of the three axes together beyond it.
     """
     n = rates.shape[-2] - 1
 
@@ -118,9 +119,9 @@ def excess_variance(rates: Array, expected: Array, *, bounded: bool = False) -> 
     own = np.where(wanders, np.var(rates, axis=-2, ddof=1) - expected, 0.0)
     # The gyros of a unit are alike: if two scatter, the third does too, although its biases happen to lie closer.
     alike = np.where(np.count_nonzero(wanders, axis=-1) == 2, own.mean(axis=-1), 0.0)
-    if bounded:
+    if noise is not None:
         shown = np.where(scatters(rates), np.var(near, axis=-2, ddof=1), np.var(rates, axis=-2, ddof=1))
-        alike = np.maximum(alike, _expected_excess(shown, n, expected))
+        alike = np.maximum(alike, _expected_excess(shown, n, noise))
     return np.asarray(np.where(wanders, own, alike[..., None]))
 
 

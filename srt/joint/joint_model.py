@@ -488,11 +488,14 @@ class JointModel:
         weights = self.rest_rate_weights
         variance = sources.raw_rate_variance(self.data.noise, self.data.windows.duration_s)
         doubt = sources.earth_rate_sigma(self.data.recording)
-        expected = np.mean(weights[~self.data.is_move] ** 2 @ variance, axis=0) + doubt**2
+        noise = np.mean(weights[~self.data.is_move] ** 2 @ variance, axis=0)
+        expected = noise + doubt**2
         own = weights @ rest
         own = own.mean(axis=0) + (own - own.mean(axis=0)) / math.sqrt(left)
-        unstated = self.data.recording.noise.gyro_noise is None and self.data.recording.fixture is not None
-        self.bias_scatter = np.sqrt(excess_variance(own[~self.data.is_move], expected, bounded=unstated))
+        unstated = self.data.recording.noise.gyro_noise is None
+        # The Earth's rate is estimated: its doubt is for the test alone.
+        excess = excess_variance(own[~self.data.is_move], expected, noise if unstated else None)
+        self.bias_scatter = np.sqrt(excess)
         in_time = self.order[~self.data.is_move[self.order]]
         steps = np.mean(np.diff(own[in_time], axis=0) ** 2, axis=0) - 2.0 * expected
         self.bias_step = np.where(self.bias_scatter > 0.0, np.sqrt(np.maximum(steps, 0.0)), 0.0)

@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from scipy.special import chdtrc
 
 from srt.estimation.drift_model import (
     MOST_TERMS,
@@ -26,7 +27,7 @@ from srt.joint.linearisation import linearise
 from srt.joint.residual_analysis import contradictions, unmodelled_noise
 from srt.joint.solution_analysis import accel_instability, force_statistics, goodness_of_fit, whole_solution
 from srt.model.sensor_model import gyro_triad
-from srt.noise.drift_forms import WALK, Statistics, variance_component
+from srt.noise.drift_forms import WALK, Statistics, VarianceComponent, variance_component
 from srt.result.verdict import MISFIT_PROBABILITY
 
 if TYPE_CHECKING:
@@ -66,7 +67,10 @@ def add_g_sensitivity(joint: JointModel, solver: JointSolver, iteration: Iterati
 
 
 def add_instability(joint: JointModel, solver: JointSolver, iteration: IterationState) -> bool:
-    """Use a smooth drift, or a bias instability of accelerometers or gyros or both, if it explains the residuals."""
+    """Use a smooth drift, or a bias instability of accelerometers or gyros or both, if it explains the residuals.
+
+    Where one sequence contradicts the others, the instability must be more likely than a fault of that sequence.
+    """
     if solver.weights() or any(joint.unmodelled_sigma):
         return False
     solution = whole_solution(joint, solver, iteration)
@@ -76,9 +80,10 @@ def add_instability(joint: JointModel, solver: JointSolver, iteration: Iteration
     if not shown:
         return False
     tests = [(test.chi_square, test.degrees_of_freedom) for test in contradictions(joint, solution)]
-    faulty = one_group_explains if misfit else contradicting_group
-    if faulty(tests, *fit, free=joint.turned_by_hand):
-        return False
+    fault = contradicting_group(tests, *fit, free=joint.turned_by_hand)
+    if misfit and not one_group_explains(tests, *fit, free=joint.turned_by_hand):
+        fault = None
+    limit = math.inf if fault is None else fault[1] * len(tests)
     assert iteration.point is not None
     state, found = iteration.point.state, search(joint, iteration, solution, fit[1])
     smooth = tuple(term for term in found.terms if term.sensor == "accel" and term.form != WALK)
@@ -94,14 +99,16 @@ def add_instability(joint: JointModel, solver: JointSolver, iteration: Iteration
         shown = [sensors for sensors in shown if "gyro" not in sensors]
     data, scatter = joint.data, joint.bias_scatter
     for sensors in shown:
-        at = state
+        at, ratio = state, 0.0
         if "gyro" in sensors:
             at = replace(state, bias_deviation=np.zeros_like(state.bias_deviation))
-            joint.with_data(replace(data, gyro_instability=_gyro_size(joint, solver, iteration, at)))
+            size, ratio = _gyro_size(joint, solver, iteration, at)
+            joint.with_data(replace(data, gyro_instability=size))
         if "accel" in sensors:
             now = solution if at is state else _solution(joint, solver, iteration, at)
+            ratio += accel_component(joint, now, fit[1]).ratio
             joint.with_data(replace(joint.data, accel_instability=accel_instability(joint, now)[0]))
-        if _explains(joint, solver, iteration, at):
+        if chdtrc(len(sensors), ratio) < limit and _explains(joint, solver, iteration, at):
             if "gyro" in sensors:
                 iteration.state = replace(iteration.state, bias_deviation=at.bias_deviation)
             return True
@@ -125,7 +132,9 @@ def _instabilities(
     if misfit:
         alternatives = [("accel",) * accel, ("gyro",) * gyro, ("gyro", "accel") if accel and gyro else ()]
         return [sensors for sensors in alternatives if sensors]
-    accel = accel and bool(noise.accel_flicker.any() or shows_instability(joint, solution, freedom))
+    accel = accel and bool(
+        noise.accel_flicker.any() or accel_component(joint, solution, freedom).p_value < MISFIT_PROBABILITY
+    )
     if gyro and joint.bias_walks:
         slope, rest = _rest_rates(joint, point)
         owner, terms = joint.window_sequence, joint.drift.terms
@@ -135,8 +144,10 @@ def _instabilities(
     return [("gyro",) * gyro + ("accel",) * accel] if gyro or accel else []
 
 
-def _gyro_size(joint: JointModel, solver: JointSolver, iteration: IterationState, state: JointState) -> float:
-    """Bias instability of the gyros by restricted likelihood at a state, rad/s."""
+def _gyro_size(
+    joint: JointModel, solver: JointSolver, iteration: IterationState, state: JointState
+) -> tuple[float, float]:
+    """Bias instability of the gyros by restricted likelihood at a state, rad/s, and twice its log-likelihood ratio."""
     from scipy.optimize import minimize_scalar  # heavy, and few calibrations come here
 
     data, noise = joint.data, joint.data.noise
@@ -147,8 +158,9 @@ def _gyro_size(joint: JointModel, solver: JointSolver, iteration: IterationState
         return -_solution(joint, solver, iteration, state).log_likelihood
 
     best = minimize_scalar(cost, bounds=_SIZES, method="bounded", options={"xatol": _SIZE_TOLERANCE})
+    none = cost(2.0 * _SIZES[0])
     joint.with_data(data)
-    return window * math.exp(float(best.x))
+    return window * math.exp(float(best.x)), 2.0 * max(none - float(best.fun), 0.0)
 
 
 def _solution(joint: JointModel, solver: JointSolver, iteration: IterationState, state: JointState) -> BlockSolution:
@@ -242,11 +254,11 @@ def search(joint: JointModel, iteration: IterationState, solution: BlockSolution
     return most_significant(found, len(keys), joint.drift.terms, joint.unmodelled_sigma.force, courses, by_window)
 
 
-def shows_instability(joint: JointModel, solution: BlockSolution, freedom: int) -> bool:
-    """True if the residuals show a bias instability of the accelerometers beyond that of the noise model.
+def accel_component(joint: JointModel, solution: BlockSolution, freedom: int) -> VarianceComponent:
+    """Bias instability of the accelerometers that the residuals show, as a share of the limit of the noise model.
 
     Three quarters of the residuals are those of gyros and rotations. The chi-square of all therefore does not show an
     instability that the windows show.
     """
     effect = accel_drift(joint.data, solution.system.compensated.force_slope, joint.data.noise.accel_limit)
-    return variance_component(force_statistics(solution, [effect], freedom)[0]).p_value < MISFIT_PROBABILITY
+    return variance_component(force_statistics(solution, [effect], freedom)[0])

@@ -42,8 +42,8 @@ def plan_text(plan: Plan, title: str = "Plan") -> str:
         last += " Record the moves between the sequences, too, and calibrate by least squares, EKF or graph."
     if math.isfinite(plan.bound):
         last += (
-            f" No plan of this length and of such sequences can be below {plan.bound:.3f}, "
-            f"{100.0 * (1.0 - plan.bound / plan.ratio):.0f} % less."
+            f" With the closed form, no plan of this length and of such sequences can be below {plan.bound:.3f}, "
+            f"{100.0 * (1.0 - plan.bound / plan.ratio):.0f} % less; estimators that use the fixture's geometry can."
         )
     return "\n".join([*lines, "", *wrap(last)])
 

@@ -26,3 +26,9 @@ def test_sigmas_are_true_and_the_units_own_noise_is_sound(kind, estimator, state
     error = 3.5 * math.sqrt(2.0 / freedom)
     assert (0.60 if estimator == "closed-form" else LOW) * (1.0 - error) <= mean <= HIGH * (1.0 + error)
     assert {row[2] for row in found} == {"sound"}
+
+
+@pytest.mark.parametrize("seed", [3, 4])
+def test_the_units_own_instability_is_no_fault_of_one_turn(seed):
+    """One turn deviates most, by flicker noise: an instability is more likely than a fault of that turn alone."""
+    assert outcome(seed, "hand", "navigation", STATEMENTS[1], "least-squares")[2] == "sound"
