@@ -10,6 +10,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from scipy.special import chdtrc
 
 from srt.closed_form.formulas import SelectedFormulas
 from srt.closed_form.iteration import iterate
@@ -25,6 +26,7 @@ from srt.estimation.goodness_of_fit import (
     chi_square,
     contradicting_group,
     is_misfit,
+    likelier_than_a_fault,
     residual_statistics,
 )
 from srt.estimation.initial_estimates import initial_estimate
@@ -110,25 +112,36 @@ def _with_instability(
     """Solution with the bias instability that residuals and rates at rest show, if that alone explains them."""
     if solution.status != "converged" or formulas.fixed.all():
         return data, solution
-    noise, m, sizes = data.noise, solution.measurements, dict[str, Any]()
+    noise, m, sizes, ratio = data.noise, solution.measurements, dict[str, Any](), 0.0
+    before = _chi_square(solution, formulas.fixed)
     if np.any(noise.accel_limit > noise.accel_flicker):
         _, seen = _by_instability(data, solution, formulas.fixed)
-        shown = variance_component(seen).p_value < MISFIT_PROBABILITY or noise.accel_flicker.any()
-        if shown or is_misfit(*_chi_square(solution, formulas.fixed)):
+        component = variance_component(seen)
+        shown = component.p_value < MISFIT_PROBABILITY or noise.accel_flicker.any()
+        if shown or is_misfit(*before):
+            ratio += component.ratio
             sizes["accel_instability"] = noise.expected_accel_instability(seen)[0]
     if noise.gyro_wander is None and options.gyro_bias == "auto":
-        size = gyro_instability(data, m.gyro.inverse, m.rest_rate, m.integrated, (), m.window_sequence)
-        sizes |= {} if size is None else {"gyro_instability": size}
+        of_gyros = gyro_instability(data, m.gyro.inverse, m.rest_rate, m.integrated, (), m.window_sequence)
+        if of_gyros is not None:
+            sizes["gyro_instability"], ratio = of_gyros[0], ratio + of_gyros[1]
     if not sizes or _drift(data, solution, formulas.fixed)[0]:
+        return data, solution
+    if chdtrc(len(sizes), ratio) >= likelier_than_a_fault(_tests(data, solution, formulas.fixed), *before):
         return data, solution
     other = replace(data, **sizes)
     found = iterate(other, options, formulas, solution.errors, solution.U, fixed_sigma=uncertain)
     fit = _chi_square(found, formulas.fixed)
-    tests = [(t.chi_square, t.degrees_of_freedom) for t in contradictions(other, found, formulas.fixed)]
+    tests = _tests(other, found, formulas.fixed)
     if found.status != "converged" or is_misfit(*fit) or contradicting_group(tests, *fit) is not None:
         return data, solution
     corrections = (*solution.corrections, *found.corrections)
     return other, replace(found, corrections=corrections, message=f"Converged after {len(corrections)} iterations.")
+
+
+def _tests(data: PreparedRecording, solution: Solution, fixed: Mask) -> list[tuple[float, int]]:
+    """Chi-square of each sequence as predicted from the others, and its degrees of freedom."""
+    return [(test.chi_square, test.degrees_of_freedom) for test in contradictions(data, solution, fixed)]
 
 
 def _by_instability(data: PreparedRecording, solution: Solution, fixed: Mask) -> tuple[Array, Statistics]:

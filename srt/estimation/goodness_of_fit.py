@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -110,6 +111,20 @@ def contradicting_group(
         if p <= limit and (worst is None or p < worst[1]):
             worst = number, p
     return worst
+
+
+def likelier_than_a_fault(
+    tests: Sequence[tuple[float, int]], chi_square: float, degrees_of_freedom: int, *, free: bool = False
+) -> float:
+    """p-value below which an effect on all groups is more likely than a fault of one; infinite if none is faulty.
+
+    With a misfit, one is faulty if that explains it. Parameters are those of :func:`contradicting_group`.
+    """
+    worst = contradicting_group(tests, chi_square, degrees_of_freedom, free=free)
+    explained = not is_misfit(chi_square, degrees_of_freedom) or one_group_explains(
+        tests, chi_square, degrees_of_freedom, free=free
+    )
+    return worst[1] * len(tests) if worst is not None and explained else math.inf
 
 
 def one_group_explains(

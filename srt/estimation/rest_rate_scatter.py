@@ -57,8 +57,10 @@ def bias_gain(measurements: SrtMeasurements, data: PreparedRecording, mode: str,
 
 def gyro_instability(
     data: PreparedRecording, slope: Array, rest: Array, integrated: Mask, present: Sequence[DriftTerm], owner: Indices
-) -> float | None:
-    """Expected bias instability of the gyros, rad/s; None if the rates at rest do not show it.
+) -> tuple[float, float] | None:
+    """Expected bias instability of the gyros, rad/s, and twice the logarithm of its likelihood ratio.
+
+    None if the rates at rest do not show it.
 
     It is not shown either where a bias of each sequence is more likely.
 
@@ -74,7 +76,7 @@ def gyro_instability(
     flicker, scatter = (variance_component(found[name]) for name in courses)
     if flicker.p_value > MISFIT_PROBABILITY or flicker.ratio < scatter.ratio:
         return None
-    return math.sqrt(expected_variance(found["instability"], 0.0, (0.0, math.inf)))
+    return math.sqrt(expected_variance(found["instability"], 0.0, (0.0, math.inf))), flicker.ratio
 
 
 def window_rate_variance(measurements: SrtMeasurements, data: PreparedRecording) -> Array:

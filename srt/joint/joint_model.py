@@ -493,8 +493,9 @@ class JointModel:
         own = weights @ rest
         own = own.mean(axis=0) + (own - own.mean(axis=0)) / math.sqrt(left)
         unstated = self.data.recording.noise.gyro_noise is None
-        # The Earth's rate is estimated: its doubt is for the test alone.
-        excess = excess_variance(own[~self.data.is_move], expected, noise if unstated else None)
+        # In hand the Earth's rate is estimated: its doubt is for the test alone.
+        least = noise if self.turned_by_hand else expected
+        excess = excess_variance(own[~self.data.is_move], expected, least if unstated else None)
         self.bias_scatter = np.sqrt(excess)
         in_time = self.order[~self.data.is_move[self.order]]
         steps = np.mean(np.diff(own[in_time], axis=0) ** 2, axis=0) - 2.0 * expected

@@ -19,7 +19,12 @@ from srt.estimation.drift_model import (
 )
 from srt.estimation.error_sources import NO_ERRORS, accel_drift, by_drift
 from srt.estimation.g_sensitivity_report import significant_g_sensitivity
-from srt.estimation.goodness_of_fit import contradicting_group, is_misfit, one_group_explains
+from srt.estimation.goodness_of_fit import (
+    contradicting_group,
+    is_misfit,
+    likelier_than_a_fault,
+    one_group_explains,
+)
 from srt.estimation.rest_rate_scatter import gyro_instability
 from srt.joint.block_solution import BlockSolution
 from srt.joint.drift import DriftTerms
@@ -80,10 +85,7 @@ def add_instability(joint: JointModel, solver: JointSolver, iteration: Iteration
     if not shown:
         return False
     tests = [(test.chi_square, test.degrees_of_freedom) for test in contradictions(joint, solution)]
-    fault = contradicting_group(tests, *fit, free=joint.turned_by_hand)
-    if misfit and not one_group_explains(tests, *fit, free=joint.turned_by_hand):
-        fault = None
-    limit = math.inf if fault is None else fault[1] * len(tests)
+    limit = likelier_than_a_fault(tests, *fit, free=joint.turned_by_hand)
     assert iteration.point is not None
     state, found = iteration.point.state, search(joint, iteration, solution, fit[1])
     smooth = tuple(term for term in found.terms if term.sensor == "accel" and term.form != WALK)
