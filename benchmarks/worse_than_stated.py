@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from foreign_fixture import LATITUDE_DEG, on_fixture, table_1
-from foreign_motion import DEG, GRADES, GRAVITY_M_S2, drawn_errors, hand_turns, recording
+from foreign_motion import DEG, GRADES, GRAVITY_M_S2, drawn_errors, drift_course, hand_turns, recording
 from joblib import Parallel, delayed
 
 import srt
@@ -26,6 +26,9 @@ if TYPE_CHECKING:
 
 SEED = 20261128
 HZ = 50.0
+AT_REST_RAD_S = 0.1 * DEG
+HAND_RESTS_S = {"hand": 4.0, "long hand": 14.0}
+"""Rest between 24 turns by hand; the longer ones make recordings of 500 s."""
 
 
 class Case(NamedTuple):
@@ -47,8 +50,52 @@ def as_it_is(unit: srt.Recording, _: np.random.Generator) -> srt.Recording:
     return unit
 
 
+MG = 1e-3 * 9.80665
+DEG_PER_H = DEG / 3600.0
+
+
+def drifting(
+    form: str, accel_mg: float = 0.0, gyro_deg_h: float = 0.0, *, temperature: bool = False
+) -> Callable[[srt.Recording, np.random.Generator], srt.Recording]:
+    """Change of the biases of both triads in random directions, zero on average in the stationary windows.
+
+    A "step" is that of one channel at a quarter of the recording. ``temperature`` records one that follows the drift.
+    """
+
+    def disturbed(unit: srt.Recording, rng: np.random.Generator) -> srt.Recording:
+        directions = rng.normal(size=(2, 3))
+        if form == "step":
+            course = (unit.time > 0.25 * unit.time[-1]).astype(float)
+            directions = np.eye(3)[rng.integers(3, size=2)]
+        else:
+            course = drift_course(form, unit.time, [(0.0, unit.time[-1])], rng)
+        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+        at_rest = np.linalg.norm(unit.gyro, axis=1) < AT_REST_RAD_S
+        if unit.sequences:
+            spans = np.concatenate([(s.start_static_s, s.end_static_s) for s in unit.sequences])
+            at_rest = np.any([(unit.time > a) & (unit.time <= b) for a, b in spans], axis=0)
+        course = (course - course[at_rest].mean())[:, None]
+        accel, gyro = directions * np.array([[accel_mg * MG], [gyro_deg_h * DEG_PER_H]])
+        recorded = 25.0 + 5.0 * course[:, 0] if temperature else None
+        return replace(unit, accel=unit.accel + course * accel, gyro=unit.gyro + course * gyro, temperature=recorded)
+
+    return disturbed
+
+
 CASES: dict[str, Case] = {
     "fixture of 1 mrad, 0.1 stated": Case("tactical", as_it_is, stated_sigma_rad=1e-4),
+    "fixture, no drift": Case("tactical", as_it_is),
+    "fixture, accelerometer warm-up of 4 mg": Case("tactical", drifting("warm-up", 4.0)),
+    "fixture, the same, temperature recorded": Case("tactical", drifting("warm-up", 4.0, temperature=True)),
+    "navigation on a fixture, warm-up of 1 mg": Case("navigation", drifting("warm-up", 1.0)),
+    "navigation on a fixture, linear, 4 mg and 300 °/h": Case("navigation", drifting("linear", 4.0, 300.0)),
+    "fixture, accelerometer step of 0.4 mg": Case("tactical", drifting("step", 0.4)),
+    "fixture, gyro step of 30 °/h": Case("tactical", drifting("step", gyro_deg_h=30.0)),
+    "hand, no drift": Case("tactical", as_it_is, motion="hand"),
+    "hand, accelerometers linear, 4 mg": Case("tactical", drifting("linear", 4.0), motion="hand"),
+    "hand, 500 s, linear, 8 mg and 570 °/h": Case("tactical", drifting("linear", 8.0, 570.0), motion="long hand"),
+    "hand, accelerometer step of 0.4 mg": Case("tactical", drifting("step", 0.4), motion="hand"),
+    "hand, gyro step of 30 °/h": Case("tactical", drifting("step", gyro_deg_h=30.0), motion="hand"),
 }
 """Cases by name."""
 
@@ -58,8 +105,9 @@ def unit_of(case: Case, seed: int) -> tuple[srt.Recording, dict[str, float]]:
     rng = np.random.default_rng((SEED, seed))
     grade = GRADES[case.grade]
     errors = drawn_errors(grade, rng)
-    if case.motion == "hand":
-        unit = recording(hand_turns(rng, shortest_s=1.0), 5.0, errors, grade, rng)
+    if case.motion in HAND_RESTS_S:
+        turns = hand_turns(rng, shortest_s=1.0, count=24, rest_s=HAND_RESTS_S[case.motion])
+        unit = recording(turns, 5.0, errors, grade, rng)
     else:
         motion = on_fixture(table_1(), rng, rest_s=10.0, rate_rad_s=60.0 * DEG, sigma_rad=case.true_sigma_rad)
         samples = motion.sampled(errors, grade, rng, hz=HZ)
@@ -114,7 +162,7 @@ def main() -> None:
     print("|---|---|---:|---:|---|---|", flush=True)
     for name in options.cases:
         for estimator in options.estimators:
-            if CASES[name].motion == "hand" and estimator == "closed-form":
+            if CASES[name].motion in HAND_RESTS_S and estimator == "closed-form":
                 continue
             rows = Parallel(n_jobs=options.jobs)(delayed(outcome)(name, i, estimator) for i in range(options.units))
             words, named = (Counter(row[key] for row in rows).most_common() for key in ("word", "named"))

@@ -72,6 +72,8 @@ def build_calibration(
     evidence = None
     if observed.any():
         evidence = verdict(result.sequences, covariance, observed, chi_square, freedom, free=free)
+        if _unmodelled_drift(result):  # it is in the residuals of all sequences
+            evidence = replace(evidence, contradicting=None)
         evidence = _with_sensor_noise(evidence, data, result, covariance, observed, inflation)
     status, message = _status(result, fixed, evidence, free=free, rated=any(label.rate for label in data.labels))
     return Calibration(
@@ -162,6 +164,8 @@ def _status(
     if evidence is not None and evidence.sigma_factor is not None:
         grown = evidence.sigma_factor[1]
     if is_misfit(statistic, freedom) and max(ratio, grown) > LARGEST_RATIO and not explained:
+        if drift := _unmodelled_drift(result):
+            return "inconsistent", drift
         # The noise of the rotations can be exceeded by far where that of the windows, in most residuals, is not.
         size = (
             f"The residuals are {ratio:.2g} times as large as the sensors' own noise explains"
@@ -176,6 +180,11 @@ def _status(
     if fixed:
         return "partial", f"{result.message} Fixed, not observed: {', '.join(fixed)}."
     return result.status, result.message
+
+
+def _unmodelled_drift(result: SolverResult) -> str:
+    """Sentences on drift that the residuals show and the estimate does not include; empty without."""
+    return " ".join(term.sentence for term in result.drift if not term.modelled)
 
 
 def _with_sensor_noise(

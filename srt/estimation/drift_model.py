@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
+from functools import cache
 from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 
 import numpy as np
@@ -10,6 +12,7 @@ import numpy as np
 from srt.constants import DEG_PER_H, MICRO_G
 from srt.estimation.error_sources import earth_rate_sigma, raw_rate_variance
 from srt.estimation.goodness_of_fit import residual_statistics
+from srt.noise.bias_steps import LARGEST_SHARE, STEP, within_span
 from srt.noise.drift_forms import (
     FALSE_ALARM,
     LINEAR,
@@ -24,7 +27,7 @@ from srt.result.diagnostics import Drift
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from srt.noise.drift_forms import Statistics
+    from srt.noise.drift_forms import DriftTest, Statistics
     from srt.sequences.preparation import PreparedRecording
     from srt.types import Array, Mask
 
@@ -33,6 +36,10 @@ if TYPE_CHECKING:
 
 _WIDE: Final = 100.0
 """Prior sigma of the coefficients of a form, in units of their estimate: the prior takes 1e-4 of the estimate."""
+_SHOWN: Final = 1e-3
+"""p-value of a form of drift below which steps are tested: one triad in a hundred without drift has one."""
+_LEAST_P: Final = 1e-300
+"""p-value below which the logarithm is taken of this limit."""
 _POSSIBLE: Final = 0.05
 """p-value of a linear accelerometer drift below which the covariance includes it, although it is not selected."""
 MOST_TERMS: Final = 4
@@ -65,7 +72,10 @@ class DriftSearch(NamedTuple):
     Attributes
     ----------
     terms : tuple of DriftTerm
-        Most significant form of each triad, where one is significant.
+        Most likely form of each triad, where one is significant; that of the larger likelihood ratio first.
+    gain : float
+        Twice the logarithm of the first one's likelihood ratio, less a penalty, see
+        :class:`srt.noise.drift_forms.DriftTest`.
     possible : float, m/s²
         Standard deviation, by restricted maximum likelihood, of the change of the accelerometer biases over the
         recording by a linear drift that is not significant. The covariance includes its effect. Zero if p > 0.05, or
@@ -73,6 +83,7 @@ class DriftSearch(NamedTuple):
     """
 
     terms: tuple[DriftTerm, ...] = ()
+    gain: float = 0.0
     possible: float = 0.0
 
 
@@ -105,8 +116,7 @@ class DriftEstimate:
         """Warning that names the drift and its size."""
         factor, unit = _UNITS[self.sensor]
         sizes = ", ".join(f"{value / factor:+.3g}" for value in self.change.tolist())
-        forms = {LINEAR: "linearly with time", "temperature": "with temperature", WALK: "as a random walk"}
-        form = forms.get(self.form, "as in a warm-up")
+        form = f"by a {self.form}," if self.form.startswith(STEP) else _COURSES.get(self.form, "as in a warm-up")
         end = (
             "the estimate includes this drift, and the sigmas allow for it."
             if self.modelled
@@ -125,49 +135,97 @@ def candidates(data: PreparedRecording, present: Sequence[DriftTerm]) -> list[tu
     return [(s, form) for s in sensors for form in data.drift_shapes if (s, form) not in taken]
 
 
-def most_significant(
+def most_likely(
+    data: PreparedRecording,
     found: Mapping[tuple[Sensor, str], Statistics],
-    tests: int,
     present: Sequence[DriftTerm],
     force: float,
-    courses: Mapping[str, Array],
     by_window: Callable[[Sensor], Statistics],
 ) -> DriftSearch:
-    """Most significant form of drift of each triad, where one is significant, and a possible drift.
+    """Most likely form of drift of each triad among the significant ones, and a possible drift.
 
     The probability of selecting any form without drift is at most :data:`~srt.noise.drift_forms.FALSE_ALARM`
-    (Bonferroni's inequality): later selections presuppose a first one.
+    (Bonferroni's inequality, half of it for the steps): later selections presuppose a first one. Steps are tested where
+    another form of the triad has p < 1e-3: any significant step makes one so.
 
     Parameters
     ----------
+    data : PreparedRecording
     found : mapping of (sensor, form) to Statistics
         Coefficients of the three channels, for each function in the test of a form in turn.
-    tests : int
-        Number of forms that are tested in the recording, over all sensors.
     present : sequence of DriftTerm
         Forms that are modelled.
     force : float, m/s²
         Standard deviation of independent errors of the windows that are modelled. They may be a drift that was not
         known.
-    courses : mapping of str to ndarray, shape (W, n)
-        All functions of each form in the windows.
     by_window : callable
         Statistics of independent errors of the windows of a sensor.
     """
-    p_values = {key: test.p_value for key, statistics in found.items() if (test := drift_test(statistics)) is not None}
-    if force > 0.0:
-        each = by_window("accel")
-        for sensor, form in p_values:
-            if sensor == "accel":
-                p_values[sensor, form] = form_or_scatter(each, courses[form], force, walk=form == WALK)
-    out = []
-    for sensor in dict.fromkeys(sensor for sensor, _ in p_values):
-        key = min((key for key in p_values if key[0] == sensor), key=lambda key: p_values[key])
-        if p_values[key] < FALSE_ALARM / tests:
-            out.append(DriftTerm(*key, _prior_sigma(key, found, courses[WALK], by_window)))
+    each, taken, possible, likely = cache(by_window), {(term.sensor, term.form) for term in present}, 1.0, []
+    for sensor in dict.fromkeys(sensor for sensor, _ in found):
+        tests = {key: test for key, own in found.items() if key[0] == sensor and (test := drift_test(own)) is not None}
+        scatter = force if sensor == "accel" else 0.0
+        if scatter > 0.0:
+            tests = {key: _beside_scatter(data, key, test, scatter, each(sensor)) for key, test in tests.items()}
+        if sensor == "accel" and (sensor, LINEAR) in tests:
+            possible = tests[sensor, LINEAR].p_value
+        shown = any(test.p_value < _SHOWN for test in tests.values())
+        limit = 0.5 * FALSE_ALARM / len(found)
+        tests = {key: test for key, test in tests.items() if test.p_value < limit}
+        steps = [key for form in data.step_shapes if (key := (sensor, form)) not in taken] if shown else []
+        if steps and (step := _best_step(data, steps, each(sensor))) is not None:
+            key, test = step
+            if scatter > 0.0:
+                test = _beside_scatter(data, key, test, scatter, each(sensor))
+            if test.p_value < 0.25 * FALSE_ALARM / len(steps):
+                tests[key] = replace(test, gain=test.gain - 2.0 * math.log(len(steps)))
+        if tests:
+            key = max(tests, key=lambda key: tests[key].gain)
+            if key in steps and (sensor, WALK) in tests and scatter == 0.0:
+                key = _step_or_walk(data, key, tests[key], each(sensor))
+            likely.append((tests[key].gain, DriftTerm(*key, _prior_sigma(data, key, tests[key], each))))
+    likely.sort(key=lambda item: -item[0])
+    terms = tuple(term for _, term in likely)
     linear: tuple[Sensor, str] = ("accel", LINEAR)
-    drifting = any(term.sensor == "accel" for term in (*present, *out))
-    return DriftSearch(tuple(out), 0.0 if drifting else possible_sigma(found[linear], p_values.get(linear, 1.0)))
+    drifting = any(term.sensor == "accel" for term in (*present, *terms)) or linear not in found
+    by_chance = 0.0 if drifting else possible_sigma(found[linear], possible)
+    return DriftSearch(terms, likely[0][0] if likely else 0.0, by_chance)
+
+
+def _beside_scatter(
+    data: PreparedRecording, key: tuple[Sensor, str], test: DriftTest, scatter: float, each: Statistics
+) -> DriftTest:
+    """The test of a form beside independent errors of the windows, see :func:`form_or_scatter`."""
+    p = form_or_scatter(each, data.drift_shape(*key).windows, scatter, walk=key[1] == WALK)
+    return replace(test, p_value=p, gain=-2.0 * math.log(max(p, _LEAST_P)))
+
+
+def _best_step(
+    data: PreparedRecording, steps: Sequence[tuple[Sensor, str]], each: Statistics
+) -> tuple[tuple[Sensor, str], DriftTest] | None:
+    """Most likely step, and its test; None if the residuals show none.
+
+    Both halves of a window explain its mean alike: the step is in the half that holds it.
+    """
+    best = None
+    for key in steps:
+        test = drift_test(of_courses(each, data.drift_shape(*key).windows))
+        if test is not None and (share := within_span(test.amplitude)) <= LARGEST_SHARE:
+            place = round(test.gain, 3), -share
+            if best is None or place > best[0]:
+                best = place, key, test
+    return None if best is None else best[1:]
+
+
+def _step_or_walk(
+    data: PreparedRecording, step: tuple[Sensor, str], test: DriftTest, each: Statistics
+) -> tuple[Sensor, str]:
+    """The step, or the random walk if all its components together are more likely: its test uses three."""
+    walk = (step[0], WALK)
+    ratio = variance_component(of_courses(each, data.drift_shape(*walk).windows)).ratio
+    left = max(each.chi_square - ratio, _LEAST_P)
+    gain = each.freedom * math.log(each.chi_square / left) - math.log(each.freedom)
+    return walk if gain > test.gain else step
 
 
 def possible_sigma(linear: Statistics, p_value: float) -> float:
@@ -176,16 +234,15 @@ def possible_sigma(linear: Statistics, p_value: float) -> float:
 
 
 def _prior_sigma(
+    data: PreparedRecording,
     key: tuple[Sensor, str],
-    found: Mapping[tuple[Sensor, str], Statistics],
-    walk: Array,
+    test: DriftTest,
     by_window: Callable[[Sensor], Statistics],
 ) -> float:
     """Prior sigma of the coefficients of a form: that of the walk, or a wide one."""
     if key[1] == WALK:
-        return variance_component(of_courses(by_window(key[0]), walk)).sigma
-    test = drift_test(found[key])
-    return 0.0 if test is None else _WIDE * float(np.abs(test.amplitude).max())
+        return variance_component(of_courses(by_window(key[0]), data.drift_shape(*key).windows)).sigma
+    return _WIDE * float(np.abs(test.amplitude).max())
 
 
 def change(form: str, coefficients: Array, windows: Array) -> Array:
@@ -229,7 +286,7 @@ def gyro_statistics(
     if data.noise.gyro_flicker is not None:
         own = data.noise.gyro_flicker * slope
         noise = noise + np.kron(data.drift.window_covariance, own @ own.T)
-    modelled = [(term, data.drift_shapes[term.form].windows) for term in present if term.sensor == "gyro"]
+    modelled = [(term, data.drift_shape(*term[:2]).windows) for term in present if term.sensor == "gyro"]
     for term, course in modelled:
         if term.form == WALK:
             own = term.sigma * slope

@@ -140,3 +140,17 @@ def one_group_explains(
     own, freedom = tests[worst[0]]
     rest, others = chi_square - own, degrees_of_freedom - freedom
     return rest < _ONE_FAULT * chi_square or not is_misfit(rest, others)
+
+
+def gain_of_one_group(
+    tests: Sequence[tuple[float, int]], chi_square: float, degrees_of_freedom: int, *, free: bool = False
+) -> float:
+    """Twice the logarithm of the likelihood ratio of one faulty group, less a penalty; zero if none explains the misfit.
+
+    It compares with :attr:`srt.noise.drift_forms.DriftTest.gain`. Parameters are those of :func:`contradicting_group`.
+    """
+    if not one_group_explains(tests, chi_square, degrees_of_freedom, free=free):
+        return 0.0
+    own, freedom = max(tests, key=lambda test: test[0])
+    ratio = chi_square / max(chi_square - own, 1e-300)
+    return degrees_of_freedom * math.log(ratio) - freedom * math.log(degrees_of_freedom) - 2.0 * math.log(len(tests))

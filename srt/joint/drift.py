@@ -232,7 +232,8 @@ class DriftTerms:
         first = 0 if force_axes is None else 3 * len(force_axes)
         self.of_force = slice(0, first)
         """Coefficients of the g-sensitivity."""
-        sizes = [3 * data.drift_shapes[term.form].windows.shape[1] for term in terms]
+        self._shapes = {term: data.drift_shape(term.sensor, term.form) for term in terms}
+        sizes = [3 * self._shapes[term].windows.shape[1] for term in terms]
         stops = (first + np.cumsum(sizes, dtype=np.intp)).tolist()
         self.slices = [slice(stop - size, stop) for stop, size in zip(stops, sizes, strict=True)]
         self.size = first + sum(sizes)
@@ -274,16 +275,15 @@ class DriftTerms:
 
     def raw(self, sensor: str, coefficients: Array, of: str) -> Array:
         """Drift of the raw channels in "windows" (W, 3), their "halves" (W, 2, 3) or "parts" of rotations (K, P, 3)."""
-        shapes = self.data.drift_shapes
-        shape = (*getattr(shapes[LINEAR], of).shape[:-1], 3)
-        parts = [getattr(shapes[t.form], of) @ coefficients[s].reshape(-1, 3) for t, s in self.of(sensor)]
+        shape = (*getattr(self.data.drift_shapes[LINEAR], of).shape[:-1], 3)
+        parts = [getattr(self._shapes[t], of) @ coefficients[s].reshape(-1, 3) for t, s in self.of(sensor)]
         return np.asarray(sum(parts, np.zeros(shape)))
 
     def jacobian(self, sensor: str, of: str, slope: Array, members: Indices | slice = slice(None)) -> Array:
         """Effect of all coefficients on windows (n, d, size) or, by parts (n, P, d, 3), on rotations; default: all."""
         out = np.zeros((len(slope), slope.shape[-2], self.size))
         for term, at in self.of(sensor):
-            shape = getattr(self.data.drift_shapes[term.form], of)[members]
+            shape = getattr(self._shapes[term], of)[members]
             out[:, :, at] = by_drift(slope, shape)
         return out
 
@@ -311,7 +311,7 @@ class DriftTerms:
             DriftEstimate(
                 t.sensor,
                 t.form,
-                change(t.form, coefficients[s].reshape(-1, 3), self.data.drift_shapes[t.form].windows),
+                change(t.form, coefficients[s].reshape(-1, 3), self._shapes[t].windows),
                 modelled=True,
             )
             for t, s in zip(self.terms, self.slices, strict=True)

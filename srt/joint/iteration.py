@@ -51,7 +51,7 @@ from srt.model.table1 import SEQUENCES
 from srt.sensor_errors import N_PARAMETERS, NAMES, SensorErrors
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
 
     from srt.estimation.registry import Progress
     from srt.joint.joint_model import JointModel
@@ -331,13 +331,14 @@ def run(joint: JointModel, solver: JointSolver, progress: Progress | None) -> Ca
     held: Diagnostics | None = None
     for _ in range(_ROUNDS * (1 + MOST_TERMS)):
         iteration = iterate(joint, solver, iteration, requested=requested, progress=progress)
+        iteration = _with_still_windows(joint, solver, iteration, requested, progress)
         if (found_held := _integrate_moving_windows(joint, solver, iteration, uncertain)) is not None:
             held = found_held
             continue
         if _relies_on_fixture(joint, iteration, uncertain):
             solver.prior = joint.prior_of_fixture(uncertain)
             solver.restart()
-            iteration = IterationState(joint.start, ~requested)
+            iteration = IterationState(replace(joint.start, drift=iteration.state.drift), ~requested)
             continue
         if iteration.status != "converged":
             break
@@ -357,6 +358,46 @@ def run(joint: JointModel, solver: JointSolver, progress: Progress | None) -> Ca
         iteration.free = iteration.free & ~weak
         iteration.state = joint.with_initial_values(iteration.state, weak)
     return make_calibration(joint, solver, iteration, fixed, held)
+
+
+def _with_drift(
+    joint: JointModel,
+    solver: JointSolver,
+    iteration: IterationState,
+    requested: Mask,
+    progress: Progress | None,
+    explains: Callable[[IterationState], bool],
+) -> IterationState | None:
+    """Solution with a bias drift that explains what else would be blamed on the recording; None if there is none."""
+    drift, unmodelled = joint.drift, joint.unmodelled_sigma
+    found = replace(iteration, corrections=list(iteration.corrections or ()))
+    while add_drift(joint, solver, found):
+        solver.restart()
+        found = iterate(joint, solver, found, requested=requested, progress=progress)
+        if found.status != "converged":
+            break
+        if explains(found):
+            return found
+    joint.drift, joint.unmodelled_sigma = drift, unmodelled
+    solver.restart()
+    return None
+
+
+def _with_still_windows(
+    joint: JointModel, solver: JointSolver, iteration: IterationState, requested: Mask, progress: Progress | None
+) -> IterationState:
+    """Solution with a bias drift if less than half of the windows that seem to move do so beside it."""
+
+    def moving(at: IterationState) -> int:
+        assert at.point is not None
+        return int(joint.moving_windows(at.state, at.point.compensated).sum())
+
+    if iteration.status != "converged" or not (number := moving(iteration)):
+        return iteration
+    found = _with_drift(
+        joint, solver, iteration, requested, progress, lambda found: moving(found) < max(number / 2.0, 1.0)
+    )
+    return found or iteration
 
 
 def _integrate_moving_windows(
@@ -425,11 +466,23 @@ def _with_sound_moves(
         if add_g_sensitivity(joint, solver, iteration):
             joint.start = replace(joint.start, drift=iteration.state.drift)
             continue
-        against = contradictions(joint, whole_solution(joint, solver, iteration))
-        tests = [(against[step].chi_square, against[step].degrees_of_freedom) for step in joint.rank.tolist()]
-        reasons = contradicting_move(tests, joint.data.is_move)
+        reasons = _contradicting_move(joint, solver, iteration)
         if not reasons:
             return joint, iteration
+
+        def explains(found: IterationState, joint: JointModel = joint) -> bool:
+            return not _contradicting_move(joint, solver, found)
+
+        found = _with_drift(joint, solver, iteration, requested, progress, explains)
+        if found is not None:
+            return joint, found
         joint = joint.without_moves(reasons)
         solver.restart()
     return joint, None
+
+
+def _contradicting_move(joint: JointModel, solver: JointSolver, iteration: IterationState) -> dict[int, str]:
+    """Move that contradicts the other measurements of a solution, with the reason; empty if none does."""
+    against = contradictions(joint, whole_solution(joint, solver, iteration))
+    tests = [(against[step].chi_square, against[step].degrees_of_freedom) for step in joint.rank.tolist()]
+    return contradicting_move(tests, joint.data.is_move)

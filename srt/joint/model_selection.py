@@ -15,12 +15,13 @@ from srt.estimation.drift_model import (
     candidates,
     gyro_courses,
     gyro_statistics,
-    most_significant,
+    most_likely,
 )
 from srt.estimation.error_sources import NO_ERRORS, accel_drift, by_drift
 from srt.estimation.g_sensitivity_report import significant_g_sensitivity
 from srt.estimation.goodness_of_fit import (
     contradicting_group,
+    gain_of_one_group,
     is_misfit,
     likelier_than_a_fault,
     one_group_explains,
@@ -217,18 +218,24 @@ def add_unmodelled_noise(joint: JointModel, solver: JointSolver, iteration: Iter
 
 
 def add_drift(joint: JointModel, solver: JointSolver, iteration: IterationState) -> bool:
-    """Model the most significant form of drift of each triad that the residuals show; True if there is one.
+    """Model the most likely form of drift that the residuals show; True if there is one.
 
-    The unmodelled noise is then estimated again. A robust loss reduces the weight of sequences instead.
+    There is none if one faulty sequence or move explains the residuals with a larger likelihood. The unmodelled noise is then estimated again. A robust loss reduces the weight of sequences instead.
     """
     if solver.weights() or len(joint.drift.terms) >= MOST_TERMS:
         return False
     solution = whole_solution(joint, solver, iteration)
-    system = solution.system
-    iteration.unmodelled_drift = search(joint, iteration, solution, goodness_of_fit(joint, solver, solution, system)[1])
-    if not iteration.unmodelled_drift.terms:
+    fit = goodness_of_fit(joint, solver, solution, solution.system)
+    iteration.unmodelled_drift = found = search(joint, iteration, solution, fit[1])
+    if not found.terms:
         return False
-    joint.drift, iteration.state = _with_drift(joint, iteration.state, iteration.unmodelled_drift.terms)
+    if not any(joint.unmodelled_sigma):
+        tests = [(test.chi_square, test.degrees_of_freedom) for test in contradictions(joint, solution)]
+        if gain_of_one_group(tests, *fit, free=joint.turned_by_hand) > found.gain:
+            iteration.unmodelled_drift = DriftSearch()
+            return False
+    # The other triad is searched again in what this form leaves.
+    joint.drift, iteration.state = _with_drift(joint, iteration.state, found.terms[:1])
     joint.unmodelled_sigma = NO_ERRORS
     return True
 
@@ -236,24 +243,25 @@ def add_drift(joint: JointModel, solver: JointSolver, iteration: IterationState)
 def search(joint: JointModel, iteration: IterationState, solution: BlockSolution, freedom: int) -> DriftSearch:
     """Search the residuals of a joint solution for bias drift that it does not model."""
     assert iteration.point is not None
-    compensated, data = iteration.point.compensated, joint.data
+    slope, data = iteration.point.compensated.force_slope, joint.data
     keys = candidates(data, joint.drift.terms)
-    slope, rest = _rest_rates(joint, iteration.point)
+    by_rate, rest = _rest_rates(joint, iteration.point)
 
     def of_gyro(courses: Mapping[str, Array]) -> dict[str, Statistics]:
-        return gyro_statistics(data, slope, rest, joint.integrated, joint.drift.terms, courses)
+        return gyro_statistics(data, by_rate, rest, joint.integrated, joint.drift.terms, courses)
 
     def by_window(sensor: Sensor) -> Statistics:
+        each = np.eye(len(rest))
         if sensor == "gyro":
-            return of_gyro({"each": np.eye(len(rest))})["each"]
-        return force_statistics(solution, [np.eye(3 * len(rest)).reshape(len(rest), 3, -1)], freedom)[0]
+            return of_gyro({"each": each})["each"]
+        # As the noise has it, of compensated force: more than the noise cannot be taken away from it.
+        return force_statistics(solution, [by_drift(np.broadcast_to(np.eye(3), slope.shape), each)], freedom)[0]
 
     forms = [key for key in keys if key[0] == "accel"]
-    effects = [by_drift(compensated.force_slope, data.drift_shapes[form].tested.windows) for _, form in forms]
+    effects = [by_drift(slope, data.drift_shapes[form].tested.windows) for _, form in forms]
     found = dict(zip(forms, force_statistics(solution, effects, freedom), strict=True))
     found |= {("gyro", form): statistics for form, statistics in of_gyro(gyro_courses(data, keys)).items()}
-    courses = {form: shape.windows for form, shape in data.drift_shapes.items()}
-    return most_significant(found, len(keys), joint.drift.terms, joint.unmodelled_sigma.force, courses, by_window)
+    return most_likely(data, found, joint.drift.terms, joint.unmodelled_sigma.force, by_window)
 
 
 def accel_component(joint: JointModel, solution: BlockSolution, freedom: int) -> VarianceComponent:

@@ -6,7 +6,8 @@ A form is a function s(t) with a mean of zero over the stationary windows, scale
 - warm-up: ``exp(−t / τ)``, with τ a twelfth, a sixth or two fifths of the recording, and its derivative by ln τ, with
   which a sum of both describes the time constants between these;
 - linear in temperature;
-- random walk: the principal components of its means over the windows, with their conditional mean in the rotations.
+- random walk: the principal components of its means over the windows, with their conditional mean in the rotations;
+- step: :mod:`srt.noise.bias_steps`.
 
 The bias of a channel is ``b + a s(t)``; its constant part b is the mean bias over the windows, and a is its change over
 the recording.
@@ -22,7 +23,7 @@ import numpy as np
 from scipy.special import chdtrc, fdtrc
 
 if TYPE_CHECKING:
-    from srt.types import Array
+    from srt.types import Array, Mask
 
 
 FALSE_ALARM: Final = 2e-5
@@ -75,7 +76,17 @@ class DriftShape:
     @property
     def tested(self) -> DriftShape:
         """The functions that the test of the form uses."""
-        return DriftShape(*(means[..., :TESTED_TERMS] for means in (self.windows, self.parts, self.halves)))
+        return self._functions(slice(TESTED_TERMS))
+
+    def of(self, sensor: str) -> DriftShape:
+        """The functions that act on a sensor: on "accel" in the windows, on "gyro" in rotations, too."""
+        acts = np.any(self.windows != 0.0, axis=0)
+        if sensor == "gyro":
+            acts |= np.any(self.parts != 0.0, axis=(0, 1))
+        return self if acts.all() else self._functions(acts)
+
+    def _functions(self, which: slice | Mask) -> DriftShape:
+        return DriftShape(*(means[..., which] for means in (self.windows, self.parts, self.halves)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -127,10 +138,12 @@ def _mean(begin: Array, end: Array, width: Array) -> Array:
 
 
 def _scaled(values: Array, intervals: Intervals) -> DriftShape:
-    W, weight = intervals.windows, _weight(intervals)
-    values = values - weight @ values[:W]
-    values = values / np.ptp(values[:W], axis=0)
-    return _shape(values, intervals)
+    return mean_zero(values / np.ptp(values[: intervals.windows], axis=0), intervals)
+
+
+def mean_zero(values: Array, intervals: Intervals) -> DriftShape:
+    """Shape of functions, less their mean over the windows, from their means in all intervals, (W + K P + 2 W, n)."""
+    return _shape(values - _weight(intervals) @ values[: intervals.windows], intervals)
 
 
 def _walk(times: Array, intervals: Intervals) -> DriftShape:
@@ -239,10 +252,14 @@ class DriftTest:
     p_value : float
     amplitude : ndarray, shape (q,)
         Least-squares estimate of the tested coefficients.
+    gain : float
+        Twice the logarithm of the likelihood ratio, with the scale of the noise estimated, less the penalty of the
+        coefficients by the Bayesian information criterion. It compares forms whose p-values are too small to compute.
     """
 
     p_value: float
     amplitude: Array
+    gain: float
 
 
 def residual_statistics(z: Array, H: Array, *effects: Array) -> list[Statistics]:
@@ -281,7 +298,8 @@ def drift_test(found: Statistics) -> DriftTest | None:
     explained = float(np.sum(along**2 / values[seen]))
     left = max(found.chi_square - explained, 1e-300)
     p_value = max(float(fdtrc(q, freedom, explained / q / (left / freedom))), float(chdtrc(q, explained)))
-    return DriftTest(p_value, vectors[:, seen] @ (along / values[seen]))
+    gain = found.freedom * math.log(found.chi_square / left) - q * math.log(found.freedom)
+    return DriftTest(p_value, vectors[:, seen] @ (along / values[seen]), gain)
 
 
 class VarianceComponent(NamedTuple):

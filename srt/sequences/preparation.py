@@ -14,6 +14,7 @@ from srt.model.analytic_platform import equal_parts, parts_per_rotation
 from srt.model.gyro_stream import GyroStream, gyro_stream
 from srt.model.table1 import SEQUENCES, RotationSequence, axis_vector
 from srt.noise.bias_instability import DriftDraws, drift_draws, interval_times, window_draws
+from srt.noise.bias_steps import step_shapes
 from srt.noise.drift_forms import WALK, DriftShape, Intervals, drift_shapes, walk_between_windows
 from srt.noise.noise_model import NoiseModel, noise_model
 from srt.sequences.manoeuvres import end_attitude
@@ -223,6 +224,15 @@ class PreparedRecording:
     def drift_shapes(self) -> dict[str, DriftShape]:
         """Shapes of a bias drift within the recording, by form."""
         return drift_shapes(self._drift_intervals)
+
+    @cached_property
+    def step_shapes(self) -> dict[str, DriftShape]:
+        """Shapes of a step of the biases, by form: one for every place of the step."""
+        return step_shapes(self._drift_intervals)
+
+    def drift_shape(self, sensor: str, form: str) -> DriftShape:
+        """Shape of a form of drift, or of a step, as it acts on a sensor."""
+        return (self.drift_shapes if form in self.drift_shapes else self.step_shapes)[form].of(sensor)
 
     @cached_property
     def walk_between_windows(self) -> Array:
