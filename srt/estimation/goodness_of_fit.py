@@ -145,7 +145,7 @@ def one_group_explains(
 def gain_of_one_group(
     tests: Sequence[tuple[float, int]], chi_square: float, degrees_of_freedom: int, *, free: bool = False
 ) -> float:
-    """Twice the logarithm of the likelihood ratio of one faulty group, less a penalty; zero if none explains the misfit.
+    """Twice the logarithm of the likelihood ratio of one faulty group, less a penalty; zero if none is faulty.
 
     It compares with :attr:`srt.noise.drift_forms.DriftTest.gain`. Parameters are those of :func:`contradicting_group`.
     """

@@ -347,6 +347,12 @@ def run(joint: JointModel, solver: JointSolver, progress: Progress | None) -> Ca
             for add in (add_g_sensitivity, add_instability, add_unmodelled_noise, add_drift)
         ):
             continue
+        # What a drift hid, or seemed to be: the moves are judged again beside it.
+        if joint.drift.terms and (reasons := _contradicting_move(joint, solver, iteration)):
+            joint = joint.without_moves(reasons)
+            solver.restart()
+            iteration = IterationState(joint.start, ~requested)
+            continue
         suspect = contradicting_rests(joint, whole_solution(joint, solver, iteration))
         if (found_held := _integrate_moving_windows(joint, solver, iteration, uncertain, suspect)) is not None:
             held = found_held
@@ -366,18 +372,21 @@ def _with_drift(
     iteration: IterationState,
     requested: Mask,
     progress: Progress | None,
-    explains: Callable[[IterationState], bool],
+    accused: Callable[[IterationState], int],
 ) -> IterationState | None:
-    """Solution with a bias drift that explains what else would be blamed on the recording; None if there is none."""
+    """Solution with bias drift if less than half of the windows or moves accused without it are so beside it."""
     drift, unmodelled = joint.drift, joint.unmodelled_sigma
     found = replace(iteration, corrections=list(iteration.corrections or ()))
-    while add_drift(joint, solver, found):
+    before = left = accused(iteration)
+    while left and add_drift(joint, solver, found):
         solver.restart()
         found = iterate(joint, solver, found, requested=requested, progress=progress)
         if found.status != "converged":
+            left = before
             break
-        if explains(found):
-            return found
+        left = accused(found)
+    if 2 * left < before:
+        return found
     joint.drift, joint.unmodelled_sigma = drift, unmodelled
     solver.restart()
     return None
@@ -386,18 +395,15 @@ def _with_drift(
 def _with_still_windows(
     joint: JointModel, solver: JointSolver, iteration: IterationState, requested: Mask, progress: Progress | None
 ) -> IterationState:
-    """Solution with a bias drift if less than half of the windows that seem to move do so beside it."""
+    """Solution with a bias drift, if that explains why windows seem to move."""
 
     def moving(at: IterationState) -> int:
         assert at.point is not None
         return int(joint.moving_windows(at.state, at.point.compensated).sum())
 
-    if iteration.status != "converged" or not (number := moving(iteration)):
+    if iteration.status != "converged":
         return iteration
-    found = _with_drift(
-        joint, solver, iteration, requested, progress, lambda found: moving(found) < max(number / 2.0, 1.0)
-    )
-    return found or iteration
+    return _with_drift(joint, solver, iteration, requested, progress, moving) or iteration
 
 
 def _integrate_moving_windows(
@@ -470,10 +476,10 @@ def _with_sound_moves(
         if not reasons:
             return joint, iteration
 
-        def explains(found: IterationState, joint: JointModel = joint) -> bool:
-            return not _contradicting_move(joint, solver, found)
+        def accused(found: IterationState, joint: JointModel = joint) -> int:
+            return len(_contradicting_move(joint, solver, found))
 
-        found = _with_drift(joint, solver, iteration, requested, progress, explains)
+        found = _with_drift(joint, solver, iteration, requested, progress, accused)
         if found is not None:
             return joint, found
         joint = joint.without_moves(reasons)

@@ -207,10 +207,12 @@ class JointModel:
         return [None if C is None else nominal_end(s) for C, s in zip(self.nominal, self.data.catalogue, strict=True)]
 
     def without_moves(self, reasons: Mapping[int, str]) -> JointModel:
-        """Model of the recording without some moves, by their position and with the reason."""
+        """Model of the recording without some moves, by their position and with the reason, and with the same drift."""
         out = JointModel(self.data.without_moves(reasons), self.options, (self.start.errors, self.start.U))
         if self.drift.force_axes is not None and out.drift.force_axes is None:
             out.start = out.with_g_sensitivity(out.start)
+        out.drift = DriftTerms(out.data, self.drift.terms, out.drift.force_axes)
+        out.start = replace(out.start, drift=np.r_[out.start.drift, np.zeros(out.drift.size - len(out.start.drift))])
         return out
 
     def with_g_sensitivity(self, state: JointState) -> JointState:

@@ -220,7 +220,8 @@ def add_unmodelled_noise(joint: JointModel, solver: JointSolver, iteration: Iter
 def add_drift(joint: JointModel, solver: JointSolver, iteration: IterationState) -> bool:
     """Model the most likely form of drift that the residuals show; True if there is one.
 
-    There is none if one faulty sequence or move explains the residuals with a larger likelihood. The unmodelled noise is then estimated again. A robust loss reduces the weight of sequences instead.
+    There is none if one faulty sequence or move explains the residuals with a larger likelihood. The unmodelled noise
+    is then estimated again. A robust loss reduces the weight of sequences instead.
     """
     if solver.weights() or len(joint.drift.terms) >= MOST_TERMS:
         return False
