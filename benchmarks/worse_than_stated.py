@@ -31,8 +31,9 @@ HZ = 50.0
 class Case(NamedTuple):
     """One kind of recording.
 
-    ``disturbed`` changes the readings, and by ``shift_sigmas`` of the noise of a reading all biases; ``true_sigma_rad`` is the accuracy of the fixture, ``stated_sigma_rad`` that
-    which the recording states; ``noise_stated`` states all noise of the unit, else nothing of it.
+    ``disturbed`` changes the readings, and by ``shift_sigmas`` of the noise of a reading all biases; ``true_sigma_rad``
+    is the accuracy of the fixture, ``stated_sigma_rad`` that which the recording states; ``noise_stated`` states all
+    noise of the unit, else nothing of it.
     """
 
     grade: str
@@ -50,7 +51,7 @@ def as_it_is(unit: srt.Recording, _: np.random.Generator) -> srt.Recording:
 
 
 def vibrating(unit: srt.Recording, rng: np.random.Generator) -> srt.Recording:
-    """Angular vibration of 0.3 mrad at 7 Hz about a fixed direction of the unit: its rate, and the turning of gravity."""
+    """Angular vibration of 0.3 mrad at 7 Hz about a direction of the unit: its rate, and gravity in turned axes."""
     omega, amplitude = 2.0 * math.pi * 7.0, 0.3e-3
     direction = rng.normal(size=3)
     direction /= np.linalg.norm(direction)
