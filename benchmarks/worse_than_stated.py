@@ -34,15 +34,18 @@ HAND_RESTS_S = {"hand": 4.0, "long hand": 14.0}
 class Case(NamedTuple):
     """One kind of recording.
 
-    ``disturbed`` changes the readings; ``true_sigma_rad`` is the accuracy of the fixture, ``stated_sigma_rad`` that
-    which the recording states.
+    ``disturbed`` changes the readings, and by ``shift_sigmas`` of the noise of a reading all biases; ``true_sigma_rad``
+    is the accuracy of the fixture, ``stated_sigma_rad`` that which the recording states; ``noise_stated`` states all
+    noise of the unit, else nothing of it.
     """
 
     grade: str
     disturbed: Callable[[srt.Recording, np.random.Generator], srt.Recording]
+    shift_sigmas: float = 0.0
     motion: str = "fixture"
     true_sigma_rad: float = 1e-3
     stated_sigma_rad: float = 1e-3
+    noise_stated: bool = True
 
 
 def as_it_is(unit: srt.Recording, _: np.random.Generator) -> srt.Recording:
@@ -82,6 +85,33 @@ def drifting(
     return disturbed
 
 
+def vibrating(unit: srt.Recording, rng: np.random.Generator) -> srt.Recording:
+    """Angular vibration of 0.3 mrad at 7 Hz about a direction of the unit: its rate, and gravity in turned axes."""
+    omega, amplitude = 2.0 * math.pi * 7.0, 0.3e-3
+    direction = rng.normal(size=3)
+    direction /= np.linalg.norm(direction)
+    ends = np.append(unit.time[0] - 1.0 / HZ, unit.time)
+    # Readings are means over the sampling interval.
+    angle = amplitude * np.sin(omega * ends)
+    mean = -amplitude * np.diff(np.cos(omega * ends)) / omega * HZ
+    rate = (np.diff(angle) * HZ)[:, None] * direction
+    # A body that is turned by θ n reads f − θ n × f.
+    force = unit.accel - mean[:, None] * np.cross(direction, unit.accel)
+    return replace(unit, gyro=unit.gyro + rate, accel=force)
+
+
+def in_steps(rounding: Callable[[np.ndarray], np.ndarray], sigmas: float) -> Callable[..., srt.Recording]:
+    """Readings in steps of so many standard deviations of their noise."""
+
+    def read(unit: srt.Recording, _: np.random.Generator) -> srt.Recording:
+        noise = (unit.noise.gyro_noise, unit.noise.accel_noise)
+        steps = [sigmas * value * math.sqrt(HZ) for value in noise]
+        gyro, accel = (rounding(x / q) * q for x, q in zip((unit.gyro, unit.accel), steps, strict=True))
+        return replace(unit, gyro=gyro, accel=accel)
+
+    return read
+
+
 CASES: dict[str, Case] = {
     "fixture of 1 mrad, 0.1 stated": Case("tactical", as_it_is, stated_sigma_rad=1e-4),
     "fixture, no drift": Case("tactical", as_it_is),
@@ -96,12 +126,20 @@ CASES: dict[str, Case] = {
     "hand, 500 s, linear, 8 mg and 570 °/h": Case("tactical", drifting("linear", 8.0, 570.0), motion="long hand"),
     "hand, accelerometer step of 0.4 mg": Case("tactical", drifting("step", 0.4), motion="hand"),
     "hand, gyro step of 30 °/h": Case("tactical", drifting("step", gyro_deg_h=30.0), motion="hand"),
+    "vibration of 0.3 mrad at 7 Hz, nothing stated": Case("tactical", vibrating, noise_stated=False),
+    "no vibration, nothing stated": Case("tactical", as_it_is, noise_stated=False),
+    "steps of half a noise sigma": Case("tactical", in_steps(np.round, 0.5)),
+    "steps of three noise sigma": Case("tactical", in_steps(np.round, 3.0)),
+    "steps of three noise sigma, nothing stated": Case("tactical", in_steps(np.round, 3.0), noise_stated=False),
+    "truncated toward zero, half a noise sigma": Case("tactical", in_steps(np.trunc, 0.5)),
+    "truncated toward zero, three noise sigma": Case("tactical", in_steps(np.trunc, 3.0)),
+    "truncated downwards, half a noise sigma": Case("tactical", in_steps(np.floor, 0.5), -0.25),
 }
 """Cases by name."""
 
 
 def unit_of(case: Case, seed: int) -> tuple[srt.Recording, dict[str, float]]:
-    """One recording of a case, with its noise stated, and the errors of the unit."""
+    """One recording of a case, and the errors of the unit."""
     rng = np.random.default_rng((SEED, seed))
     grade = GRADES[case.grade]
     errors = drawn_errors(grade, rng)
@@ -121,7 +159,11 @@ def unit_of(case: Case, seed: int) -> tuple[srt.Recording, dict[str, float]]:
             samples["time"], samples["gyro"], samples["accel"], site, fixture=fixture, sequences=labels
         )
     unit = replace(unit, noise=srt.ImuNoise(grade.gyro_rad_per_sqrt_s, grade.accel_m_s2_sqrt_s, 0.0, 0.0, 0.0, 0.0))
-    return case.disturbed(unit, rng), errors
+    for sensor, noise in (("gyro", grade.gyro_rad_per_sqrt_s), ("accel", grade.accel_m_s2_sqrt_s)):
+        for axis in "xyz":
+            errors[f"{sensor}_bias_{axis}"] += case.shift_sigmas * noise * math.sqrt(HZ)
+    unit = case.disturbed(unit, rng)
+    return (unit if case.noise_stated else replace(unit, noise=srt.ImuNoise())), errors
 
 
 def outcome(name: str, seed: int, estimator: str) -> dict[str, Any]:

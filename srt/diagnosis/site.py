@@ -26,6 +26,7 @@ from srt.constants import DEG, DEG_PER_H, EARTH_RATE_RAD_S, normal_gravity_m_s2
 from srt.diagnosis.findings import FALSE_ALARM, Finding, check, finding
 from srt.diagnosis.rotation_readings import computed_once
 from srt.diagnosis.triad_fits import gyro_fit
+from srt.estimation.error_sources import raw_rate_variance
 from srt.noise.bias_instability import flicker_covariance
 from srt.sequences.manoeuvres import end_attitude
 from srt.sequences.preparation import nominal_attitude
@@ -397,7 +398,7 @@ def _covariance(data: PreparedRecording, start: Array, end: Array, *, known: boo
     fixture = data.recording.fixture
     # Each pose differs from its nominal attitude, which rotates the Earth rate in sensor axes by the same angle.
     doubt = fixture.rotation_sigma_rad if known and fixture is not None else 1.0
-    white = noise.gyro_white[:, None] ** 2 / T + 2.0 * (noise.gyro_edge[:, None] / T) ** 2
+    white = raw_rate_variance(noise, T).T
     white = white + (doubt * EARTH_RATE_RAD_S) ** 2
     out: Array = instability**2 * flicker_covariance(start, end) + white[:, :, None] * np.eye(len(T))
     return out

@@ -349,6 +349,11 @@ def _warnings(data: PreparedRecording, result: SolverResult, observed: Mask) -> 
             f"The {', '.join(data.noise.floored)} was raised to the lower limit (resolution of the readings, or 1e-10 "
             "rad/√s and 1e-9 g·√s)."
         )
+    if data.noise.undithered:
+        messages.append(
+            f"The readings of {', '.join(data.noise.undithered)} have steps of more than twice their noise, so that "
+            "their means at rest are off by a part of a step. Sigmas contain it; record with a finer resolution."
+        )
     fixed = int(N_PARAMETERS - observed.sum())
     if fixed:
         messages.append(

@@ -127,16 +127,22 @@ def quantization(data: PreparedRecording, by: Slopes, *, shared: bool = True) ->
     A = (by.angle * noise.gyro_edge[..., None, :])[..., None, :, :]
     per_rate, end = by.rate * noise.gyro_edge[..., None, None, :] / T, by.integrals.C_end @ A
     outer = per_rate @ np.swapaxes(per_rate, -1, -2)
-    by_edges = noise.accel_edge[..., None, :] ** 2 * data.windows.edge_factor[:, None]
-    force = Source({"force": _through(by.force, by_edges)})
+    by_readings = noise.accel_edge[..., None, :] ** 2 * data.windows.edge_factor[:, None]
+    # The mean of readings that are not dithered is off by the same in the whole window.
+    by_readings = by_readings + noise.accel_step[..., None, :] ** 2
+    by_steps = _through(by.rate, np.broadcast_to(noise.gyro_step[..., None, :] ** 2, by.rate.shape[:-1]))
+    force = Source({"force": _through(by.force, by_readings)})
     if not shared:
         turn = A @ np.swapaxes(A, -1, -2) + end @ np.swapaxes(end, -1, -2)
-        return {"gyro_quantization": Source({"rate": 2.0 * outer, "turn": turn}), "accel_quantization": force}
+        return {
+            "gyro_quantization": Source({"rate": 2.0 * outer + by_steps, "turn": turn}),
+            "accel_quantization": force,
+        }
     edges = shared_edges(data)
     alone = np.sum(edges < 0, axis=1)[:, None, None]
     return {
         "gyro_quantization": Source(
-            {"rate": alone * outer, "turn": np.zeros_like(end)},
+            {"rate": alone * outer + by_steps, "turn": np.zeros_like(end)},
             {
                 "rate": [(edges[:, 0], -per_rate), (edges[:, 1], per_rate)],
                 "turn": [(edges[data.start, 1], -A), (edges[data.end, 0], end)],
@@ -162,8 +168,9 @@ def raw_rate_variance(noise: NoiseModel, duration_s: Array) -> Array:
     duration_s : ndarray, shape (...)
     """
     T = duration_s[..., None]
-    white, edge = (x if x.ndim == 1 else x[:, None] for x in (noise.gyro_white, noise.gyro_edge))
-    return np.asarray(white**2 / T + 2.0 * (edge / T) ** 2)
+    figures = (noise.gyro_white, noise.gyro_edge, noise.gyro_step)
+    white, edge, step = (x if x.ndim == 1 else x[:, None] for x in figures)
+    return np.asarray(white**2 / T + 2.0 * (edge / T) ** 2 + step**2)
 
 
 class UnmodelledErrors(NamedTuple):

@@ -30,6 +30,15 @@ ACCEL_FLOOR: Final = 1e-9 * STANDARD_GRAVITY_M_S2
 """Lower limit of an estimated velocity random walk, m/s²·√s (1e-9 g·√s)."""
 _MAX_SAMPLES_FOR_RESOLUTION: Final = 4000
 """Number of samples from which the resolution of a column is estimated."""
+_DITHERED: Final = 2.0
+"""Steps of the readings over their noise from which the noise does not dither them: the mean of a window is then off by
+1e-3 of a step, which no longer averages out."""
+_PULSES: Final = 0.5
+"""Error of the integral, over that of pulses of one step, from which readings are pulse counts, whose errors cancel."""
+_HARMONICS: Final = 200
+"""Terms of the mean error of rounded readings: the others are 0.3 % of its square."""
+_BISECTIONS: Final = 40
+"""Bisections of the noise below the steps, which the scatter of the readings shows."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,6 +51,10 @@ class NoiseModel:
         Random walk of the integral, rad/√s and m/s²·√s.
     gyro_edge, accel_edge : ndarray, shape (3,)
         1-sigma error of one reading of the integral (angle, velocity), rad and m/s.
+    gyro_step, accel_step : ndarray, shape (3,), rad/s and m/s²
+        1-sigma error of the mean of constant readings that are rounded to steps which their noise does not dither:
+        it does not average out within a window. Larger where many windows share it; zero for dithered readings and
+        pulse counts.
     gyro_wander : ndarray, shape (3,), rad/s, or None
         1-sigma of the bias of one sequence about the mean of the test; None if no bias instability is stated. The
         estimator then takes it from the rest rates of the sequences.
@@ -69,6 +82,8 @@ class NoiseModel:
     accel_white: Array
     gyro_edge: Array
     accel_edge: Array
+    gyro_step: Array
+    accel_step: Array
     gyro_wander: Array | None
     accel_wander: Array
     gyro_flicker: Array | None
@@ -79,6 +94,12 @@ class NoiseModel:
     filter_s: Array
     estimated: tuple[str, ...] = ()
     floored: tuple[str, ...] = ()
+
+    @property
+    def undithered(self) -> tuple[str, ...]:
+        """Channels whose readings have steps that their noise does not dither."""
+        both = (("gyro", self.gyro_step), ("accel", self.accel_step))
+        return tuple(f"{sensor}_{axis}" for sensor, step in both for axis, own in zip("xyz", step, strict=True) if own)
 
     def expected_accel_instability(self, shown: Statistics) -> tuple[float, float]:
         """Expected bias instability of the accelerometers, and the part of it that the weights lack, m/s².
@@ -134,7 +155,13 @@ def noise_model(recording: Recording, windows: Indices) -> NoiseModel:
             estimated.append(f"{sensor}_quantization")
         else:
             figures[f"{sensor}_edge"] = np.full(3, given / math.sqrt(12.0))
-        resolution = _resolution(recording, windows, sensor) / math.sqrt(12.0)
+        step = _resolution(recording, windows, sensor)
+        resolution = step / math.sqrt(12.0)
+        own = _step_error(recording, windows, sensor, step, edge[columns])
+        figures[f"{sensor}_step"] = own
+        if f"{sensor}_noise" not in estimated:  # what the windows show contains the rounding
+            rounding = np.where(own > 0.0, resolution * math.sqrt(dt), 0.0)
+            figures[f"{sensor}_white"] = np.hypot(figures[f"{sensor}_white"], rounding)
         shown = np.hypot(figures[f"{sensor}_white"] / math.sqrt(dt), math.sqrt(2.0) * figures[f"{sensor}_edge"] / dt)
         least = np.maximum(np.where(shown < resolution, resolution * math.sqrt(dt), 0.0), floor)
         if np.any(figures[f"{sensor}_white"] < least):
@@ -207,6 +234,39 @@ def _resolution(recording: Recording, windows: Indices, sensor: str) -> Array:
     if constant.any():  # readings constant at rest: the step is estimated during motion
         step = np.where(constant, smallest_step(table[:: max(1, len(table) // _MAX_SAMPLES_FOR_RESOLUTION)]), step)
     return step if recording.kind == "rate" else step / recording.nominal_interval_s
+
+
+def _step_error(recording: Recording, windows: Indices, sensor: str, step: Array, edge: Array) -> Array:
+    """1-sigma error of means of rounded readings at rest, shape (3,), rad/s or m/s²; zero if noise dithers them.
+
+    The mean of readings with normal noise s, rounded to steps q, is off by ``Σ (−1)^k q/(π k) exp(−2 π² k² s²/q²)
+    sin(2 π k x/q)`` at the true value x (Widrow & Kollár, Quantization Noise, 2008). Its mean square over x is
+    ``q²/(2 π²) Σ exp(−4 π² k² s²/q²)/k²``: q²/12 without noise. Windows with the same reading share it: to first order
+    the correlation at x and y is cos(2 π (x − y)/q). As errors of single windows, which are independent, it counts so
+    many times as there are such windows, for the reading that most of them share.
+    """
+    table, dt = getattr(recording, sensor), recording.nominal_interval_s
+    pulse = getattr(recording.noise, f"{sensor}_quantization")
+    if pulse or (pulse is None and recording.kind == "increment"):
+        return np.zeros(3)  # the error of pulse counts is that of the integral at the edges
+    variance = np.mean([np.var(table[a:b], axis=0) for a, b in windows.tolist()], axis=0)
+    variance = variance if recording.kind == "rate" else variance / dt**2
+    coarse = (step > 0.0) & (variance < (step / _DITHERED) ** 2 + step**2 / 12.0)
+    if pulse is None:
+        coarse &= edge < _PULSES * step * dt / math.sqrt(12.0)
+    if not coarse.any():
+        return np.zeros(3)
+    k, low, high = np.arange(1, _HARMONICS + 1)[:, None], np.zeros(3), np.full(3, _DITHERED**-2.0)
+    scatter = variance / np.where(coarse, step, 1.0) ** 2
+    for _ in range(_BISECTIONS):  # in steps: readings scatter by s² + 1/12 less the mean square of the error itself
+        middle = 0.5 * (low + high)
+        square = np.sum(np.exp(-((2.0 * math.pi * k) ** 2) * middle) / k**2, axis=0) / (2.0 * math.pi**2)
+        above = middle + 1.0 / 12.0 - square > scatter
+        low, high = np.where(above, low, middle), np.where(above, middle, high)
+    x = np.array([table[a:b].mean(axis=0) for a, b in windows.tolist()]) / (1.0 if recording.kind == "rate" else dt)
+    apart = np.abs(x[:, None] - x) / np.where(coarse, step, np.inf)
+    shared = np.where(apart < 0.25, np.cos(2.0 * math.pi * apart), 0.0).sum(axis=1).max(axis=0)
+    return np.where(coarse, step * np.sqrt(square * shared), 0.0)
 
 
 def smallest_step(values: Array) -> Array:

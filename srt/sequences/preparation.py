@@ -91,12 +91,19 @@ class PreparedRecording:
 
     @cached_property
     def noise(self) -> NoiseModel:
-        """Stated noise of the unit, completed from the windows at the first use; one fit for equal windows."""
-        samples = self.windows.samples
-        found = self.recording.memo(("noise", samples.tobytes()), lambda: noise_model(self.recording, samples))
+        """Stated noise of the unit, completed from the windows without their vibration; one fit for equal windows."""
+        samples, line, found = self.windows.samples, self.vibration, self._noise_with_vibration
+        if line is not None:
+            key = ("noise without vibration", samples.tobytes())
+            found = self.recording.memo(key, lambda: noise_model(line.removed(self.recording, samples), samples))
         if self.accel_instability is not None:
             found = found.with_accel_instability(self.accel_instability)
         return found if self.gyro_instability is None else found.with_gyro_instability(self.gyro_instability, samples)
+
+    @property
+    def _noise_with_vibration(self) -> NoiseModel:
+        samples = self.windows.samples
+        return self.recording.memo(("noise", samples.tobytes()), lambda: noise_model(self.recording, samples))
 
     @property
     def K(self) -> int:
@@ -185,7 +192,7 @@ class PreparedRecording:
         """Line of the spectrum of the windows; None if there is none."""
         samples = self.windows.samples
         key = ("vibration", samples.tobytes())
-        return self.recording.memo(key, lambda: vibration(self.recording, samples, lambda: self.noise))
+        return self.recording.memo(key, lambda: vibration(self.recording, samples, lambda: self._noise_with_vibration))
 
     def means(self, gyro: Triad, accel: Triad) -> tuple[Array, Array]:
         """Mean readings of gyros and accelerometers in every window, (W, 3), less vibration and its rectified part."""

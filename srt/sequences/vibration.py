@@ -16,7 +16,7 @@ distribution).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -96,6 +96,16 @@ class Vibration:
         # The mean over the window of exp(i step k) for k from 0 to n, between the edges.
         mean = np.exp(0.5j * step * n) * np.sinc(0.5 * step * n / np.pi)
         return np.asarray(((edges - mean[:, None])[:, :, None] * per_edge[:, None]).real)
+
+    def removed(self, recording: Recording, samples: Indices) -> Recording:
+        """Recording whose windows lack the line, shape (W, 2) of ``samples``: what is left of them is noise."""
+        unit = 1.0 if recording.kind == "rate" else self.interval_s
+        gyro, accel = recording.gyro.copy(), recording.accel.copy()
+        for (a, b), of_gyro, of_accel in zip(samples.tolist(), self.gyro, self.accel, strict=True):
+            turns = unit * np.exp(2j * self._half_step * np.arange(b - a))[:, None]
+            gyro[a:b] -= (turns * of_gyro).real
+            accel[a:b] -= (turns * of_accel).real
+        return replace(recording, gyro=gyro, accel=accel)
 
     def means(self, samples: Indices, average: Average) -> tuple[Array, Array]:
         """Mean of the raw line over every window, (W, 3): gyros, and accelerometers by the averaging algorithm.
@@ -219,7 +229,12 @@ def _refined(recording: Recording, windows: Indices, n: int, k: int) -> float:
         x = x - x.mean(axis=0)
         own = np.maximum(np.sum(x**2, axis=0), np.finfo(float).tiny)
         total += np.sum(np.abs(turns @ x) ** 2 / own, axis=1)
-    return float(f[np.argmax(total)] / recording.nominal_interval_s)
+    # The top of the parabola through the three largest: the step between frequencies would leave part of the line.
+    top = int(np.clip(np.argmax(total), 1, _REFINED - 2))
+    before, at, after = total[top - 1 : top + 2]
+    curvature = min(before - 2.0 * at + after, -np.finfo(float).tiny)
+    beside = float(np.clip(0.5 * (before - after) / curvature, -1.0, 1.0))
+    return float((f[top] + beside * (f[1] - f[0])) / recording.nominal_interval_s)
 
 
 def _fitted(recording: Recording, samples: Indices, frequency_hz: float) -> tuple[Any, Any]:

@@ -126,3 +126,12 @@ def test_other_estimators_have_no_filter(recording, estimator):
 def test_sequential_filters_need_windows_of_their_own(recording):
     with pytest.raises(InputError, match="one gyro bias"):
         srt.calibrate(recording, "ekf", checks=False, filter="one-pass", gyro_bias="per-sequence")
+
+
+def test_unscented_filter_knows_no_more_than_all_measurements(recording):
+    """With drift that is handed on, no sigma is less than that of the optimum, to the 1 % of linearisation."""
+    few = recording.with_sequences(recording.sequences[:4])
+    assert few.noise.gyro_bias_instability > 0.0
+    prior = Prior.from_sigma(1e-3 * admission_sigma())
+    found = srt.calibrate(few, "ekf", checks=False, prior=prior, filter="unscented")
+    assert found.diagnostics.optimum.sigma_ratio[0] > 0.99

@@ -14,7 +14,7 @@ import srt
 from sims.faults.injection import Case
 from srt.constants import MICRO_G
 from srt.noise.bias_instability import CORRELATION_TIMES_S
-from srt.noise.instability_at_rest import instability_at_rest
+from srt.noise.instability_at_rest import _fitted, instability_at_rest
 from srt.noise.noise_model import noise_model
 
 DT = 0.01
@@ -97,3 +97,23 @@ def test_without_stated_noise_the_weights_have_what_the_windows_show_and_the_bou
     np.testing.assert_array_equal(shown.accel_unseen, 0.0)
     stated = noise_model(recording, windows)
     np.testing.assert_array_equal(stated.accel_limit, stated.accel_flicker)
+
+
+def test_sigma_of_the_instability_is_that_of_medians():
+    """Medians of 35 windows with 20 squares an octave: the squares of 800 estimates scatter as their 1-sigma says.
+
+    Two-sided chi-square, 3.5 standard errors (p = 5e-4). The 1-sigma of means would be smaller by √(π/2).
+    """
+    rng, n, squares, windows, units = np.random.default_rng(20), 1000, 20, 35, 800
+    f_dt = np.array([1, 2, 4, 8, 16, 32, 64, 128, 256, 512, 901]) / (2.0 * n)
+    white, pulses = np.full_like(f_dt, 1.0 / DT), 4.0 * np.sin(math.pi * f_dt) ** 2 / DT**2
+    fast = 1.0 / (1.0 + (2.0 * math.pi * f_dt / DT * CORRELATION_TIMES_S[0]) ** 2)
+    design = np.stack([white, pulses, fast, 1.0 / (4.0 * math.log(2.0) * f_dt)], axis=1)
+    expected = design @ [1.0, 4e-6, 0.5, 0.5]
+    found = []
+    for _ in range(units):
+        power = rng.chisquare(squares, (windows, len(f_dt), 3)) / chi2.median(squares) * expected[:, None]
+        found.append(_fitted(np.median(power, axis=0), design, np.full(len(f_dt), windows * squares), filtered=False))
+    ratio = np.var([one.square for one in found], ddof=1) / np.mean([one.doubt**2 for one in found])
+    low, high = chi2.ppf([2.5e-4, 1.0 - 2.5e-4], units - 1) / (units - 1)
+    assert low < ratio < high

@@ -16,7 +16,7 @@ from sims.physics.table_motion import table1_motion
 from srt.constants import ARCSEC, DEG_PER_SQRT_H, MICRO_G
 from srt.estimation.options import Options
 from srt.estimation.srt_measurements import SrtProcessor
-from srt.recording.recording import Site
+from srt.recording.recording import ImuNoise, Site
 from srt.sensor_errors import N_PARAMETERS, SensorErrors
 from srt.sequences import vibration as lines
 from srt.sequences.checked_preparation import prepare_checked
@@ -114,3 +114,24 @@ def test_rectified_mean():
     mean, amplitude = np.array([0.0, 0.3, -0.9, 1.5, 0.2]), np.array([1.0, 1.0, 1.0, 1.0, 0.0])
     expected = np.abs(mean[:, None] + amplitude[:, None] * np.sin(u)).mean(axis=1) - np.abs(mean)
     np.testing.assert_allclose(lines.rectified(mean, amplitude), expected, atol=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["rate", "increment"])
+def test_vibration_is_no_noise(kind):
+    """Noise that is not stated, of a vibrating unit: white noise is found to 3.5 sigma, and no quantization with it.
+
+    1-sigma of the white noise: 1/√(2 n) for the n samples of the windows, and 1.5 times that beside a quantization.
+    """
+    unit = ImuModel(gyro_noise=0.05 * DEG_PER_SQRT_H, accel_noise=50.0 * MICRO_G)
+    shaken = vibrating(motion(), HZ, ANGLE_RAD * DIRECTION, FORCE_M_S2 * DIRECTION[::-1], phase_rad=1.0)
+    recording = read_out(shaken, PERFECT, unit, np.random.default_rng(4), kind=kind)
+    data = prepared(replace(recording, noise=ImuNoise()))
+    assert data.vibration is not None
+    n = int(np.diff(data.windows.samples, axis=1).sum())
+    tolerance = 3.5 * 1.5 / np.sqrt(2.0 * n)
+    np.testing.assert_allclose(data.noise.gyro_white, unit.gyro_noise, rtol=tolerance)
+    np.testing.assert_allclose(data.noise.accel_white, unit.accel_noise, rtol=tolerance)
+    # q² is a third of dt² times what the n/2 differences of neighbours show beyond white noise: as in the fit, √(3/m).
+    chance = 3.5 * 1.5 / 3.0 * np.sqrt(6.0 / n) * recording.nominal_interval_s
+    assert np.all(data.noise.gyro_edge**2 < chance * unit.gyro_noise**2)
+    assert np.all(data.noise.accel_edge**2 < chance * unit.accel_noise**2)
