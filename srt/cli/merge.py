@@ -51,7 +51,7 @@ def run_merging(
     from srt.reports.text.calibration import held_summary
     from srt.reports.text.calibration_summary import calibration_text
     from srt.reports.text.repeatability import repeatability_text
-    from srt.result.verdict import DOUBTFUL
+    from srt.result.verdict import SOUND
 
     found: dict[str, Calibration] = {}
     for job in jobs:
@@ -90,7 +90,7 @@ def run_merging(
     announce(output, plot, quiet=display.quiet)
     if output is None and plot is None and not display.quiet:
         show("\nNothing was written: -o FILE.json keeps the result.")
-    if merged.judgement.word == DOUBTFUL:
+    if merged.judgement.word != SOUND:
         warn(str(merged.judgement))
     if merged.held:
         warn(f"fixed, not observed: {held_summary(merged)}.")

@@ -10,6 +10,7 @@ import numpy as np
 
 from srt.estimation.asymmetry_choice import asymmetry_choice
 from srt.estimation.error_sources import start_sigma
+from srt.estimation.fixed_parameters import parameters_due
 from srt.estimation.goodness_of_fit import chi_square_probability, is_misfit
 from srt.estimation.leave_one_out import verdict
 from srt.estimation.unseen_errors import clock_effect, unseen_errors
@@ -96,10 +97,18 @@ def build_calibration(
             # Far from a solution the covariance may be singular.
             asymmetry=asymmetry_choice(result.errors, covariance, observed) if result.status == "converged" else {},
             unseen_errors=unseen_errors(data, observed),
+            not_shown=_not_shown(data, options, fixed),
         ),
         verdict=evidence,
         warnings=(*warnings, *_warnings(data, result, observed)),
     )
+
+
+def _not_shown(data: PreparedRecording, options: Options, fixed: Mapping[str, str]) -> tuple[str, ...] | None:
+    """Parameters fixed for want of data that a recording of this kind should show; None without."""
+    due = parameters_due(data)
+    names = [name for name, needed in zip(NAMES, due, strict=True) if needed and name in fixed]
+    return tuple(name for name in names if name not in options.fixed_names) or None
 
 
 def _contributions(
@@ -342,9 +351,7 @@ def _warnings(data: PreparedRecording, result: SolverResult, observed: Mask) -> 
         )
     fixed = int(N_PARAMETERS - observed.sum())
     if fixed:
-        messages.append(
-            f"{fixed} of {N_PARAMETERS} parameters are not observed; they keep the values of the initial estimate."
-        )
+        messages.append(f"{fixed} of {N_PARAMETERS} parameters are not observed; they are fixed.")
     return tuple(messages)
 
 
