@@ -116,7 +116,8 @@ def test_summary_has_status_and_verdict_first_and_at_most_45_lines(recording, ca
     assert first <= 10
     head = " ".join(" ".join(lines[:first]).split())
     assert re.match(
-        r".*unit-7 \(serial SN-7\): closed-form, 27 of 27 measured Converged after \d+ iterations\. Verdict: Sound\. The ",
+        r".*unit-7 \(serial SN-7\): closed-form, 27 of 27 measured Time base taken as exact: "
+        r"1 ppm of clock is 1 ppm of every gyro scale factor\. Converged after \d+ iterations\. Verdict: Sound\. The ",
         head,
     )
     assert list(rows_of("\n".join(lines))) == list(NAMES)

@@ -5,6 +5,8 @@ The recordings are those of a generator that shares nothing with the estimators 
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from foreign_fixture import on_fixture, table_1, write
@@ -151,3 +153,34 @@ def test_a_prior_gives_what_is_fixed(tmp_path):
     options = {"prior": Prior.from_sigma(prior_sigma(), mean), "hold": ("gyro_orthogonality",)}
     found = srt.calibrate(tmp_path / "unit", "ekf", checks=False, **options)
     assert np.all(found.errors.group("gyro_orthogonality") == 1e-4)
+
+
+def test_the_summary_and_the_certificate_say_that_the_clock_is_taken_as_exact(tmp_path, capfd):
+    on_the_fixture(tmp_path / "unit", table_1())
+    said = "Time base taken as exact: 1 ppm of clock is 1 ppm of every gyro scale factor."
+    file = str(tmp_path / "unit.json")
+    assert main(["calibrate", str(tmp_path / "unit"), "-o", file]) == 0
+    lines = capfd.readouterr().out.splitlines()
+    heading = next(i for i, line in enumerate(lines) if line.endswith("measured"))
+    assert lines[heading + 1] == said
+    assert main(["certificate", file, "-o", str(tmp_path / "page.html")]) == 0
+    assert said in " ".join(capfd.readouterr().out.split())
+    stated = replace(srt.load_recording(tmp_path / "unit"), clock_sigma=1e-6)
+    again = srt.calibrate(stated)
+    assert "Time base" not in repr(again)
+    assert again.sigma[INDEX["gyro_scale_x"]] > 1e-6
+
+
+def test_a_clock_error_that_is_not_stated_moves_every_gyro_scale_by_itself(tmp_path):
+    """1e-4 of clock: the coefficient that the sentence gives, to 3.5 sigma."""
+    errors = on_the_fixture(tmp_path / "unit", table_1())
+    unit = srt.load_recording(tmp_path / "unit")
+    slow = replace(unit, time=unit.time * (1.0 + 1e-4), gyro=unit.gyro)
+    sequences = tuple(
+        replace(s, start_static_s=tuple(1.0001 * t for t in s.start_static_s),
+                end_static_s=tuple(1.0001 * t for t in s.end_static_s)) for s in unit.sequences
+    )  # fmt: skip
+    found = srt.calibrate(replace(slow, sequences=sequences))
+    at = GROUP_SLICES["gyro_scale"]
+    off = found.errors.vector[at] - [errors[name] for name in NAMES[at]]
+    assert np.all(np.abs(off - 1e-4) < 3.5 * found.sigma[at])

@@ -22,7 +22,7 @@ from srt.reports.certificate.unit_description import (
     temperature,
     unit_description,
 )
-from srt.reports.text.calibration import measured_count
+from srt.reports.text.calibration import measured_count, time_base
 from srt.reports.text.tables import decimals_for, fixed, text_table, wrap
 from srt.result.verdict import DOUBTFUL, USABLE, probability_text
 from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, GROUP_SLICES, INDEX, NAMES, SYMBOLS, collapse_names
@@ -394,6 +394,8 @@ def _summary(
     elif calibration.status == "converged":
         yield "No acceptance limits were given."
     yield f"Verdict: {plain(str(calibration.judgement), _VERDICT_LENGTH)}"
+    if exact := time_base(calibration):
+        yield exact
     if change is not None:
         names = change.names
         yield (

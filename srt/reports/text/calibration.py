@@ -286,6 +286,17 @@ def passed_on(calibration: Calibration) -> str:
     return "; ".join([f"{measured_count(calibration)} parameters are measured", *parts])
 
 
+def time_base(calibration: Calibration) -> str:
+    """Sentence on a time base whose error is not stated, and the parameters that it shifts; empty if it is stated."""
+    shifted = [
+        f"{abs(row.coefficient):g} ppm of {'every ' if row.axes == 'xyz' else ''}{row.group.replace('_', ' ')} factor"
+        + ("" if row.axes == "xyz" else f" {' and '.join(row.axes)}")
+        for row in calibration.diagnostics.unseen_errors or ()
+        if row.source == "time base" and row.sigma is None
+    ]
+    return f"Time base taken as exact: 1 ppm of clock is {' and '.join(shifted)}." if shifted else ""
+
+
 def held_summary(calibration: Calibration) -> str:
     """Fixed parameters by reason, one clause each; empty if none is fixed."""
     return "; ".join(f"{', '.join(names)}: {reason}" for reason, names in _reasons(calibration).items())
@@ -317,6 +328,7 @@ def heading(calibration: Calibration, title: str) -> str:
 
 def _heading(calibration: Calibration, title: str) -> Iterable[str]:
     yield from wrap(heading(calibration, title))
+    yield from wrap(time_base(calibration))
     # Only the first sentence: the fixed parameters follow the table, with the reasons.
     message = calibration.message.split(" Fixed, not observed:")[0]
     steps = ", ".join(f"{c:.1e}" for c in calibration.corrections)
