@@ -13,7 +13,7 @@ from srt.estimation.error_sources import start_sigma
 from srt.estimation.fixed_parameters import parameters_due
 from srt.estimation.goodness_of_fit import chi_square_probability, is_misfit
 from srt.estimation.leave_one_out import verdict
-from srt.estimation.unseen_errors import clock_effect, unseen_errors
+from srt.estimation.unseen_errors import clock_effect, contradicted_statements, unseen_errors
 from srt.model.rotations import rotation_vector
 from srt.result.calibration import Calibration, software
 from srt.result.consistency import AddedNoise, ChiSquareTest
@@ -74,6 +74,7 @@ def build_calibration(
     if observed.any():
         evidence = verdict(result.sequences, covariance, observed, chi_square, freedom, free=free)
         evidence = _with_sensor_noise(evidence, data, result, covariance, observed, inflation)
+    contradicted = tuple(contradicted_statements(data.recording))
     status, message = _status(result, fixed, evidence, free=free, rated=any(label.rate for label in data.labels))
     return Calibration(
         estimator=estimator,
@@ -97,10 +98,11 @@ def build_calibration(
             # Far from a solution the covariance may be singular.
             asymmetry=asymmetry_choice(result.errors, covariance, observed) if result.status == "converged" else {},
             unseen_errors=unseen_errors(data, observed),
+            contradicted=contradicted or None,
             not_shown=_not_shown(data, options, fixed),
         ),
         verdict=evidence,
-        warnings=(*warnings, *_warnings(data, result, observed)),
+        warnings=(*contradicted, *warnings, *_warnings(data, result, observed)),
     )
 
 

@@ -114,7 +114,8 @@ def verdict_on(calibration: Judged) -> Verdict:
         return Verdict(DOUBTFUL, "No measurement is redundant: their agreement cannot be tested.")
     agreement = f"{_agreement(p, merged=evidence.own_noise is None)} ({_chi_square(evidence.sensor_noise_test, p)})."
     added = " ".join(_added(evidence, p, calibration.noise.sigma_inflation or 1.0))
-    found = [f"A fault was found that residuals need not show: {wrong[0].sentence}"] if wrong else []
+    unseen = [*(fault.sentence for fault in wrong), *(calibration.diagnostics.contradicted or ())]
+    found = [f"A fault was found that residuals need not show: {unseen[0]}"] if unseen else []
     lacking = list(_lacking(calibration.diagnostics.not_shown or ()))
     word = DOUBTFUL if added or found else PARTIAL if lacking else SOUND
     return Verdict(word, " ".join([*found, *lacking, agreement, *_modelled(calibration), added]).rstrip())
