@@ -361,16 +361,17 @@ def run_job(job: Job, estimator: str, options: Options, display: Display) -> Cal
 def report_problems(job: Job, calibration: Calibration) -> int:
     """Print what is wrong with a result; give the exit code of its status."""
     from srt.reports.text.calibration import held_summary
-    from srt.result.verdict import FAILED, SOUND
+    from srt.result.verdict import DOUBTFUL, FAILED, PARTIAL
 
     judgement = calibration.judgement
     if judgement.word == FAILED:
         kept = f"; {job.output} holds it with that status" if job.output is not None else ""
         say(f"{job.recording}: {calibration.message.rstrip('.')}{kept}.")
         return DataError.exit_code
-    if judgement.word != SOUND:
+    if judgement.word == DOUBTFUL:
         warn(f"{job.recording}: {judgement}")
-    clauses = [f"{title} is void ({reason})" for title, reason in calibration.provenance.voided.items()]
+    clauses = ["the verdict is partial"] * (judgement.word == PARTIAL)
+    clauses += [f"{title} is void ({reason})" for title, reason in calibration.provenance.voided.items()]
     if calibration.held:
         clauses.append(f"fixed, not observed: {held_summary(calibration)}")
     if clauses:

@@ -72,7 +72,7 @@ def test_the_command_counts_what_a_flight_log_shows_and_warns(tmp_path, capfd):
     assert f"least-squares, {observed} of 27 measured" in " ".join(out.split("Time base")[0].split())
     assert "Verdict: Partial. Not observed, though" in " ".join(out.split())
     assert "Sound" not in out
-    assert ": Partial. Not observed, though" in err
+    assert "log: the verdict is partial; fixed, not observed: " in err
 
 
 def test_what_is_passed_on_as_zero_is_named(tmp_path, capfd):
