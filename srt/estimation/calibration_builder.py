@@ -75,7 +75,7 @@ def build_calibration(
         evidence = verdict(result.sequences, covariance, observed, chi_square, freedom, free=free)
         evidence = _with_sensor_noise(evidence, data, result, covariance, observed, inflation)
     contradicted = tuple(contradicted_statements(data.recording))
-    status, message = _status(result, fixed, evidence, free=free, rated=any(label.rate for label in data.labels))
+    status, message = _status(result, fixed, evidence, free=free, advice=_advice(data))
     return Calibration(
         estimator=estimator,
         status=status,
@@ -148,8 +148,22 @@ def _birge_ratio(result: SolverResult) -> float:
     return float(np.sqrt(max(chi_square / max(freedom, 1) for chi_square, freedom in fits))) if misfit else 1.0
 
 
+def _advice(data: PreparedRecording) -> str:
+    """Advice on a sequence that contradicts all others; one that has no label can only be given less weight."""
+    rated = ", and the stated rates about its axis" if any(label.rate for label in data.labels) else ""
+    if data.recording.sequences and data.recording.protocol is None:
+        return (
+            f"check its label, windows and rotation{rated}, and repeat it, or leave it out: remove its [[sequence]] "
+            "from recording.toml."
+        )
+    return (
+        f"check its windows and rotation{rated}, and repeat it, or give it less weight: "
+        "'--estimator graph --loss cauchy'."
+    )
+
+
 def _status(
-    result: SolverResult, fixed: Mapping[str, str], evidence: Consistency | None, *, free: bool, rated: bool = False
+    result: SolverResult, fixed: Mapping[str, str], evidence: Consistency | None, *, free: bool, advice: str = ""
 ) -> tuple[str, str]:
     """Status and message: outside_model, not_converged, inconsistent, partial, converged, in this order.
 
@@ -162,10 +176,10 @@ def _status(
     robust = result.diagnostics.weights is not None  # a robust loss has reduced the weight of what contradicts
     if suspect is not None and not robust:
         again = f" (occurrence {suspect.occurrence})" if suspect.occurrence > 1 else ""
-        to_check = f"its label, windows and rotation{', and the stated rates about its axis' if rated else ''}"
+        numbered = suspect.sequence.startswith(("turn ", "pose ", "move "))
+        which = suspect.sequence.capitalize() if numbered else f"Sequence {suspect.sequence}"
         return "inconsistent", (
-            f"Sequence {suspect.sequence}{again} contradicts all others "
-            f"({p_value_text(suspect.probability)}): check {to_check}, and leave it out or repeat it."
+            f"{which}{again} contradicts all others ({p_value_text(suspect.probability)}): {advice}"
         )
     explained = robust or evidence is None or (free and not is_misfit(result.chi_square, result.degrees_of_freedom))
     statistic, freedom = result.sensor_noise_fit
