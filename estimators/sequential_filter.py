@@ -125,7 +125,7 @@ class SequentialFilter(JointSolver):
     def process(self, joint: JointModel, progress: Progress | None) -> IterationState:
         """Process all sequences in time order, starting from the prior mean."""
         joint.ends_tied = True  # a sequence is not returned to once the errors are small enough
-        vector = np.where(self.free, self.prior.mean.vector, joint.start.errors.vector)
+        vector = np.where(self.free, self.prior.mean.vector, joint.fixed_values.vector)
         iteration = IterationState(replace(joint.start, errors=SensorErrors(vector), U=joint.U_prior), self.free)
         iteration.corrections = []
         updates: list[SequenceUpdate] = []

@@ -125,6 +125,13 @@ def expand_names(names: Iterable[str]) -> tuple[str, ...]:
     return tuple(n for n in NAMES if n in wanted)
 
 
+def collapse_names(names: Iterable[str]) -> tuple[str, ...]:
+    """List of group and parameter names that :func:`expand_names` expands to these names, whole groups first."""
+    wanted = set(names)
+    groups = [group for group, where in GROUP_SLICES.items() if wanted.issuperset(NAMES[where])]
+    return (*groups, *(name for name in NAMES if name in wanted.difference(expand_names(groups))))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class SensorErrors:
     """Values of the 27 sensor errors of one IMU, immutable.

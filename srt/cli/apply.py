@@ -74,6 +74,7 @@ def apply(
     check_stream(stream, recording_path, output, c_header, streamed=streamed)
     if streamed:
         calibration = load_fit(calibration_file, force=force, trust=trust)
+        warn_of_unmeasured(calibration, calibration_file)
         return run_stream(calibration, frame, stream, check_size=not force)
     check_places(recording_path, output, c_header, overwrite=overwrite)
     calibration = load_fit(calibration_file, force=force, trust=trust)
@@ -104,10 +105,7 @@ def apply(
 
         atomic_write_text(c_header, header)
         written.append(str(c_header))
-    if calibration.held:
-        from srt.reports.text.calibration import held_summary
-
-        warn(f"{calibration_file}: fixed, not observed: {held_summary(calibration)}.")
+    warn_of_unmeasured(calibration, calibration_file)
     if not quiet:
         if corrected is not None:
             axes = "MARS axes" if frame == "mars" else "axes of the table-mounted frame"
@@ -214,6 +212,14 @@ def load_fit(path: Path, *, force: bool, trust: bool) -> Calibration:
             "or add --force."
         )
     return calibration
+
+
+def warn_of_unmeasured(calibration: Calibration, calibration_file: Path) -> None:
+    """Print a warning that names the parameters which are passed on without a measurement; nothing if all have one."""
+    if calibration.held:
+        from srt.reports.text.calibration import held_summary, passed_on
+
+        warn(f"{calibration_file}: {passed_on(calibration)}; fixed, not observed: {held_summary(calibration)}.")
 
 
 def check_match(calibration: Calibration, recording: Recording, calibration_file: Path, recording_path: Path) -> None:

@@ -159,10 +159,11 @@ def calibrate(
     does not stop the others, and the exit code is the worst. --merge takes recordings of one unit and gives one result
     with their repeatability.
 
-    The verdict is sound (the residuals agree with the sensors' own noise), doubtful (they do not, and the sigmas were
-    enlarged) or failed (the measurements contradict each other, not converged, or outside the model).
+    The verdict is sound (the residuals agree with the sensors' own noise), partial (they do, but parameters that such
+    a recording should show are not observed), doubtful (they do not agree, and the sigmas were enlarged) or failed (the
+    measurements contradict each other, not converged, or outside the model).
 
-    Exit codes: 0 sound, or doubtful or partial (some parameters fixed) with a warning; 1 failed (written with that
+    Exit codes: 0 sound, or partial or doubtful with a warning; 1 failed (written with that
     status), or data that cannot support a result; 2 wrong usage or unreadable input.
     """
     found = find_recordings(recordings, files=RESULT_SUFFIXES if merge else ())
@@ -360,7 +361,7 @@ def run_job(job: Job, estimator: str, options: Options, display: Display) -> Cal
 def report_problems(job: Job, calibration: Calibration) -> int:
     """Print what is wrong with a result; give the exit code of its status."""
     from srt.reports.text.calibration import held_summary
-    from srt.result.verdict import DOUBTFUL, FAILED
+    from srt.result.verdict import DOUBTFUL, FAILED, PARTIAL
 
     judgement = calibration.judgement
     if judgement.word == FAILED:
@@ -369,7 +370,8 @@ def report_problems(job: Job, calibration: Calibration) -> int:
         return DataError.exit_code
     if judgement.word == DOUBTFUL:
         warn(f"{job.recording}: {judgement}")
-    clauses = [f"{title} is void ({reason})" for title, reason in calibration.provenance.voided.items()]
+    clauses = ["the verdict is partial"] * (judgement.word == PARTIAL)
+    clauses += [f"{title} is void ({reason})" for title, reason in calibration.provenance.voided.items()]
     if calibration.held:
         clauses.append(f"fixed, not observed: {held_summary(calibration)}")
     if clauses:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from srt.cli.apply import check_match, load_fit
+from srt.cli.apply import check_match, load_fit, warn_of_unmeasured
 from srt.cli.grouped_command import GroupedCommand
 from srt.cli.messages import show, warn
 from srt.cli.output_paths import check_file
@@ -115,10 +115,7 @@ def export(
         applied=None if applied is None else applied_of(applied, settings["instance"]),
     )
     written = () if output is None else save(made, output)
-    if calibration.held:
-        from srt.reports.text.calibration import held_summary
-
-        warn(f"{calibration_file}: fixed, not observed: {held_summary(calibration)}.")
+    warn_of_unmeasured(calibration, calibration_file)
     if made.unknown:
         warn(f"{chosen.title}: left out of the file, as they are not known: {'; '.join(made.unknown)}.")
     if not quiet:

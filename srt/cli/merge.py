@@ -51,7 +51,7 @@ def run_merging(
     from srt.reports.text.calibration import held_summary
     from srt.reports.text.calibration_summary import calibration_text
     from srt.reports.text.repeatability import repeatability_text
-    from srt.result.verdict import DOUBTFUL
+    from srt.result.verdict import DOUBTFUL, PARTIAL
 
     found: dict[str, Calibration] = {}
     for job in jobs:
@@ -93,7 +93,8 @@ def run_merging(
     if merged.judgement.word == DOUBTFUL:
         warn(str(merged.judgement))
     if merged.held:
-        warn(f"fixed, not observed: {held_summary(merged)}.")
+        partial = "the verdict is partial; " * (merged.judgement.word == PARTIAL)
+        warn(f"{partial}fixed, not observed: {held_summary(merged)}.")
     ratio = math.sqrt(repeated.chi_square / max(repeated.degrees_of_freedom, 1))
     if ratio > _DIFFERENT_UNITS and not display.force:
         say(

@@ -35,7 +35,10 @@ def noise(
     intervals: by maximum likelihood, and by a fit of the overlapping Allan deviation. A term that the log does not
     resolve is an upper limit. The record length that each term needs is shown.
 
-    Exit codes: 0 success; 1 no stationary window of 30 s; 2 wrong usage or unreadable input.
+    A channel whose readings contradict the fitted terms, or whose noise changes within the window, has no figures; the
+    report says why.
+
+    Exit codes: 0 success; 1 no stationary window of 30 s, or figures of no channel; 2 wrong usage or unreadable input.
     """
     import json
 

@@ -19,7 +19,7 @@ from srt.closed_form.measurement_covariance import accel_drift, covariance, dist
 from srt.estimation import g_sensitivity_report
 from srt.estimation.calibration_builder import build_calibration
 from srt.estimation.drift_model import DriftEstimate, DriftSearch, change, gyro_statistics, possible_sigma
-from srt.estimation.fixed_parameters import fixed_sigma, reason_on_request
+from srt.estimation.fixed_parameters import fixed_sigma, fixed_values, reason_on_request, value_of_fixed
 from srt.estimation.g_sensitivity import MODE as G_SENSITIVE
 from srt.estimation.g_sensitivity import RestRates
 from srt.estimation.goodness_of_fit import (
@@ -39,7 +39,7 @@ from srt.noise.drift_forms import FALSE_ALARM, LINEAR, drift_test, variance_comp
 from srt.result.calibration import Residual
 from srt.result.diagnostics import Diagnostics
 from srt.result.verdict import MISFIT_PROBABILITY
-from srt.sensor_errors import NAMES
+from srt.sensor_errors import NAMES, SensorErrors
 from srt.sequences.checked_preparation import prepare_checked
 from srt.sequences.moves import recorded_moves
 
@@ -77,7 +77,8 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
     data = prepare_checked(recording, labels, options.average)
     uncertain = fixed_sigma(data, options)
     formulas = SelectedFormulas(data, options)
-    first = initial_estimate(data, options)
+    initial, U = initial_estimate(data, options)
+    first = SensorErrors(np.where(formulas.fixed, fixed_values(data, options, initial).vector, initial.vector)), U
     solution = iterate(data, options, formulas, *first, progress, fixed_sigma=uncertain)
     used = options
     if options.gyro_bias == "auto" and _shows_g_sensitivity(data, solution, formulas.fixed):
@@ -87,8 +88,8 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
     fixed = {name: reason_on_request(name, uncertain, data) for name in options.fixed_names}
     for name in formulas.missing:
         absent = [s for s in closed_form.sequences_needed(name) if s not in data.ids]
-        source = "estimated from the fixture's nominal angles" if options.start == "auto" else "that of the given start"
-        fixed[name] = f"sequence {', '.join(absent)} is missing or void; the value is {source}"
+        value = value_of_fixed(name, uncertain, data, options)
+        fixed[name] = f"sequence {', '.join(absent)} is missing or void; {value}"
     unused = [s.title for s in recording.sequences if s.id not in SEQUENCES]
     warnings = (f"Not of Table 1 and not used by the closed form: {', '.join(unused)}.",) if unused else ()
     result = _result(data, options, formulas, solution, np.array([name in fixed for name in NAMES]))

@@ -108,6 +108,8 @@ def _merged(
     held = {name: members[0].held[name] for i, name in enumerate(NAMES) if not observed[i]}
     U, U_sigma, U_note = _mounting(members)
     p_value = float(chdtrc(freedom, statistic)) if freedom else None
+    unseen = tuple(dict.fromkeys(row for c in members for row in c.diagnostics.unseen_errors or ()))
+    lacking = {name for c in members for name in c.diagnostics.not_shown or ()}
     message = f"Merged from {len(members)} recording{'s' if len(members) > 1 else ''}."
     return Calibration(
         estimator=ESTIMATOR,
@@ -125,7 +127,9 @@ def _merged(
         temperature=_temperature(members),
         provenance=_provenance(members),
         diagnostics=Diagnostics(
-            repeatability=repeatability(stack, used, left_out, vector, sizes, (statistic, freedom, p_value))
+            repeatability=repeatability(stack, used, left_out, vector, sizes, (statistic, freedom, p_value)),
+            unseen_errors=unseen or None,
+            not_shown=tuple(name for name in held if name in lacking) or None,
         ),
         verdict=replace(
             verdict(

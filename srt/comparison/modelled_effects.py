@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from srt.result.verdict import DOUBTFUL
+from srt.result.verdict import DOUBTFUL, SOUND
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -86,9 +86,10 @@ def verdicts_differ(calibrations: Mapping[str, Calibration]) -> str:
     if not doubtful or not sound:
         return ""
     others = "the others" if len(sound) > 1 else sound[0]
+    word = "sound" if all(judged[name].judgement.word == SOUND for name in sound) else "not"
     found = "; ".join(_differences({name: modelled_effects(c) for name, c in judged.items()}))
     return (
-        f"{joined(doubtful)} {'are' if len(doubtful) > 1 else 'is'} doubtful, {others} sound"
+        f"{joined(doubtful)} {'are' if len(doubtful) > 1 else 'is'} doubtful, {others} {word}"
         f"{f': {found}.' if found else ', though all model the same effects.'}"
     )
 

@@ -10,9 +10,10 @@ import numpy as np
 
 from srt.estimation.asymmetry_choice import asymmetry_choice
 from srt.estimation.error_sources import start_sigma
+from srt.estimation.fixed_parameters import parameters_due
 from srt.estimation.goodness_of_fit import chi_square_probability, is_misfit
 from srt.estimation.leave_one_out import verdict
-from srt.estimation.unseen_errors import clock_effect, unseen_errors
+from srt.estimation.unseen_errors import clock_effect, contradicted_statements, unseen_errors
 from srt.model.rotations import rotation_vector
 from srt.result.calibration import Calibration, software
 from srt.result.consistency import AddedNoise, ChiSquareTest
@@ -75,7 +76,8 @@ def build_calibration(
         if _unmodelled_drift(result):  # it is in the residuals of all sequences
             evidence = replace(evidence, contradicting=None)
         evidence = _with_sensor_noise(evidence, data, result, covariance, observed, inflation)
-    status, message = _status(result, fixed, evidence, free=free, rated=any(label.rate for label in data.labels))
+    contradicted = tuple(contradicted_statements(data.recording))
+    status, message = _status(result, fixed, evidence, free=free, advice=_advice(data))
     return Calibration(
         estimator=estimator,
         status=status,
@@ -98,10 +100,19 @@ def build_calibration(
             # Far from a solution the covariance may be singular.
             asymmetry=asymmetry_choice(result.errors, covariance, observed) if result.status == "converged" else {},
             unseen_errors=unseen_errors(data, observed),
+            contradicted=contradicted or None,
+            not_shown=_not_shown(data, options, fixed),
         ),
         verdict=evidence,
-        warnings=(*warnings, *_warnings(data, result, observed)),
+        warnings=(*contradicted, *warnings, *_warnings(data, result, observed)),
     )
+
+
+def _not_shown(data: PreparedRecording, options: Options, fixed: Mapping[str, str]) -> tuple[str, ...] | None:
+    """Parameters fixed for want of data that a recording of this kind should show; None without."""
+    due = parameters_due(data)
+    names = [name for name, needed in zip(NAMES, due, strict=True) if needed and name in fixed]
+    return tuple(name for name in names if name not in options.fixed_names) or None
 
 
 def _contributions(
@@ -139,8 +150,22 @@ def _birge_ratio(result: SolverResult) -> float:
     return float(np.sqrt(max(chi_square / max(freedom, 1) for chi_square, freedom in fits))) if misfit else 1.0
 
 
+def _advice(data: PreparedRecording) -> str:
+    """Advice on a sequence that contradicts all others; one that has no label can only be given less weight."""
+    rated = ", and the stated rates about its axis" if any(label.rate for label in data.labels) else ""
+    if data.recording.sequences and data.recording.protocol is None:
+        return (
+            f"check its label, windows and rotation{rated}, and repeat it, or leave it out: remove its [[sequence]] "
+            "from recording.toml."
+        )
+    return (
+        f"check its windows and rotation{rated}, and repeat it, or give it less weight: "
+        "'--estimator graph --loss cauchy'."
+    )
+
+
 def _status(
-    result: SolverResult, fixed: Mapping[str, str], evidence: Consistency | None, *, free: bool, rated: bool = False
+    result: SolverResult, fixed: Mapping[str, str], evidence: Consistency | None, *, free: bool, advice: str = ""
 ) -> tuple[str, str]:
     """Status and message: outside_model, not_converged, inconsistent, partial, converged, in this order.
 
@@ -153,10 +178,10 @@ def _status(
     robust = result.diagnostics.weights is not None  # a robust loss has reduced the weight of what contradicts
     if suspect is not None and not robust:
         again = f" (occurrence {suspect.occurrence})" if suspect.occurrence > 1 else ""
-        to_check = f"its label, windows and rotation{', and the stated rates about its axis' if rated else ''}"
+        numbered = suspect.sequence.startswith(("turn ", "pose ", "move "))
+        which = suspect.sequence.capitalize() if numbered else f"Sequence {suspect.sequence}"
         return "inconsistent", (
-            f"Sequence {suspect.sequence}{again} contradicts all others "
-            f"({p_value_text(suspect.probability)}): check {to_check}, and leave it out or repeat it."
+            f"{which}{again} contradicts all others ({p_value_text(suspect.probability)}): {advice}"
         )
     explained = robust or evidence is None or (free and not is_misfit(result.chi_square, result.degrees_of_freedom))
     statistic, freedom = result.sensor_noise_fit
@@ -356,9 +381,7 @@ def _warnings(data: PreparedRecording, result: SolverResult, observed: Mask) -> 
         )
     fixed = int(N_PARAMETERS - observed.sum())
     if fixed:
-        messages.append(
-            f"{fixed} of {N_PARAMETERS} parameters are not observed; they keep the values of the initial estimate."
-        )
+        messages.append(f"{fixed} of {N_PARAMETERS} parameters are not observed; they are fixed.")
     return tuple(messages)
 
 

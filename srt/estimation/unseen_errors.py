@@ -1,5 +1,7 @@
 """Errors that no residual shows: time base, gravity, latitude, heading and stated rates, and what they shift.
 
+Statements that the time stamps or the Earth contradict are of the same kind: the residuals agree with them.
+
 All measurements share them, so that they agree however large the error is. Each has a coefficient, and a stated sigma
 where the recording gives one; the sigmas of the result include it then. A latitude without sigma counts as exact.
 The error of one run at a stated rate is not shared, but nothing contradicts it where no other run about that axis has
@@ -11,20 +13,30 @@ from __future__ import annotations
 import math
 from collections import Counter
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
 from srt.constants import DEG_PER_H, EARTH_RATE_RAD_S
 from srt.model.table1 import AXES
+from srt.recording.timing import sample_timing
 from srt.result.diagnostics import UnseenError
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from srt.recording.recording import Recording
     from srt.sequences.preparation import PreparedRecording
     from srt.types import Array, Mask
 
 _PPM = 1e6
+_EVEN_RATE: Final = 1e-3
+"""Largest relative difference of a stated sample rate from that of even stamps."""
+_EARTH_GRAVITY_M_S2: Final = (9.76, 9.84)
+"""Range of gravity on land, from the highest summits of the tropics to the poles."""
+_GRAVITY_SIGMAS: Final = 3.0
+"""Tolerance of a stated gravity, in its sigma."""
 
 
 class _Effect(NamedTuple):
@@ -63,6 +75,30 @@ def unseen_errors(data: PreparedRecording, observed: Mask) -> tuple[UnseenError,
             sigma = fixture.alignment_sigma_rad * 1e3
             rows.append(_row("heading", ("mrad", sigma), _Effect("gyro_bias", per_mrad, "°/h", largest=True)))
     return (*rows, *_stated_rates(data, observed))
+
+
+def contradicted_statements(recording: Recording) -> Iterator[str]:
+    """Sentences on a sample rate that contradicts even time stamps, and on a gravity that no place on Earth has."""
+    stated, timing = recording.sample_rate_hz, sample_timing(recording.time)
+    if stated is not None and isinstance(timing.interval_s, float):
+        excess = stated * timing.interval_s - 1.0
+        # One interval over the whole recording allows for the rounding of the stamps.
+        if abs(excess) > _EVEN_RATE + 1.0 / recording.time.size:
+            sensor = "gyro" if recording.kind == "rate" else "accelerometer"
+            yield (
+                f"sample_rate_hz is {stated:.6g}, but the time stamps are even at {1.0 / timing.interval_s:.6g} Hz: if "
+                f"they are right, every {sensor} scale factor is wrong by {abs(excess) * _PPM:.3g} ppm. Correct the "
+                "rate, or remove it."
+            )
+    site = recording.site
+    low, high = _EARTH_GRAVITY_M_S2
+    beyond = max(low - site.gravity_m_s2, site.gravity_m_s2 - high)
+    if site.latitude_rad is None and beyond > _GRAVITY_SIGMAS * site.gravity_sigma_m_s2:
+        yield (
+            f"gravity_m_s2 is {site.gravity_m_s2:.6g}, but gravity on Earth is {low} to {high} m/s²: every "
+            f"accelerometer scale factor is wrong by at least {beyond / site.gravity_m_s2 * _PPM:.3g} ppm. Correct it, "
+            "or state latitude_deg and height_m instead."
+        )
 
 
 def clock_effect(data: PreparedRecording) -> Array:

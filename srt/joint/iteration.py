@@ -20,6 +20,7 @@ from srt.estimation.convergence import CONVERGED_CORRECTION, CONVERGED_SIGMAS, M
 from srt.estimation.drift_model import MOST_TERMS
 from srt.estimation.error_sources import NO_ERRORS
 from srt.estimation.fixed_parameters import (
+    determined_by_fixture,
     fixed_sigma,
     reason_not_observed,
     reason_on_request,
@@ -327,7 +328,8 @@ def run(joint: JointModel, solver: JointSolver, progress: Progress | None) -> Ca
     reasons = _not_shown_by_poses(joint, reasons) | reasons
     fixed = FixedParameters(reasons, uncertain)
     requested = np.array([name in reasons for name in NAMES])
-    iteration = IterationState(joint.start, ~requested) if found is None else found
+    start = joint.with_fixed_values(joint.start, requested)
+    iteration = IterationState(start, ~requested) if found is None else found
     held: Diagnostics | None = None
     for _ in range(_ROUNDS * (1 + MOST_TERMS)):
         iteration = iterate(joint, solver, iteration, requested=requested, progress=progress)
@@ -336,9 +338,11 @@ def run(joint: JointModel, solver: JointSolver, progress: Progress | None) -> Ca
             held = found_held
             continue
         if _relies_on_fixture(joint, iteration, uncertain):
+            vague = requested | _vague(joint, iteration, requested)
             solver.prior = joint.prior_of_fixture(uncertain)
             solver.restart()
-            iteration = IterationState(replace(joint.start, drift=iteration.state.drift), ~requested)
+            start = replace(joint.start, drift=iteration.state.drift)
+            iteration = IterationState(joint.with_fixed_values(start, vague), ~vague)
             continue
         if iteration.status != "converged":
             break
@@ -362,7 +366,7 @@ def run(joint: JointModel, solver: JointSolver, progress: Progress | None) -> Ca
         if not weak.any() or solver.prior is not None:
             break
         iteration.free = iteration.free & ~weak
-        iteration.state = joint.with_initial_values(iteration.state, weak)
+        iteration.state = joint.with_fixed_values(iteration.state, weak)
     return make_calibration(joint, solver, iteration, fixed, held)
 
 
@@ -439,6 +443,17 @@ def _relies_on_fixture(joint: JointModel, iteration: IterationState, uncertain: 
     return bool(vague.any()) or iteration.status != "converged"
 
 
+def _vague(joint: JointModel, iteration: IterationState, requested: Mask) -> Mask:
+    """Parameters that neither the measurements nor the nominal angles of the fixture give, but for asymmetries.
+
+    They are fixed: within a prior as wide as a third, the iteration would wander. The prior of asymmetries is narrow.
+    """
+    known = determined_by_fixture(joint.data) | ["asymmetry" in name for name in NAMES]
+    if iteration.point is not None:
+        known = known | observable_parameters(iteration.point.system, requested)
+    return np.asarray(~known)
+
+
 def _not_shown_by_poses(joint: JointModel, requested: Mapping[str, str]) -> dict[str, str]:
     """Parameters that a test of poses and stated rates does not show, with reasons; none if there are other rotations.
 
@@ -464,7 +479,7 @@ def _with_sound_moves(
     """
     requested = np.array([name in joint.options.fixed_names for name in NAMES])
     while joint.data.moves:
-        start = IterationState(joint.start, ~requested)
+        start = IterationState(joint.with_fixed_values(joint.start, requested), ~requested)
         iteration = iterate(joint, solver, start, requested=requested, progress=progress)
         if iteration.status != "converged":
             solver.restart()

@@ -21,6 +21,7 @@ from srt.constants import EARTH_RATE_RAD_S
 from srt.estimation import error_sources as sources
 from srt.estimation.convergence import PARAMETER_UNITS
 from srt.estimation.error_sources import NO_ERRORS
+from srt.estimation.fixed_parameters import fixed_values
 from srt.estimation.g_sensitivity import LEAST_SCATTER, RestRates, pose_regression
 from srt.estimation.g_sensitivity import MODE as G_SENSITIVE
 from srt.estimation.observability import admission_sigma
@@ -99,16 +100,9 @@ class JointModel:
         """Drift within the recording that is modelled, and gyro g-sensitivity."""
         self._lay_out()
         self.U_prior, self.U_note = mounting_prior(data.recording.fixture, start[1])
-        self.start = JointState(
-            start[0],
-            np.zeros((data.K, 3)),
-            np.eye(3),
-            start[1],
-            0.0,
-            0.0,
-            np.zeros((len(self.level_frames), 3)),
-            np.zeros(0),
-        )
+        self.fixed_values = fixed_values(data, options, start[0])
+        deviation, earth_rate = np.zeros((data.K, 3)), np.zeros((len(self.level_frames), 3))
+        self.start = JointState(start[0], deviation, np.eye(3), start[1], 0.0, 0.0, earth_rate, np.zeros(0))
         if options.gyro_bias == G_SENSITIVE:
             self.start = self.with_g_sensitivity(self.start)
 
@@ -245,17 +239,17 @@ class JointModel:
         return bool(np.any(self.admission < admission_sigma()))
 
     def prior_of_fixture(self, uncertain: Array) -> Prior:
-        """Prior about the initial estimate, which the nominal angles of the fixture give with sigma ``uncertain``.
+        """Prior about the values that the nominal angles of the fixture give, with sigma ``uncertain``.
 
         A parameter is then observed if the measurements reduce this sigma to a third. The others have the value that
         prior and measurements together give, so that sums that are known better stay right.
         """
         self.admission = np.where(uncertain > 0.0, np.minimum(self.admission, uncertain), self.admission)
-        return Prior.from_sigma(self.admission, self.start.errors)
+        return Prior.from_sigma(self.admission, self.fixed_values)
 
-    def with_initial_values(self, state: JointState, fixed: Mask) -> JointState:
-        """Give fixed parameters the values of the initial estimate."""
-        vector = np.where(fixed, self.start.errors.vector, state.errors.vector)
+    def with_fixed_values(self, state: JointState, fixed: Mask) -> JointState:
+        """Give fixed parameters their values."""
+        vector = np.where(fixed, self.fixed_values.vector, state.errors.vector)
         return replace(state, errors=SensorErrors(vector))
 
     def bias_walk_sigma(self) -> Array:

@@ -12,7 +12,7 @@ import numpy as np
 from srt.estimation import g_sensitivity_report
 from srt.estimation.calibration_builder import build_calibration
 from srt.estimation.error_sources import NO_ERRORS, accel_drift, by_drift, latitude_error
-from srt.estimation.fixed_parameters import reason_not_observed
+from srt.estimation.fixed_parameters import determined_by_fixture, reason_not_observed, value_of_fixed
 from srt.estimation.g_sensitivity import MODE as G_SENSITIVE
 from srt.estimation.observability import observed_limit
 from srt.estimation.solver_result import SolverResult
@@ -69,15 +69,17 @@ def make_calibration(
     if iteration.point is not None and iteration.covariance is not None:
         weak = ~iteration.free | (iteration.sigma > observed_limit(joint.admission))
         for i in np.flatnonzero(weak):
-            reasons.setdefault(NAMES[i], reason_not_observed(NAMES[i]))
+            value = value_of_fixed(NAMES[i], fixed.sigma, data, joint.options)
+            reasons.setdefault(NAMES[i], f"{reason_not_observed(NAMES[i])}; {value}")
     analysis = analyse_solution(joint, solver, iteration, fixed.sigma)
-    # Parameters that are not observable keep the initial value, not the one from a wide prior and correlations.
+    # Parameters that are not observable have their fixed value, not the one from a wide prior and correlations.
     identity = np.tile(np.eye(3), (data.K, 1, 1))
-    not_observed = np.array([name in reasons and not joint.relies_on_fixture for name in NAMES])
+    supported = joint.relies_on_fixture & determined_by_fixture(data)
+    not_observed = np.array([name in reasons for name in NAMES]) & ~supported
     drift = joint.drift.estimates(iteration.state.drift)
     followed, notes = _g_sensitivity(joint, iteration, analysis.g_sensitivity_covariance)
     result = SolverResult(
-        errors=joint.with_initial_values(iteration.state, not_observed).errors,
+        errors=joint.with_fixed_values(iteration.state, not_observed).errors,
         U=iteration.state.U,
         covariance=analysis.covariance,
         corrections=tuple(iteration.corrections or ()),

@@ -22,8 +22,8 @@ like an interval.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cache
+from dataclasses import dataclass, field
+from functools import cache, partial
 from math import log, pi
 from typing import TYPE_CHECKING, Any, Final
 
@@ -34,6 +34,7 @@ from srt.constants import DEG_PER_H, HOUR_S, MICRO_G
 from srt.exceptions import DataError
 from srt.noise.allan import CHANNELS, CONFIDENCE, TERMS, Term
 from srt.noise.likelihood_thresholds import SLOW, SimulatedRecords, normal_threshold
+from srt.noise.noise_agreement import contradiction
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -91,6 +92,9 @@ class NoiseTerms:
         Record length from which the 95 % interval is within ± 50 % of the coefficient; for a term that is not resolved,
         of its upper limit: a smaller term needs more. Infinite beyond three years.
     length_s, interval_s : float, s
+    refused : dict of str to str
+        Channels whose readings contradict the fitted terms, or whose noise changes within the window, with the
+        reason; their terms are NaN.
     """
 
     value: Array
@@ -100,6 +104,7 @@ class NoiseTerms:
     needed_s: Array
     length_s: float
     interval_s: float
+    refused: dict[str, str] = field(default_factory=dict)
 
     def deviation(self, tau_s: Array) -> Array:
         """Allan deviation by the resolved terms, shape (6, k), for times of shape (k,), s."""
@@ -161,7 +166,8 @@ def noise_terms(recording: Recording, window: tuple[int, int], rng: np.random.Ge
     Raises
     ------
     DataError
-        A window of less than :data:`SHORTEST_S` or :data:`FEWEST` samples.
+        A window of less than :data:`SHORTEST_S` or :data:`FEWEST` samples, or noise in all channels that is not that of
+        a unit at rest.
     """
     a, b = window
     dt, n = recording.nominal_interval_s, b - a
@@ -194,11 +200,28 @@ def noise_terms(recording: Recording, window: tuple[int, int], rng: np.random.Ge
         if not np.ptp(x) > 1e-15 * np.abs(x).max():
             continue
         spectrum = _spectrum((x - x.mean()) * factor, edges, design, u)
+        best = _likeliest(spectrum)
+        without_ramp = x * factor - best.ramp * dt * np.arange(n)
+        if reason := contradiction(without_ramp, dt, partial(_variance, squares=best.squares, dt=dt)):
+            found.refused[CHANNELS[c]] = reason
+            continue
         for name, row in zip(
-            ("value", "low", "high", "resolved", "needed_s"), _channel(spectrum, records, dt), strict=True
+            ("value", "low", "high", "resolved", "needed_s"), _channel(spectrum, best, records, dt), strict=True
         ):
             getattr(found, name)[c] = row
+    if found.refused and np.isnan(found.high).all():
+        channel, reason = next(iter(found.refused.items()))
+        raise DataError(
+            f"The noise from {recording.time[a]:.6g} to {recording.time[b - 1]:.6g} s is not that of a unit at rest. "
+            f"{channel}: {reason}. A filter, interpolated samples, vibration or a changing noise give such readings: "
+            "log the unit undisturbed, unfiltered, at its own rate."
+        )
     return found
+
+
+def _variance(n: int, squares: Array, dt: float) -> Array:
+    """Variance of the coefficients 1 to n − 1 of a record of n samples by the terms with these squares."""
+    return np.asarray(_design(0.5 * pi * np.arange(1, n) / n, n, dt) @ squares)
 
 
 def _bins(n: int) -> Indices:
@@ -285,9 +308,10 @@ def _slope(spectrum: _Spectrum, variance: Array, ramp: float | None) -> tuple[fl
     return float((spectrum.cu / variance).sum()) * slope_variance, slope_variance
 
 
-def _channel(spectrum: _Spectrum, records: SimulatedRecords, dt: float) -> tuple[Array, Array, Array, Mask, Array]:
+def _channel(
+    spectrum: _Spectrum, best: _Fit, records: SimulatedRecords, dt: float
+) -> tuple[Array, Array, Array, Mask, Array]:
     """Value, low, high, resolved and needed length of the terms of one channel."""
-    best = _likeliest(spectrum)
     doubt = np.sqrt(np.diag(np.linalg.inv(_information(spectrum, best.variance))))
     low, high = np.zeros(len(ALL_TERMS)), np.zeros(len(ALL_TERMS))
     for k in range(_RAMP):

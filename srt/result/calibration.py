@@ -85,7 +85,7 @@ class Calibration(Presented):
     corrections : tuple of float
         Largest correction of each iteration.
     held : dict of str to str
-        Fixed parameters with the reason; they keep the values of the initial estimate.
+        Fixed parameters with the reason; zero, or with the value of the fixture's nominal angles, a start or a prior.
     contributions : dict of str to ndarray, shape (27,)
         One sigma by source of error.
     U : ndarray, shape (3, 3), or None
@@ -148,7 +148,7 @@ class Calibration(Presented):
 
     @property
     def judgement(self) -> Verdict:
-        """Verdict in words: sound, doubtful or failed, with the reason."""
+        """Verdict in words: sound, partial, doubtful or failed, with the reason."""
         return verdict_on(self)
 
     @property

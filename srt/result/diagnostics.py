@@ -245,6 +245,10 @@ class Diagnostics:
     asymmetry : mapping of str to AsymmetryTest, or None
         By group.
     unseen_errors : tuple of UnseenError, or None
+    contradicted : tuple of str, or None
+        Sentences on statements of the recording that its time stamps or the Earth contradict.
+    not_shown : tuple of str, or None
+        Parameters that a recording of this kind should show, and that this one does not.
     live : tuple of LiveEstimate, or None
     recognition : RecognisedSequences or None
     faults : tuple of Fault, or None
@@ -267,6 +271,8 @@ class Diagnostics:
     unused_moves: int | None = None
     asymmetry: Mapping[str, AsymmetryTest] | None = None
     unseen_errors: tuple[UnseenError, ...] | None = None
+    contradicted: tuple[str, ...] | None = None
+    not_shown: tuple[str, ...] | None = None
     live: tuple[LiveEstimate, ...] | None = None
     recognition: RecognisedSequences | None = None
     faults: tuple[Fault, ...] | None = None

@@ -1,10 +1,11 @@
-"""Verdict on a calibration: sound, doubtful or failed, with the reason; the same for every command and report.
+"""Verdict on a calibration: sound, partial, doubtful or failed, with the reason; for all commands and reports.
 
 The verdict compares the residuals with the noise of the sensors first, as stated or as the stationary windows show it.
 Noise that was added to explain larger residuals, and the factor on the sigmas, come second.
 
-A failed status precedes all others, in the order outside_model, not_converged, inconsistent. A status "partial" (some
-parameters fixed) may have any verdict: its observed parameters are judged like those of a complete calibration.
+A failed status precedes all others, in the order outside_model, not_converged, inconsistent. The status "partial" (some
+parameters fixed) may have any verdict: its observed parameters are judged like those of a complete calibration. The
+verdict "partial" is on a calibration without a doubt that lacks parameters which such a recording should show.
 """
 
 from __future__ import annotations
@@ -15,6 +16,8 @@ from typing import TYPE_CHECKING, Final, Protocol
 
 from scipy.special import stdtrit
 
+from srt.sensor_errors import collapse_names
+
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
@@ -24,7 +27,7 @@ if TYPE_CHECKING:
 
 USABLE: Final = ("converged", "partial")
 """Statuses with valid values and sigmas; the verdict on all others is "failed"."""
-SOUND, DOUBTFUL, FAILED = "sound", "doubtful", "failed"
+SOUND, PARTIAL, DOUBTFUL, FAILED = "sound", "partial", "doubtful", "failed"
 MISFIT_PROBABILITY: Final = 1e-3
 """p-value of chi-square below which residuals count as larger than the noise: one false alarm in 1000 recordings."""
 UNUSUAL: Final = 0.05
@@ -80,8 +83,9 @@ class Verdict:
     Attributes
     ----------
     word : str
-        "sound": the residuals agree with the noise of the sensors. "doubtful": they do not, and the sigmas were
-        enlarged; or nothing tests them. "failed": the status is not usable.
+        "sound": the residuals agree with the noise of the sensors. "partial": they do, but parameters that such a
+        recording should show are not observed. "doubtful": they do not agree, and the sigmas were enlarged; or nothing
+        tests them. "failed": the status is not usable.
     reason : str
         Sentences.
     """
@@ -110,9 +114,17 @@ def verdict_on(calibration: Judged) -> Verdict:
         return Verdict(DOUBTFUL, "No measurement is redundant: their agreement cannot be tested.")
     agreement = f"{_agreement(p, merged=evidence.own_noise is None)} ({_chi_square(evidence.sensor_noise_test, p)})."
     added = " ".join(_added(evidence, p, calibration.noise.sigma_inflation or 1.0))
-    found = [f"A fault was found that residuals need not show: {wrong[0].sentence}"] if wrong else []
-    word = DOUBTFUL if added or found else SOUND
-    return Verdict(word, " ".join([*found, agreement, *_modelled(calibration), added]).rstrip())
+    unseen = [*(fault.sentence for fault in wrong), *(calibration.diagnostics.contradicted or ())]
+    found = [f"A fault was found that residuals need not show: {unseen[0]}"] if unseen else []
+    lacking = list(_lacking(calibration.diagnostics.not_shown or ()))
+    word = DOUBTFUL if added or found else PARTIAL if lacking else SOUND
+    return Verdict(word, " ".join([*found, *lacking, agreement, *_modelled(calibration), added]).rstrip())
+
+
+def _lacking(names: tuple[str, ...]) -> Iterator[str]:
+    """Sentence on the parameters that such a recording should show."""
+    if names:
+        yield f"Not observed, though such a recording should show them: {', '.join(collapse_names(names))}."
 
 
 def _explained(calibration: Judged) -> set[str]:

@@ -6,13 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from foreign_fixture import on_fixture, table_1, write
+from foreign_motion import DEG, GRADES, GRAVITY_M_S2, drawn_errors
 
 import sims
 import srt
 from sims.faults.injection import Case
 from sims.scenarios.scenario import scenario_from_dict
-from srt.constants import DEG, DEG_PER_H
-from srt.sensor_errors import GROUP_SLICES
+from srt.cli import main
+from srt.constants import DEG_PER_H
+from srt.sensor_errors import GROUP_SLICES, NAMES
 
 FACTORS = {"ppm": 1e6, "°/h": 1.0 / DEG_PER_H}
 SMALL = 20.0
@@ -185,3 +188,64 @@ def test_a_run_at_another_rate_shows_a_wrong_one(tmp_path):
     wrong = srt.calibrate(recording.with_sequences(tuple(labels)), "least-squares", checks=False)
     assert wrong.status == "inconsistent"
     assert "the stated rates about its axis" in wrong.message
+
+
+def table_1_test(folder, **tables):
+    """Table 1 on a fixture of 1 mrad, 50 Hz, by a generator that shares nothing with the estimators."""
+    rng = np.random.default_rng(20261203)
+    errors = drawn_errors(GRADES["tactical"], rng)
+    motion = on_fixture(table_1(), rng, rest_s=10.0, rate_rad_s=60.0 * DEG, sigma_rad=1e-3)
+    samples = motion.sampled(errors, GRADES["tactical"], rng)
+    fixture = {"heading_deg": 0.0, "alignment_sigma_mrad": 1.0, "rotation_sigma_mrad": 1.0}
+    write(folder, samples, {"fixture": fixture, **tables}, motion.labels(0.1))
+    return errors
+
+
+@pytest.mark.parametrize(("rate_hz", "warned"), [(50.2, True), (49.8, True), (50.02, False)])
+@pytest.mark.parametrize("checks", [True, False])
+def test_a_sample_rate_against_even_stamps_warns_and_is_doubtful(tmp_path, capfd, rate_hz, warned, checks):
+    """0.4 % of the rate is 0.4 % of every gyro scale factor, in agreement with all residuals."""
+    errors = table_1_test(tmp_path / "unit", recording={"sample_rate_hz": rate_hz})
+    found = srt.calibrate(tmp_path / "unit", checks=checks)
+    at = GROUP_SLICES["gyro_scale"]
+    expected = [50.0 / rate_hz * (1.0 + errors[name]) - 1.0 for name in NAMES[at]]
+    assert np.all(np.abs(found.errors.vector[at] - expected) < 3.5 * found.sigma[at])
+    said = f"sample_rate_hz is {rate_hz:g}, but the time stamps are even at 50 Hz"
+    assert any(said in text for text in found.warnings) == warned
+    assert (found.judgement.word, said in found.judgement.reason) == (
+        ("doubtful", True) if warned else ("sound", False)
+    )
+    if checks:
+        assert main(["calibrate", str(tmp_path / "unit"), "-q"]) == 0
+        assert (said in capfd.readouterr().err) == warned
+
+
+def test_a_sample_rate_in_place_of_uneven_stamps_does_not_warn(tmp_path):
+    table_1_test(tmp_path / "unit")
+    unit = srt.load_recording(tmp_path / "unit")
+    jitter = np.random.default_rng(20261204).uniform(-4e-3, 4e-3, unit.time.size)
+    found = srt.calibrate(replace(unit, time=unit.time + jitter, sample_rate_hz=50.0))
+    assert found.judgement.word == "sound", found.judgement
+
+
+@pytest.mark.parametrize(
+    ("site", "warned"),
+    [
+        ({"gravity_m_s2": 9.6}, True),
+        ({"gravity_m_s2": 9.85}, True),
+        ({"gravity_m_s2": 9.79468}, False),
+        ({"gravity_m_s2": 9.85, "gravity_sigma_m_s2": 0.05}, False),
+    ],
+)
+def test_gravity_that_no_place_has_warns_without_a_latitude(tmp_path, site, warned):
+    errors = table_1_test(tmp_path / "unit", site=site)
+    found = srt.calibrate(tmp_path / "unit")
+    said = [text for text in found.warnings if "gravity on Earth is 9.76 to 9.84 m/s²" in text]
+    assert bool(said) == warned
+    assert found.judgement.word == ("doubtful" if warned else "sound"), found.judgement
+    if warned:
+        assert said[0] in found.judgement.reason
+        at = GROUP_SLICES["accel_scale"]
+        factor = GRAVITY_M_S2 / site["gravity_m_s2"]
+        expected = [factor * (1.0 + errors[name]) - 1.0 for name in NAMES[at]]
+        assert np.all(np.abs(found.errors.vector[at] - expected) < 3.5 * found.sigma[at])

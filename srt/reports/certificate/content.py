@@ -22,9 +22,10 @@ from srt.reports.certificate.unit_description import (
     temperature,
     unit_description,
 )
+from srt.reports.text.calibration import measured_count, time_base
 from srt.reports.text.tables import decimals_for, fixed, text_table, wrap
 from srt.result.verdict import DOUBTFUL, USABLE, probability_text
-from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, GROUP_SLICES, INDEX, NAMES, SYMBOLS
+from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, GROUP_SLICES, INDEX, NAMES, SYMBOLS, collapse_names
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -375,6 +376,12 @@ def residual_table(calibration: Calibration) -> CertificateTable | None:
 def _summary(
     calibration: Calibration, limits: AcceptanceLimits | None, failed: tuple[str, ...], change: ParameterChanges | None
 ) -> Iterator[str]:
+    status = calibration.status.replace("_", " ")
+    yield (
+        f"{measured_count(calibration)} parameters were estimated (estimator {plain(calibration.estimator)}, {status})."
+    )
+    if zero := [name for name in calibration.held if calibration.errors[name] == 0.0]:
+        yield f"Not measured, and zero in the corrections: {', '.join(collapse_names(zero))}."
     if limits is not None:
         count = int(limits.given.sum())
         yield (
@@ -386,10 +393,9 @@ def _summary(
         )
     elif calibration.status == "converged":
         yield "No acceptance limits were given."
-    measured = int(calibration.observed.sum())
-    status = calibration.status.replace("_", " ")
-    yield f"{measured} of {len(NAMES)} parameters were estimated (estimator {plain(calibration.estimator)}, {status})."
     yield f"Verdict: {plain(str(calibration.judgement), _VERDICT_LENGTH)}"
+    if exact := time_base(calibration):
+        yield exact
     if change is not None:
         names = change.names
         yield (

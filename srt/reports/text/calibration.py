@@ -9,7 +9,16 @@ from srt.constants import DEG_PER_H
 from srt.reports.text.leave_one_out import verdict_text
 from srt.reports.text.tables import WIDTH, decimals_for, fixed, text_table, wrap
 from srt.result.verdict import p_value_text
-from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, GROUP_SLICES, INDEX, NAMES, SYMBOLS
+from srt.sensor_errors import (
+    DISPLAY_FACTORS,
+    DISPLAY_UNITS,
+    GROUP_SLICES,
+    INDEX,
+    N_PARAMETERS,
+    NAMES,
+    SYMBOLS,
+    collapse_names,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -260,6 +269,34 @@ def residual_summary(calibration: Calibration) -> str:
     return text
 
 
+def measured_count(calibration: Calibration) -> str:
+    """Number of the parameters that the recording determined, of all."""
+    return f"{int(calibration.observed.sum())} of {N_PARAMETERS}"
+
+
+def passed_on(calibration: Calibration) -> str:
+    """Clauses on the values of parameters that are not measured, as files and corrected readings contain them."""
+    zero = [name for name in calibration.held if calibration.errors[name] == 0.0]
+    stated = [name for name in calibration.held if name not in zero]
+    parts = [
+        f"{text}: {', '.join(collapse_names(names))}"
+        for text, names in (("passed on as zero", zero), ("passed on with a value not measured here", stated))
+        if names
+    ]
+    return "; ".join([f"{measured_count(calibration)} parameters are measured", *parts])
+
+
+def time_base(calibration: Calibration) -> str:
+    """Sentence on a time base whose error is not stated, and the parameters that it shifts; empty if it is stated."""
+    shifted = [
+        f"{abs(row.coefficient):g} ppm of {'every ' if row.axes == 'xyz' else ''}{row.group.replace('_', ' ')} factor"
+        + ("" if row.axes == "xyz" else f" {' and '.join(row.axes)}")
+        for row in calibration.diagnostics.unseen_errors or ()
+        if row.source == "time base" and row.sigma is None
+    ]
+    return f"Time base taken as exact: 1 ppm of clock is {' and '.join(shifted)}." if shifted else ""
+
+
 def held_summary(calibration: Calibration) -> str:
     """Fixed parameters by reason, one clause each; empty if none is fixed."""
     return "; ".join(f"{', '.join(names)}: {reason}" for reason, names in _reasons(calibration).items())
@@ -282,9 +319,16 @@ def source_label(source: str) -> str:
     return SOURCE_LABELS.get(source, source.replace("_", " "))
 
 
-def _heading(calibration: Calibration, title: str) -> Iterable[str]:
+def heading(calibration: Calibration, title: str) -> str:
+    """First line of a report: title, serial, estimator and the number of parameters that are measured."""
     serial = calibration.provenance.serial
-    yield from wrap(f"{title}{f' (serial {serial})' if serial else ''}: {calibration.estimator}")
+    unit = f"{title} (serial {serial})" if serial else title
+    return f"{unit}: {calibration.estimator}, {measured_count(calibration)} measured"
+
+
+def _heading(calibration: Calibration, title: str) -> Iterable[str]:
+    yield from wrap(heading(calibration, title))
+    yield from wrap(time_base(calibration))
     # Only the first sentence: the fixed parameters follow the table, with the reasons.
     message = calibration.message.split(" Fixed, not observed:")[0]
     steps = ", ".join(f"{c:.1e}" for c in calibration.corrections)

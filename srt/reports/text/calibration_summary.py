@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from srt.reports.text.calibration import held_summary, parameter_table, report
+from srt.reports.text.calibration import heading, held_summary, parameter_table, report, time_base
 from srt.reports.text.group_sigmas import live_table
 from srt.reports.text.tables import WIDTH, wrap
 from srt.result.verdict import FAILED, SOUND
@@ -88,9 +88,10 @@ def calibration_text(
 
 
 def verdict_lines(calibration: Calibration, title: str) -> Iterator[str]:
-    """Heading, status, and agreement of the measurements."""
-    serial = calibration.provenance.serial
-    yield f"{title}{f' (serial {serial})' if serial else ''}: {calibration.estimator}"
+    """Heading, time base that is not stated, status, and agreement of the measurements."""
+    yield heading(calibration, title)
+    if exact := time_base(calibration):
+        yield exact
     message = calibration.message.split(" Fixed, not observed:")[0].split(" Held, not observed:")[0]
     yield message if calibration.status == "converged" else f"Status {calibration.status.replace('_', ' ')}: {message}"
     judgement = calibration.judgement

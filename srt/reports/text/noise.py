@@ -40,6 +40,11 @@ def noise_report(terms: NoiseTerms, allan: AllanDeviation, *, title: str) -> str
     for sensor in range(2):
         lines += ["", _table(terms, allan, sensor)]
     lines.append("")
+    for channel, reason in terms.refused.items():
+        lines += wrap(
+            f"No terms of {channel.replace('_', ' ')}: {reason}. A filter, interpolated samples, vibration or a "
+            "changing noise give such readings."
+        )
     lines += wrap(
         "Record needed: length at which the 95 % interval is within ± 50 % of the value, the longest of the three "
         "axes; for an upper limit at least that."
