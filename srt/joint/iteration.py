@@ -32,6 +32,7 @@ from srt.joint.linear_system import N_ERRORS, global_columns, total
 from srt.joint.linearisation import Linearisation, linearise
 from srt.joint.model_selection import (
     add_drift,
+    add_fixture_errors,
     add_g_sensitivity,
     add_instability,
     add_unmodelled_noise,
@@ -424,6 +425,8 @@ def _with_sound_moves(
             break
         if add_g_sensitivity(joint, solver, iteration):
             joint.start = replace(joint.start, drift=iteration.state.drift)
+            continue
+        if add_fixture_errors(joint, solver, iteration):
             continue
         against = contradictions(joint, whole_solution(joint, solver, iteration))
         tests = [(against[step].chi_square, against[step].degrees_of_freedom) for step in joint.rank.tolist()]

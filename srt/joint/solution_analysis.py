@@ -11,7 +11,7 @@ import numpy as np
 
 from srt.estimation import g_sensitivity_report
 from srt.estimation.calibration_builder import build_calibration
-from srt.estimation.error_sources import NO_ERRORS, accel_drift, by_drift, latitude_error
+from srt.estimation.error_sources import accel_drift, by_drift, latitude_error
 from srt.estimation.fixed_parameters import reason_not_observed
 from srt.estimation.g_sensitivity import MODE as G_SENSITIVE
 from srt.estimation.observability import observed_limit
@@ -253,8 +253,8 @@ def goodness_of_fit(
 
 
 def _fit_to_sensor_noise(joint: JointModel, solver: JointSolver, iteration: IterationState) -> tuple[float, int] | None:
-    """Goodness of fit without unmodelled errors in the noise; None if there are none, or the system is singular."""
-    if not any(joint.unmodelled_sigma):
+    """Goodness of fit without unmodelled errors of the unit; None if there are none, or the system is singular."""
+    if not any(joint.unmodelled_sigma.of_unit):
         return None
     assert iteration.point is not None
     whole = iteration.point.compensated
@@ -264,7 +264,7 @@ def _fit_to_sensor_noise(joint: JointModel, solver: JointSolver, iteration: Iter
     )
     compensated = replace(whole, force_noise=force, rate_noise=rate, rotation_noise=rotation)
     own = copy(joint)
-    own.unmodelled_sigma = NO_ERRORS
+    own.unmodelled_sigma = joint.unmodelled_sigma.of_fixture
     system = linearise(own, iteration.point.state, compensated, iteration.free, solver.prior)
     try:
         return goodness_of_fit(joint, solver, BlockSolution(system), system)
