@@ -25,6 +25,7 @@ from srt.joint.residual_analysis import (
     residuals,
     sequence_diagnostics,
 )
+from srt.model.rotations import rotation_matrix
 from srt.noise.drift_forms import LINEAR, Statistics
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES
 
@@ -72,7 +73,6 @@ def make_calibration(
             reasons.setdefault(NAMES[i], reason_not_observed(NAMES[i]))
     analysis = analyse_solution(joint, solver, iteration, fixed.sigma)
     # Parameters that are not observable keep the initial value, not the one from a wide prior and correlations.
-    identity = np.tile(np.eye(3), (data.K, 1, 1))
     not_observed = np.array([name in reasons and not joint.relies_on_fixture for name in NAMES])
     drift = joint.drift.estimates(iteration.state.drift)
     followed, notes = _g_sensitivity(joint, iteration, analysis.g_sensitivity_covariance)
@@ -91,7 +91,7 @@ def make_calibration(
         integrated=tuple(np.flatnonzero(joint.integrated).tolist()),
         wander=joint.bias_scatter,
         bias_by_sequence=iteration.state.bias_deviation + analysis.instability,
-        end_attitude=identity if iteration.point is None else iteration.point.compensated.rotation,
+        end_attitude=_end_attitude(joint, iteration),
         total=analysis.total,
         diagnostics=replace(
             solver.diagnostics(joint),
@@ -106,6 +106,16 @@ def make_calibration(
         notes=notes,
     )
     return build_calibration(solver.name, data, joint.options, result, reasons, warnings=tuple(warnings))
+
+
+def _end_attitude(joint: JointModel, iteration: IterationState) -> Array:
+    """C_End of every sequence as the gyros measured it, relative to the Earth, shape (K, 3, 3)."""
+    if iteration.point is None or iteration.point.state.attitude is None:
+        return np.tile(np.eye(3), (joint.data.K, 1, 1))
+    state, compensated, start = iteration.point.state, iteration.point.compensated, joint.data.start
+    earth = np.einsum("kba,kb->ka", iteration.point.state.attitude[start], joint.earth_rate(state)[start])
+    # Over the half minute of a rotation with its windows, the Earth turns by a milliradian.
+    return np.asarray(rotation_matrix(-earth * np.asarray(compensated.duration_s)[:, None]) @ compensated.rotation)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

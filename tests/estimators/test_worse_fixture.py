@@ -73,3 +73,10 @@ def test_a_fixture_as_stated_is_not_named(estimator):
     for row in of_units("fixture of 1 mrad as stated", estimator):
         assert row["word"] == "sound"
         assert row["named"] == ""
+
+
+def test_the_rotation_of_the_earth_is_no_error_of_the_rotations():
+    """The Earth turns by a milliradian within a sequence; the stated accuracy is 0.1 mrad, and true."""
+    row = outcome("alignment of 1 mrad, 0.1 stated", 3, "least-squares")
+    assert "alignment" in row["named"]
+    assert "rotations" not in row["named"]
