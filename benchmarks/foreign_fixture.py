@@ -95,14 +95,26 @@ def table_1() -> dict[str, tuple[str, list[tuple[str, float]]]]:
     return {name: (start, [(t[-1], float(t[:-1]) * DEG) for t in turns]) for name, start, *turns in rows}
 
 
-def on_fixture(ids: Iterable[str], rng, *, rest_s: float, rate_rad_s: float, sigma_rad: float) -> Motion:
+def on_fixture(
+    ids: Iterable[str],
+    rng,
+    *,
+    rest_s: float,
+    rate_rad_s: float,
+    sigma_rad: float,
+    alignment_rad: float | None = None,
+    wobble_rad: float | None = None,
+) -> Motion:
     """Sequences of Table 1 on a two-axis fixture: outer axis along y of a level base, inner axis along z of the unit.
 
     Level, north, mounting and the angle between the axes have one error each, every rotation and start angle has its
-    own, all of ``sigma_rad``; the axis wobble is a hundredth of it. A move takes the shortest way.
+    own, all of ``sigma_rad``, or the former of ``alignment_rad``; the axis wobble is a hundredth of ``sigma_rad``, or
+    ``wobble_rad``. A move takes the shortest way.
     """
-    base, mount = (Rotation.from_rotvec(rng.normal(0.0, sigma_rad, 3)) for _ in range(2))
-    square = rng.normal(0.0, sigma_rad)
+    alignment_rad = sigma_rad if alignment_rad is None else alignment_rad
+    wobble_rad = 0.01 * sigma_rad if wobble_rad is None else wobble_rad
+    base, mount = (Rotation.from_rotvec(rng.normal(0.0, alignment_rad, 3)) for _ in range(2))
+    square = rng.normal(0.0, alignment_rad)
     attitude: Rotation | None = None
     turns: list[Turn] = []
     sequences, moves = [], set()
@@ -110,7 +122,7 @@ def on_fixture(ids: Iterable[str], rng, *, rest_s: float, rate_rad_s: float, sig
         start, rotations = table_1()[name]
         nominal = np.array(_START_DEG[start]) * DEG
         outer, inner = nominal + rng.normal(0.0, sigma_rad, 2)
-        tilt = Rotation.from_rotvec((square + rng.normal(0.0, 0.01 * sigma_rad)) * EYE[0])
+        tilt = Rotation.from_rotvec((square + rng.normal(0.0, wobble_rad)) * EYE[0])
         placed = base * Rotation.from_rotvec(outer * EYE[1]) * tilt * Rotation.from_rotvec(inner * EYE[2]) * mount
         if attitude is None:
             first = placed

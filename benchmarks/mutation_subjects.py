@@ -234,6 +234,28 @@ SUBJECTS = (
         ),
     ),
     Subject(
+        "accuracy of the fixture",
+        "srt/closed_form/fixture_accuracy.py",
+        ("tests/closed_form/test_fixture_accuracy.py",),
+        (),
+        (
+            ("parts = _squared(wobble), _squared(angles)", "parts = _squared(wobble), 0.25 * _squared(angles)"),
+            ("or one_group_explains(*found):", "or False:"),
+            ("if not is_misfit(*found[1:])", "if False"),
+        ),
+    ),
+    Subject(
+        "accuracy of the rotations",
+        "srt/estimation/rotation_accuracy.py",
+        ("tests/estimation/test_rotation_accuracy.py",),
+        (),
+        (
+            ("    if n < _FEWEST:", "    if n < 2:"),
+            ("2.0 * ndtr(-size[middle])", "ndtr(-size[middle])"),
+            ("size <= _ALIKE *", "size <= 100.0 *"),
+        ),
+    ),
+    Subject(
         "projected sources",
         "srt/closed_form/measurement_covariance.py",
         ("tests/estimation/test_noise_sources.py",),
@@ -241,8 +263,8 @@ SUBJECTS = (
         (
             ("* sources.alignment_sigma(data.recording)", "* 0.0 * sources.alignment_sigma(data.recording)"),
             (
-                "axis=-1) * sources.alignment_sigma(data.recording)",
-                "axis=-1) * 0.9 * sources.alignment_sigma(data.recording)",
+                "common * sources.alignment_sigma(data.recording)",
+                "common * 0.9 * sources.alignment_sigma(data.recording)",
             ),
             ("(data.recording.site.gravity_sigma_m_s2 * -up)", "(0.9 * data.recording.site.gravity_sigma_m_s2 * -up)"),
             ("slope * size[", "slope * 0.9 * size["),

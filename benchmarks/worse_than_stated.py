@@ -19,6 +19,7 @@ from foreign_motion import DEG, GRADES, GRAVITY_M_S2, drawn_errors, drift_course
 from joblib import Parallel, delayed
 
 import srt
+from srt.result.verdict import OF_FIXTURE
 from srt.sensor_errors import NAMES
 
 if TYPE_CHECKING:
@@ -36,7 +37,7 @@ class Case(NamedTuple):
 
     ``disturbed`` changes the readings, and by ``shift_sigmas`` of the noise of a reading all biases; ``true_sigma_rad``
     is the accuracy of the fixture, ``stated_sigma_rad`` that which the recording states; ``noise_stated`` states all
-    noise of the unit, else nothing of it.
+    noise of the unit, else nothing of it. The alignment of the fixture and its wobble can have another accuracy.
     """
 
     grade: str
@@ -46,6 +47,8 @@ class Case(NamedTuple):
     true_sigma_rad: float = 1e-3
     stated_sigma_rad: float = 1e-3
     noise_stated: bool = True
+    alignment_rad: float | None = None
+    wobble_rad: float | None = None
 
 
 def as_it_is(unit: srt.Recording, _: np.random.Generator) -> srt.Recording:
@@ -134,6 +137,13 @@ CASES: dict[str, Case] = {
     "truncated toward zero, half a noise sigma": Case("tactical", in_steps(np.trunc, 0.5)),
     "truncated toward zero, three noise sigma": Case("tactical", in_steps(np.trunc, 3.0)),
     "truncated downwards, half a noise sigma": Case("tactical", in_steps(np.floor, 0.5), -0.25),
+    "fixture of 1 mrad, 0.1 stated, navigation grade": Case("navigation", as_it_is, stated_sigma_rad=1e-4),
+    "fixture of 1 mrad as stated": Case("tactical", as_it_is),
+    "rotations of 1 mrad, 0.1 stated": Case("tactical", as_it_is, stated_sigma_rad=1e-4, alignment_rad=1e-4),
+    "alignment of 1 mrad, 0.1 stated": Case(
+        "tactical", as_it_is, true_sigma_rad=1e-4, stated_sigma_rad=1e-4, alignment_rad=1e-3
+    ),
+    "axis wobble of 1 mrad, not stated": Case("tactical", as_it_is, wobble_rad=1e-3),
 }
 """Cases by name."""
 
@@ -147,7 +157,15 @@ def unit_of(case: Case, seed: int) -> tuple[srt.Recording, dict[str, float]]:
         turns = hand_turns(rng, shortest_s=1.0, count=24, rest_s=HAND_RESTS_S[case.motion])
         unit = recording(turns, 5.0, errors, grade, rng)
     else:
-        motion = on_fixture(table_1(), rng, rest_s=10.0, rate_rad_s=60.0 * DEG, sigma_rad=case.true_sigma_rad)
+        motion = on_fixture(
+            table_1(),
+            rng,
+            rest_s=10.0,
+            rate_rad_s=60.0 * DEG,
+            sigma_rad=case.true_sigma_rad,
+            alignment_rad=case.alignment_rad,
+            wobble_rad=case.wobble_rad,
+        )
         samples = motion.sampled(errors, grade, rng, hz=HZ)
         labels = tuple(
             srt.SequenceLabel(tuple(row["start_static_s"]), tuple(row["end_static_s"]), id=row["id"])
@@ -183,6 +201,10 @@ def outcome(name: str, seed: int, estimator: str) -> dict[str, Any]:
     named += [f.fault for f in found.diagnostics.faults or ()]
     if found.verdict is not None and found.verdict.contradicting is not None:
         named.append(f"contradicts: {found.verdict.contradicting.sequence}")
+    added = found.verdict.added_noise if found.verdict is not None else None
+    named += [OF_FIXTURE[kind] for kind in added or () if kind in OF_FIXTURE]
+    named += ["move left out" for _ in found.provenance.voided]
+    named += ["label" for warning in found.warnings if "check the label" in warning]
     return {
         "nees": float(z @ np.linalg.solve(P, z)),
         "seen": int(seen.sum()),
@@ -207,7 +229,8 @@ def main() -> None:
             if CASES[name].motion in HAND_RESTS_S and estimator == "closed-form":
                 continue
             rows = Parallel(n_jobs=options.jobs)(delayed(outcome)(name, i, estimator) for i in range(options.units))
-            words, named = (Counter(row[key] for row in rows).most_common() for key in ("word", "named"))
+            words = Counter(row["word"] for row in rows).most_common()
+            named = Counter(what for row in rows for what in sorted(set(row["named"].split(", ")))).most_common()
             words, named = ("; ".join(f"{n} {what}" for what, n in part if what) for part in (words, named))
             nees = np.nansum([row["nees"] for row in rows]) / max(sum(row["seen"] for row in rows), 1)
             worst = np.nanmax([row["worst"] for row in rows] + [0.0])

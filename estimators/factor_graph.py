@@ -30,6 +30,7 @@ from estimators import factors
 from srt.joint.drift import combined
 from srt.joint.linear_system import N_ERRORS, total
 from srt.joint.measurement_kinds import (
+    alignment_covariances,
     fixed_headings,
     fixture_attitudes,
     rotation_kinds,
@@ -322,10 +323,10 @@ class FactorGraph:
             return factors.gaussian(sigma**2 * np.eye(size))
 
         if joint.fixture_states:
-            tight = isotropic(3, joint.alignment_sigma)
-            graph.add(gtsam.PriorFactorRot3(F(0), gtsam.Rot3(), tight))
-            graph.add(gtsam.PriorFactorRot3(U(0), gtsam.Rot3(joint.U_prior), tight))
-            graph.add(gtsam.PriorFactorVector(L(0), np.zeros(1), isotropic(1, joint.alignment_sigma)))
+            of_axes, of_angle = (factors.gaussian(total(alignment_covariances(joint, size))) for size in (3, 1))
+            graph.add(gtsam.PriorFactorRot3(F(0), gtsam.Rot3(), of_axes))
+            graph.add(gtsam.PriorFactorRot3(U(0), gtsam.Rot3(joint.U_prior), of_axes))
+            graph.add(gtsam.PriorFactorVector(L(0), np.zeros(1), of_angle))
         if self.gravity:
             sigma = joint.data.recording.site.gravity_sigma_m_s2
             graph.add(gtsam.PriorFactorVector(G(0), np.zeros(1), isotropic(1, sigma)))

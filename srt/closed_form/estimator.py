@@ -6,12 +6,14 @@ and one chi-square for each triad shows a drift of its biases. ``least-squares``
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from scipy.special import chdtrc
 
+from srt.closed_form.fixture_accuracy import fixture_excess
 from srt.closed_form.formulas import SelectedFormulas
 from srt.closed_form.iteration import iterate
 from srt.closed_form.leave_one_out import contradictions, second_order_variance, sequence_diagnostics
@@ -19,6 +21,7 @@ from srt.closed_form.measurement_covariance import accel_drift, covariance, dist
 from srt.estimation import g_sensitivity_report
 from srt.estimation.calibration_builder import build_calibration
 from srt.estimation.drift_model import DriftEstimate, DriftSearch, change, gyro_statistics, possible_sigma
+from srt.estimation.error_sources import NO_ERRORS
 from srt.estimation.fixed_parameters import fixed_sigma, fixed_values, reason_on_request, value_of_fixed
 from srt.estimation.g_sensitivity import MODE as G_SENSITIVE
 from srt.estimation.g_sensitivity import RestRates
@@ -46,6 +49,7 @@ from srt.sequences.moves import recorded_moves
 if TYPE_CHECKING:
     from srt.closed_form.iteration import Solution
     from srt.estimation.drift_model import Sensor
+    from srt.estimation.error_sources import UnmodelledErrors
     from srt.estimation.options import Options
     from srt.estimation.registry import Progress
     from srt.noise.drift_forms import DriftTest, Statistics
@@ -85,6 +89,10 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
         used = replace(options, gyro_bias=G_SENSITIVE)
         solution = iterate(data, used, formulas, *first, progress, fixed_sigma=uncertain)
     data, solution = _with_instability(data, used, formulas, solution, uncertain)
+    excess, stated = NO_ERRORS, data
+    if solution.status == "converged" and any(excess := fixture_excess(data, solution)):
+        data = _less_accurate(data, excess)
+        solution = iterate(data, used, formulas, solution.errors, solution.U, fixed_sigma=uncertain)
     fixed = {name: reason_on_request(name, uncertain, data) for name in options.fixed_names}
     for name in formulas.missing:
         absent = [s for s in closed_form.sequences_needed(name) if s not in data.ids]
@@ -93,10 +101,24 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
     unused = [s.title for s in recording.sequences if s.id not in SEQUENCES]
     warnings = (f"Not of Table 1 and not used by the closed form: {', '.join(unused)}.",) if unused else ()
     result = _result(data, options, formulas, solution, np.array([name in fixed for name in NAMES]))
+    result = replace(result, unmodelled=excess)
     if not options.ignore_moves:
         moves = len(recorded_moves(recording, labels))
         result = replace(result, diagnostics=replace(result.diagnostics, unused_moves=moves))
-    return build_calibration("closed-form", data, options, result, fixed, warnings=warnings)
+    return build_calibration("closed-form", stated, options, result, fixed, warnings=warnings)
+
+
+def _less_accurate(data: PreparedRecording, excess: UnmodelledErrors) -> PreparedRecording:
+    """Recording with the accuracy that its fixture has, in place of the stated one."""
+    fixture = data.recording.fixture
+    assert fixture is not None
+    true = replace(
+        fixture,
+        alignment_sigma_rad=math.hypot(fixture.alignment_sigma_rad, excess.alignment),
+        rotation_sigma_rad=math.hypot(fixture.rotation_sigma_rad, excess.angle),
+        wobble_sigma_rad=math.hypot(fixture.wobble, excess.wobble),
+    )
+    return replace(data, recording=replace(data.recording, fixture=true))
 
 
 def _shows_g_sensitivity(data: PreparedRecording, solution: Solution, fixed: Mask) -> bool:

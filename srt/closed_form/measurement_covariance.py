@@ -179,12 +179,12 @@ def _gyro_instability(
 def _earth_rate_error(measurements: SrtMeasurements, data: PreparedRecording) -> Draws:
     """Error of ω̂e: fixture attitude errors times the Earth rate, and the unknown part of the Earth rate."""
     axes = _attitude_errors(measurements, data)
-    unknown = _base(measurements, data) * sources.unknown_earth_rate(data.recording, placed=True)
+    unknown = base_axes(measurements, data) * sources.unknown_earth_rate(data.recording, placed=True)
     turned = -cross_matrix(measurements.earth_rate) @ axes
     return _of_earth_rate(measurements, np.concatenate([turned, unknown], axis=-1))
 
 
-def _base(measurements: SrtMeasurements, data: PreparedRecording) -> Array:
+def base_axes(measurements: SrtMeasurements, data: PreparedRecording) -> Array:
     """Axes of the fixture's base in B_Strt, shape (..., K, 3, 3)."""
     assert data.nominal is not None
     return np.asarray(measurements.U[..., None, :, :] @ np.swapaxes(data.nominal, 1, 2))
@@ -196,7 +196,7 @@ def _latitude(measurements: SrtMeasurements, data: PreparedRecording) -> dict[st
     if not error.any() or fixture is None:
         return {}
     level = rotation_matrix(np.array([0.0, 0.0, -(fixture.heading_rad or 0.0)])) @ error
-    return {"latitude": _of_earth_rate(measurements, (_base(measurements, data) @ level)[..., None])}
+    return {"latitude": _of_earth_rate(measurements, (base_axes(measurements, data) @ level)[..., None])}
 
 
 def _of_earth_rate(measurements: SrtMeasurements, delta: Array) -> Draws:
@@ -209,21 +209,30 @@ def _of_earth_rate(measurements: SrtMeasurements, delta: Array) -> Draws:
     return {"turn": T[..., None] * turned, "rate": to_body @ delta[..., measurements.window_sequence, :, :]}
 
 
+def fixture_axes(measurements: SrtMeasurements, data: PreparedRecording) -> tuple[Array, Array]:
+    """Axes of the fixture's errors in B_Strt, unit vectors, shapes (..., K, 3, 4) and (..., K, 3, 3).
+
+    Base level x, y and north and the non-orthogonality of the fixture's axes have one error per recording; the initial
+    inner and outer angle and the axis wobble have one per sequence.
+    """
+    assert data.nominal is not None
+    to_body = base_axes(measurements, data)
+    # The axes lean about the horizontal axis across the outer one, base y.
+    leaning = to_body @ np.cross([0.0, 1.0, 0.0], data.nominal[:, :, 2])[..., None]
+    inner = np.broadcast_to(measurements.U[..., None, :, 2:], leaning.shape)
+    executed = np.concatenate([inner, to_body[..., 1:2], leaning], axis=-1)
+    return np.concatenate([to_body, leaning], axis=-1), executed
+
+
 def _attitude_errors(measurements: SrtMeasurements, data: PreparedRecording) -> Array:
     """Fixture attitude errors as rotation vectors in B_Strt per unit draw, shape (..., K, 3, S).
 
-    Base level x, y and north and the non-orthogonality of the fixture's axes have one draw per recording; the initial
-    inner and outer angle and the axis wobble have one per sequence. The mounting error is estimated in U. With a
-    measured vertical, only the rotation about the vertical remains.
+    The mounting error is estimated in U. With a measured vertical, only the rotation about the vertical remains.
     """
-    assert data.nominal is not None
-    to_body, K = _base(measurements, data), data.K
-    # The axes lean about the horizontal axis across the outer one, base y.
-    leaning = to_body @ np.cross([0.0, 1.0, 0.0], data.nominal[:, :, 2])[..., None]
-    common = np.concatenate([to_body, leaning], axis=-1) * sources.alignment_sigma(data.recording)
-    inner = np.broadcast_to(measurements.U[..., None, :, 2:], leaning.shape)
-    executed = np.concatenate([inner, to_body[..., 1:2], leaning], axis=-1) * sources.start_sigma(data.recording)
-    own = executed[..., None, :] * np.eye(K)[:, None, :, None]
+    common, executed = fixture_axes(measurements, data)
+    common = common * sources.alignment_sigma(data.recording)
+    executed = executed * sources.start_sigma(data.recording)
+    own = executed[..., None, :] * np.eye(data.K)[:, None, :, None]
     axes = np.concatenate([common, own.reshape(*own.shape[:-2], -1)], axis=-1)
     if measurements.nominal_vertical:
         return np.asarray(axes)

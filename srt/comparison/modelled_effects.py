@@ -19,6 +19,8 @@ _ADDED: Final = {
     "force_m_s2": "the specific forces",
     "rate_rad_s": "the rates at rest",
     "wobble_rad": "the wobble of the axes",
+    "start_angle_rad": "the start angles",
+    "alignment_rad": "the alignment of the fixture",
 }
 """Measurements whose noise is enlarged, by the kind of added noise."""
 
@@ -55,7 +57,7 @@ def modelled_effects(calibration: Calibration) -> ModelledEffects:
     diagnostics, noise, evidence = calibration.diagnostics, calibration.noise, calibration.verdict
     drift = [term for term in diagnostics.drift or () if term.modelled]
     by_kind = {} if evidence is None or evidence.added_noise is None else evidence.added_noise
-    added = {kind for kind, size in by_kind.items() if size.added > 0.0}
+    added = {kind for kind, size in by_kind.items() if size.added > 0.0 and kind in _ADDED}
     names = [f"a bias drift of {_SENSORS[term.sensor]} ({term.form})" for term in drift]
     names += ["the g-sensitivity of the gyros"] * (diagnostics.g_sensitivity is not None)
     names += [f"added noise of {measured}" for kind, measured in _ADDED.items() if kind in added]

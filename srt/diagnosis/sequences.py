@@ -22,6 +22,7 @@ from srt.diagnosis.sensor_synchronisation import lag
 from srt.diagnosis.stabilised_force import stabilised_force
 from srt.diagnosis.triad_fits import gyro_fit, raw_triads
 from srt.diagnosis.window_edges import rotation_at_edges
+from srt.estimation.rotation_accuracy import scatter_ratio
 from srt.exceptions import DataError
 from srt.model import closed_form
 from srt.model.table1 import SEQUENCES
@@ -51,7 +52,7 @@ _FAR: Final = 1.0
 """Squared distance above which a manoeuvre is another sequence; rotation angles in units of 180°, verticals as unit
 vectors. The two most similar of the 17 sequences are 2 apart; a unit with errors of 10 % is within 0.1 of its own."""
 _SIGMAS: Final = 6.0
-"""Allowed error of an angle in sigma of the fixture, as in :mod:`srt.estimation.calibration_builder`."""
+"""Allowed error of an angle in sigma of the fixture, as in :mod:`srt.estimation.rotation_accuracy`."""
 _AGREE: Final = 0.5
 """Largest share of an angle error of the gyros that the accelerometers may contradict: they contradict the whole of an
 error due to lost samples or asymmetric scale factors, but nothing of a rotation by a wrong angle."""
@@ -210,7 +211,10 @@ def _wrong_angles(evidence: Evidence, known: Mask, excess: Array) -> Iterator[Fi
     numbers, nominal, _ = rotation_angles(evidence)
     # If the rotations do not cover all axes, the angles include uncorrected scale factors.
     scale = 0.0 if gyro_fit(evidence).rank == 3 else _RAW_SCALE * np.linalg.norm(nominal, axis=1)
-    allowed = _SIGMAS * np.hypot(math.hypot(fixture.rotation_sigma_rad, 2.0 * fixture.alignment_sigma_rad), scale)
+    sigma = np.hypot(math.hypot(fixture.rotation_sigma_rad, 2.0 * fixture.alignment_sigma_rad), scale)
+    sigma = np.broadcast_to(sigma, excess.shape)
+    # Where all rotations scatter alike, the fixture is less accurate than stated, and no angle is wrong.
+    allowed = _SIGMAS * sigma * scatter_ratio(excess[known], sigma[known])
     off = np.flatnonzero(known & (np.abs(excess) > allowed))
     if off.size and lag(evidence) is not None:
         # A lagging gyro measures the end of a rotation during the next rotation of the sequence.

@@ -4,24 +4,23 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from srt.estimation.asymmetry_choice import asymmetry_choice
-from srt.estimation.error_sources import start_sigma
+from srt.estimation.error_sources import EXCESSES, alignment_sigma, start_sigma
 from srt.estimation.fixed_parameters import parameters_due
 from srt.estimation.goodness_of_fit import chi_square_probability, is_misfit
 from srt.estimation.leave_one_out import verdict
+from srt.estimation.rotation_accuracy import ExecutedRotations
 from srt.estimation.unseen_errors import clock_effect, contradicted_statements, unseen_errors
-from srt.model.rotations import rotation_vector
 from srt.result.calibration import Calibration, software
 from srt.result.consistency import AddedNoise, ChiSquareTest
 from srt.result.noise_figures import NoiseFigures
 from srt.result.provenance import Alignment, Provenance, SequenceTemperature, StatedSite, Temperature
-from srt.result.verdict import LARGEST_RATIO, USABLE, p_value_text
+from srt.result.verdict import LARGEST_RATIO, OF_FIXTURE, USABLE, p_value_text
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES
-from srt.sequences.manoeuvres import end_attitude
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -70,12 +69,13 @@ def build_calibration(
     fixture = data.recording.fixture
     chi_square, freedom = result.chi_square, result.degrees_of_freedom
     free = fixture is None
+    turned = ExecutedRotations(data, result, np.sqrt(np.diag(covariance)))
     evidence = None
     if observed.any():
         evidence = verdict(result.sequences, covariance, observed, chi_square, freedom, free=free)
         if _unmodelled_drift(result):  # it is in the residuals of all sequences
             evidence = replace(evidence, contradicting=None)
-        evidence = _with_sensor_noise(evidence, data, result, covariance, observed, inflation)
+        evidence = _with_sensor_noise(evidence, data, result, covariance, observed, inflation, turned)
     contradicted = tuple(contradicted_statements(data.recording))
     status, message = _status(result, fixed, evidence, free=free, advice=_advice(data))
     return Calibration(
@@ -88,7 +88,11 @@ def build_calibration(
         held={name: fixed[name] for name in NAMES if name in fixed},
         contributions=_contributions(result, drifted, clock, observed, inflation),
         U=None if data.nominal is None else result.U,
-        U_sigma_rad=None if data.nominal is None or fixture is None else fixture.alignment_sigma_rad,
+        U_sigma_rad=(
+            None
+            if data.nominal is None or fixture is None
+            else math.hypot(fixture.alignment_sigma_rad, result.unmodelled.alignment)
+        ),
         residuals=result.residuals,
         site=stated_site(data.recording),
         noise=_noise(data, result, mask, inflation),
@@ -104,7 +108,7 @@ def build_calibration(
             not_shown=_not_shown(data, options, fixed),
         ),
         verdict=evidence,
-        warnings=(*contradicted, *warnings, *_warnings(data, result, observed)),
+        warnings=(*contradicted, *warnings, *_warnings(data, result, observed, turned)),
     )
 
 
@@ -170,7 +174,7 @@ def _status(
     """Status and message: outside_model, not_converged, inconsistent, partial, converged, in this order.
 
     Without a fixture nothing bounds the errors of a rotation, and added noise that explains the residuals of several
-    rotations is no contradiction, however large.
+    rotations is no contradiction, however large; nor is that of a fixture alone.
     """
     if result.status != "converged":
         return result.status, result.message
@@ -183,7 +187,9 @@ def _status(
         return "inconsistent", (
             f"{which}{again} contradicts all others ({p_value_text(suspect.probability)}): {advice}"
         )
-    explained = robust or evidence is None or (free and not is_misfit(result.chi_square, result.degrees_of_freedom))
+    by_fixture = any(result.unmodelled) and not any(result.unmodelled.of_sensors)
+    fits = not is_misfit(result.chi_square, result.degrees_of_freedom)
+    explained = robust or evidence is None or ((free or by_fixture) and fits)
     statistic, freedom = result.sensor_noise_fit
     ratio, grown = np.sqrt(statistic / max(freedom, 1)), 1.0
     if evidence is not None and evidence.sigma_factor is not None:
@@ -219,15 +225,21 @@ def _with_sensor_noise(
     covariance: Array,
     observed: Mask,
     inflation: float,
+    turned: ExecutedRotations,
 ) -> Consistency:
     """Add the agreement of the residuals with the noise of the sensors, and what was added to it."""
     statistic, freedom = result.sensor_noise_fit
     noise = {
         kind: AddedNoise(added=size, own=own)
         for (kind, own), size in zip(_sensor_noise(data).items(), result.unmodelled, strict=True)
-        if size > 0.0 or kind != "wobble_rad"
+        if size > 0.0 or kind not in OF_FIXTURE
     }
-    added = sum((P for source, P in result.covariance.items() if source.endswith("excess")), np.zeros_like(covariance))
+    if turned.excess > 0.0:
+        noise["turned_angle_rad"] = AddedNoise(added=turned.excess, own=turned.stated)
+    of_unit = [source for source, size in zip(EXCESSES, result.unmodelled.of_unit, strict=True) if size > 0.0]
+    added = sum(
+        (result.covariance[source] for source in of_unit if source in result.covariance), np.zeros_like(covariance)
+    )
     variance = np.diag(covariance)[observed]
     own_part = np.maximum(variance / inflation**2 - np.diag(added)[observed], 0.0)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -240,13 +252,16 @@ def _with_sensor_noise(
             degrees_of_freedom=freedom,
             probability=chi_square_probability(statistic, freedom),
         ),
-        added_noise=noise if any(result.unmodelled) else None,
+        added_noise=noise if any(row.added > 0.0 for row in noise.values()) else None,
         sigma_factor=(float(factor.min()), float(factor.max())) if factor.size else (1.0, 1.0),
     )
 
 
 def _sensor_noise(data: PreparedRecording) -> dict[str, float]:
-    """1-sigma noise in a rotation (rad), in the mean force and rate of a window (m/s², rad/s); stated wobble (rad)."""
+    """1-sigma noise in a rotation (rad), in mean force and rate of a window (m/s², rad/s); of the fixture (rad).
+
+    The order is that of :class:`srt.estimation.error_sources.UnmodelledErrors`.
+    """
     noise, windows = data.noise, data.windows.duration_s
     turning = np.diff(data.rotation, axis=1) * data.recording.nominal_interval_s
     window = float(np.median(windows))
@@ -255,6 +270,8 @@ def _sensor_noise(data: PreparedRecording) -> dict[str, float]:
         "force_m_s2": float(np.hypot(noise.accel_white / np.sqrt(window), noise.accel_flicker).max()),
         "rate_rad_s": float(noise.gyro_white.max() / np.sqrt(window)),
         "wobble_rad": float(start_sigma(data.recording)[2]),
+        "start_angle_rad": float(start_sigma(data.recording)[0]),
+        "alignment_rad": alignment_sigma(data.recording),
     }
 
 
@@ -355,7 +372,9 @@ def _temperature(data: PreparedRecording) -> Temperature | None:
     return Temperature(float(T.mean()), float(T.max() - T.min()), tuple(rows))
 
 
-def _warnings(data: PreparedRecording, result: SolverResult, observed: Mask) -> tuple[str, ...]:
+def _warnings(
+    data: PreparedRecording, result: SolverResult, observed: Mask, turned: ExecutedRotations
+) -> tuple[str, ...]:
     messages = [f"{title} is void: {reason}." for title, reason in data.voided.items()]
     if result.integrated and len(result.integrated) < len(data.windows.duration_s):
         times = ", ".join(f"{data.recording.time[data.windows.samples[w, 0]]:.5g} s" for w in result.integrated)
@@ -364,7 +383,7 @@ def _warnings(data: PreparedRecording, result: SolverResult, observed: Mask) -> 
         )
     messages += [term.sentence for term in result.drift]
     if result.status in (*USABLE, "not_converged"):
-        messages += _wrong_rotation_angles(data, result.end_attitude, result.U)
+        messages += turned.wrong_angles(result.unmodelled)
     if result.status in USABLE:
         messages += result.notes
     if data.recording.site.latitude_rad is None:
@@ -383,53 +402,3 @@ def _warnings(data: PreparedRecording, result: SolverResult, observed: Mask) -> 
     if fixed:
         messages.append(f"{fixed} of {N_PARAMETERS} parameters are not observed; they are fixed.")
     return tuple(messages)
-
-
-_SIGMAS: Final = 6.0
-"""Largest rotation error, in sigma, that is consistent with a label (false alarms: p = 1e-9)."""
-
-
-def _wrong_rotation_angles(data: PreparedRecording, turned: Array, U: Array) -> tuple[str, ...]:
-    """Sentences about sequences whose measured rotation contradicts the label.
-
-    Parameters
-    ----------
-    data : PreparedRecording
-    turned : ndarray, shape (K, 3, 3)
-        C_End as the gyros measured it, B_End to B_Strt.
-    U : ndarray, shape (3, 3)
-        T to MARS components.
-
-    Returns
-    -------
-    tuple of str
-        One sentence for each rotation whose error is above six times the fixture's sigma.
-    """
-    fixture = data.recording.fixture
-    if fixture is None:
-        return ()
-    said = []
-    for k, sequence in enumerate(data.catalogue):
-        if sequence is None:
-            continue
-        nominal = U @ end_attitude(sequence) @ U.T
-        off = rotation_vector((nominal.T @ turned[k])[None])[0]
-        # Every leg has its own error; about a misaligned axis a turn ends up to twice the misalignment away.
-        legs = len(sequence.rotations)
-        allowed = _SIGMAS * math.hypot(math.sqrt(legs) * fixture.rotation_sigma_rad, 2.0 * fixture.alignment_sigma_rad)
-        if np.linalg.norm(off) <= allowed:
-            continue
-        title = data.labels[k].title[0].upper() + data.labels[k].title[1:]
-        if legs == 1:
-            angle = float(sequence.angles_rad[0])
-            done = angle + float(off @ U @ sequence.axes[0])
-            said.append(
-                f"{title} turned by {math.degrees(done):.2f}° where its label has {math.degrees(angle):.0f}°: "
-                "the gyros measure what it did turn, but check the label."
-            )
-        else:
-            said.append(
-                f"{title} ends {math.degrees(float(np.linalg.norm(off))):.2f}° from where its rotations lead: one of "
-                "them was not turned by its nominal angle; the gyros measure what it did turn, but check the label."
-            )
-    return tuple(said)

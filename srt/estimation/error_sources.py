@@ -185,16 +185,45 @@ class UnmodelledErrors(NamedTuple):
         Mean rate of a window.
     wobble : float, rad
         Wobble of the fixture's axes beyond the stated one, per pose.
+    angle : float, rad
+        Inner and outer start angle beyond the stated accuracy, per pose.
+    alignment : float, rad
+        Levelling, north, mounting and non-orthogonality of the axes beyond the stated accuracy.
     """
 
     rotation: float = 0.0
     force: float = 0.0
     rate: float = 0.0
     wobble: float = 0.0
+    angle: float = 0.0
+    alignment: float = 0.0
+
+    @property
+    def of_fixture(self) -> UnmodelledErrors:
+        """Errors of a fixture that is less accurate than stated, the others zero.
+
+        Wobble alone, of some µrad, can be another small error of the unit; it then counts as that.
+        """
+        worse = self.angle > 0.0 or self.alignment > 0.0
+        return self._replace(rotation=0.0, force=0.0, rate=0.0) if worse else NO_ERRORS
+
+    @property
+    def of_sensors(self) -> tuple[float, float, float]:
+        """Errors of rotations, specific forces and rates."""
+        return self[:3]
+
+    @property
+    def of_unit(self) -> UnmodelledErrors:
+        """All other errors, those of the fixture zero."""
+        return self._replace(wobble=0.0, angle=0.0, alignment=0.0) if any(self.of_fixture) else self
 
 
 NO_ERRORS: Final = UnmodelledErrors()
 """Residuals that agree with the noise."""
+LARGEST_FIXTURE_RAD: Final = 0.02
+"""Largest error of a fixture, 1-sigma, about 1°: turns by hand are as accurate, and a larger one is a wrong label."""
+EXCESSES: Final = ("turn_excess", "pose_excess", "rest_excess", "wobble_excess", "angle_excess", "alignment_excess")
+"""Sources of the unmodelled errors, in the order of :class:`UnmodelledErrors`."""
 
 
 def unmodelled(data: PreparedRecording, errors: UnmodelledErrors) -> dict[str, Source]:
@@ -301,11 +330,12 @@ def latitude_error(recording: Recording, *, placed: bool) -> Array:
     return np.where(unknown_earth_rate(recording, placed=placed) > 0.0, 0.0, error)
 
 
-def earth_rate_sigma(recording: Recording) -> float:
-    """1-sigma error of the Earth rate in a pose, rad/s."""
+def earth_rate_sigma(recording: Recording, excess: UnmodelledErrors = NO_ERRORS) -> float:
+    """1-sigma error of the Earth rate in a pose, rad/s, with what the fixture has beyond its stated accuracy."""
     unknown = float(unknown_earth_rate(recording, placed=True).max())
     rotation, _, _ = start_sigma(recording)
-    return unknown or EARTH_RATE_RAD_S * math.hypot(alignment_sigma(recording), rotation)
+    known = math.hypot(alignment_sigma(recording), rotation, excess.alignment, excess.angle)
+    return unknown or EARTH_RATE_RAD_S * known
 
 
 def _through(D: Array, variance: Array) -> Array:

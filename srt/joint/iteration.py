@@ -33,6 +33,7 @@ from srt.joint.linear_system import N_ERRORS, global_columns, total
 from srt.joint.linearisation import Linearisation, linearise
 from srt.joint.model_selection import (
     add_drift,
+    add_fixture_errors,
     add_g_sensitivity,
     add_instability,
     add_unmodelled_noise,
@@ -352,10 +353,10 @@ def run(joint: JointModel, solver: JointSolver, progress: Progress | None) -> Ca
         ):
             continue
         # What a drift hid, or seemed to be: the moves are judged again beside it.
-        if joint.drift.terms and (reasons := _contradicting_move(joint, solver, iteration)):
-            joint = joint.without_moves(reasons)
+        if joint.drift.terms and (moves := _contradicting_move(joint, solver, iteration)):
+            joint = joint.without_moves(moves)
             solver.restart()
-            iteration = IterationState(joint.start, ~requested)
+            iteration = IterationState(joint.with_fixed_values(joint.start, requested), ~requested)
             continue
         suspect = contradicting_rests(joint, whole_solution(joint, solver, iteration))
         if (found_held := _integrate_moving_windows(joint, solver, iteration, uncertain, suspect)) is not None:
@@ -486,6 +487,8 @@ def _with_sound_moves(
             break
         if add_g_sensitivity(joint, solver, iteration):
             joint.start = replace(joint.start, drift=iteration.state.drift)
+            continue
+        if add_fixture_errors(joint, solver, iteration):
             continue
         reasons = _contradicting_move(joint, solver, iteration)
         if not reasons:

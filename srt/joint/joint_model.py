@@ -159,10 +159,10 @@ class JointModel:
         """Update the prior of the mounting near the solution, so that it does not depend on the initial estimate."""
         U, fixture = state.U, self.data.recording.fixture
         if self.data.nominal is not None and fixture is not None:
-            if np.linalg.norm(rotation_vector(U[None])) > 0.5 * mounting_limit(fixture):
+            if np.linalg.norm(rotation_vector(U[None])) > 0.5 * mounting_limit(fixture, self.unmodelled_sigma):
                 gamma = self.drift.g_sensitivity(state.drift)
                 U = self.processor.process(state.errors, U=U, g_sensitivity=gamma).U
-            self.U_prior, self.U_note = mounting_prior(fixture, U)
+            self.U_prior, self.U_note = mounting_prior(fixture, U, self.unmodelled_sigma)
 
     @property
     def turned_by_hand(self) -> bool:
@@ -203,6 +203,7 @@ class JointModel:
     def without_moves(self, reasons: Mapping[int, str]) -> JointModel:
         """Model of the recording without some moves, by their position and with the reason, and with the same drift."""
         out = JointModel(self.data.without_moves(reasons), self.options, (self.start.errors, self.start.U))
+        out.unmodelled_sigma = self.unmodelled_sigma
         if self.drift.force_axes is not None and out.drift.force_axes is None:
             out.start = out.with_g_sensitivity(out.start)
         out.drift = DriftTerms(out.data, self.drift.terms, out.drift.force_axes)
@@ -483,7 +484,7 @@ class JointModel:
                 return
         weights = self.rest_rate_weights
         variance = sources.raw_rate_variance(self.data.noise, self.data.windows.duration_s)
-        doubt = sources.earth_rate_sigma(self.data.recording)
+        doubt = sources.earth_rate_sigma(self.data.recording, self.unmodelled_sigma)
         noise = np.mean(weights[~self.data.is_move] ** 2 @ variance, axis=0)
         expected = noise + doubt**2
         own = weights @ rest

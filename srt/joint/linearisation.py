@@ -12,6 +12,7 @@ from scipy.sparse import csr_array, vstack
 from srt.estimation.error_sources import shared_edges
 from srt.joint.linear_system import FIXTURE, N_ERRORS, Columns, LinearSystem, RowGroup, total, whiten
 from srt.joint.measurement_kinds import (
+    alignment_covariances,
     fixed_headings,
     fixture_attitudes,
     rotation_kinds,
@@ -416,13 +417,12 @@ class _Builder:
         joint, state = self.joint, self.state
         if not joint.fixture_states:
             return
-        variance = joint.alignment_sigma**2
-        covariance = {"earth_rate_alignment": variance * np.eye(3)[None]}
+        covariance = {source: R[None] for source, R in alignment_covariances(joint, 3).items()}
         for name, rotation in (("base", state.base), ("mounting", joint.U_prior.T @ state.U)):
             v = rotation_vector(rotation[None])
             self.add(name, _RECORDING, v, covariance, [(name, 0, inverse_right_jacobian(v))])
-        angle, covariance = np.array([state.non_orthogonality]), {"earth_rate_alignment": variance * np.eye(1)[None]}
-        self.add_prior_of("non_orthogonality", 0, angle, covariance)
+        covariance = {source: R[None] for source, R in alignment_covariances(joint, 1).items()}
+        self.add_prior_of("non_orthogonality", 0, np.array([state.non_orthogonality]), covariance)
 
     def add_site(self) -> None:
         """Priors of gravity and of the unknown part of the Earth's rate."""

@@ -76,7 +76,17 @@ def fixture_attitudes(joint: JointModel) -> list[tuple[str, list[tuple[int, int,
 
 
 def start_covariances(joint: JointModel, components: slice) -> dict[str, Array]:
-    """Covariance of components of a start by source of error: as stated, and wobble that the residuals show."""
-    wobble = np.array([0.0, 0.0, joint.unmodelled_sigma.wobble])
-    sigmas = {"earth_rate_alignment": joint.start_sigma, "wobble_excess": wobble}
+    """Covariance of components of a start by source of error: as stated, and what the residuals show beyond it."""
+    excess = joint.unmodelled_sigma
+    sigmas = {
+        "earth_rate_alignment": joint.start_sigma,
+        "wobble_excess": np.array([0.0, 0.0, excess.wobble]),
+        "angle_excess": np.array([excess.angle, excess.angle, 0.0]),
+    }
     return {source: np.diag(sigma[components] ** 2) for source, sigma in sigmas.items()}
+
+
+def alignment_covariances(joint: JointModel, size: int) -> dict[str, Array]:
+    """Covariance of ``size`` components of the alignment by source of error, as :func:`start_covariances`."""
+    sigmas = {"earth_rate_alignment": joint.alignment_sigma, "alignment_excess": joint.unmodelled_sigma.alignment}
+    return {source: sigma**2 * np.eye(size) for source, sigma in sigmas.items()}

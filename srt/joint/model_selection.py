@@ -17,7 +17,7 @@ from srt.estimation.drift_model import (
     gyro_statistics,
     most_likely,
 )
-from srt.estimation.error_sources import NO_ERRORS, accel_drift, by_drift
+from srt.estimation.error_sources import LARGEST_FIXTURE_RAD, NO_ERRORS, accel_drift, by_drift
 from srt.estimation.g_sensitivity_report import significant_g_sensitivity
 from srt.estimation.goodness_of_fit import (
     contradicting_group,
@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from srt.estimation.drift_model import DriftTerm, Sensor
+    from srt.estimation.error_sources import UnmodelledErrors
     from srt.joint.joint_model import JointModel
     from srt.joint.joint_state import JointState
     from srt.joint.linearisation import Linearisation
@@ -60,7 +61,7 @@ def add_g_sensitivity(joint: JointModel, solver: JointSolver, iteration: Iterati
     if joint.options.gyro_bias != "auto" or joint.drift.force_axes is not None or solver.weights():
         return False
     solution = whole_solution(joint, solver, iteration)
-    if any(joint.unmodelled_sigma) or not is_misfit(*goodness_of_fit(joint, solver, solution, solution.system)):
+    if any(joint.unmodelled_sigma.of_unit) or not is_misfit(*goodness_of_fit(joint, solver, solution, solution.system)):
         return False
     point = iteration.point
     assert point is not None
@@ -77,7 +78,7 @@ def add_instability(joint: JointModel, solver: JointSolver, iteration: Iteration
 
     Where one sequence contradicts the others, the instability must be more likely than a fault of that sequence.
     """
-    if solver.weights() or any(joint.unmodelled_sigma):
+    if solver.weights() or any(joint.unmodelled_sigma.of_unit):
         return False
     solution = whole_solution(joint, solver, iteration)
     fit = goodness_of_fit(joint, solver, solution, solution.system)
@@ -192,6 +193,43 @@ def _with_drift(joint: JointModel, state: JointState, terms: tuple[DriftTerm, ..
     return drift, replace(state, drift=np.append(state.drift, np.zeros(drift.size - len(state.drift))))
 
 
+def add_fixture_errors(joint: JointModel, solver: JointSolver, iteration: IterationState) -> bool:
+    """Estimate the errors of a fixture less accurate than stated, if that explains the residuals; True if so."""
+    if solver.weights() or any(joint.unmodelled_sigma):
+        return False
+    solution = whole_solution(joint, solver, iteration)
+    fit = goodness_of_fit(joint, solver, solution, solution.system)
+    if not is_misfit(*fit) or _one_is_faulty(joint, solution, fit):
+        return False
+    found = unmodelled_noise(joint, solution.system).of_fixture()
+    if not any(found.of_fixture) or not _fixture_explains(joint, solver, iteration, found):
+        return False
+    joint.unmodelled_sigma = found
+    return True
+
+
+def _one_is_faulty(joint: JointModel, solution: BlockSolution, fit: tuple[float, int]) -> bool:
+    """True if one sequence or move explains the misfit."""
+    tests = [(test.chi_square, test.degrees_of_freedom) for test in contradictions(joint, solution)]
+    return one_group_explains(tests, *fit, free=joint.turned_by_hand)
+
+
+def _fixture_explains(
+    joint: JointModel, solver: JointSolver, iteration: IterationState, errors: UnmodelledErrors
+) -> bool:
+    """True if the model explains the residuals with these errors of the fixture, and they are those of a fixture.
+
+    Sequences and moves are then tested against each other with them.
+    """
+    assert iteration.point is not None
+    if max(errors) > LARGEST_FIXTURE_RAD:
+        return False
+    before, joint.unmodelled_sigma = joint.unmodelled_sigma, errors
+    solution = _solution(joint, solver, iteration, iteration.point.state)
+    joint.unmodelled_sigma = before
+    return not is_misfit(*goodness_of_fit(joint, solver, solution, solution.system))
+
+
 def add_unmodelled_noise(joint: JointModel, solver: JointSolver, iteration: IterationState) -> bool:
     """Estimate unmodelled errors if the residuals of several sequences exceed their noise; True if the noise changed.
 
@@ -207,10 +245,12 @@ def add_unmodelled_noise(joint: JointModel, solver: JointSolver, iteration: Iter
     if not any(joint.unmodelled_sigma):
         if not is_misfit(statistic, freedom):
             return False
-        tests = [(test.chi_square, test.degrees_of_freedom) for test in contradictions(joint, solution)]
-        if one_group_explains(tests, statistic, freedom, free=joint.turned_by_hand):
+        if _one_is_faulty(joint, solution, (statistic, freedom)):
             return False
-    new = unmodelled_noise(system)
+    noise = unmodelled_noise(joint, system)
+    new = noise.of_fixture()
+    if not _fixture_explains(joint, solver, iteration, new):
+        new = noise.of_all()
     if np.allclose(new, joint.unmodelled_sigma, *_SAME_NOISE):
         return False
     joint.unmodelled_sigma = new

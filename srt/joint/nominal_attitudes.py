@@ -8,10 +8,12 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from srt.estimation.error_sources import NO_ERRORS
 from srt.model.rotations import rotation_matrix, rotation_vector
 from srt.sequences.preparation import nominal_attitude, sequence_of_label
 
 if TYPE_CHECKING:
+    from srt.estimation.error_sources import UnmodelledErrors
     from srt.model.table1 import RotationSequence
     from srt.recording.recording import Fixture, SequenceLabel
     from srt.types import Array
@@ -50,17 +52,22 @@ def nominal_end(sequence: RotationSequence | None) -> Array | None:
     return C
 
 
-def mounting_limit(fixture: Fixture) -> float:
+def mounting_limit(fixture: Fixture, excess: UnmodelledErrors = NO_ERRORS) -> float:
     """Largest rotation of U by the errors of the fixture's axes and verticals, rad."""
-    return _MOUNTING_LIMIT * math.hypot(fixture.alignment_sigma_rad, fixture.rotation_sigma_rad)
+    return _MOUNTING_LIMIT * math.hypot(
+        fixture.alignment_sigma_rad, fixture.rotation_sigma_rad, excess.alignment, excess.angle
+    )
 
 
-def mounting_prior(fixture: Fixture | None, U: Array) -> tuple[Array, str]:
-    """Prior mean of U (nominal, or the estimate if MARS is clearly rotated from the mounting), and a warning."""
+def mounting_prior(fixture: Fixture | None, U: Array, excess: UnmodelledErrors = NO_ERRORS) -> tuple[Array, str]:
+    """Prior mean of U (nominal, or the estimate if MARS is clearly rotated from the mounting), and a warning.
+
+    ``excess`` is the error of the fixture beyond the stated one.
+    """
     if fixture is None:
         return U, ""
     rotation = float(np.linalg.norm(rotation_vector(U[None])))
-    if rotation <= mounting_limit(fixture):
+    if rotation <= mounting_limit(fixture, excess):
         return np.eye(3), ""
     return U, (
         f"The gyro axes are rotated by {rotation * 1e3:.3g} mrad from the stated mounting: the prior of the "

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 from scipy.sparse.linalg import splu
 from scipy.special import chdtri
 
-from srt.estimation.error_sources import UnmodelledErrors, shared_edges
+from srt.estimation.error_sources import EXCESSES, LARGEST_FIXTURE_RAD, UnmodelledErrors, shared_edges
 from srt.estimation.goodness_of_fit import SUSPECT_PROBABILITY, chi_square_probability
 from srt.estimation.leave_one_out import (
     LEAST_PREDICTED_SHARE,
@@ -18,9 +18,10 @@ from srt.estimation.leave_one_out import (
     leave_one_out_estimate,
     participating,
 )
-from srt.noise.variance_components import restricted_likelihood
+from srt.noise.variance_components import RestrictedLikelihood
 from srt.result.calibration import Residual
 from srt.result.consistency import SequenceTest
+from srt.result.verdict import MISFIT_PROBABILITY
 from srt.sensor_errors import N_PARAMETERS
 
 if TYPE_CHECKING:
@@ -34,13 +35,19 @@ if TYPE_CHECKING:
 
 _AXES: Final = {"force": "xyz", "rate": "xyz", "turn": "xyz", "stated_rate": "12"}
 """Kinds of rows whose residuals are reported, with the names of their components; of a stated rate, its two halves."""
+_EVERY: Final = slice(None)
 _SOURCES: Final = {
-    "turn_excess": ("turn", "heading"),
-    "pose_excess": ("force",),
-    "rest_excess": ("rate",),
-    "wobble_excess": ("start", "end"),
+    "turn_excess": (("turn", "heading"), _EVERY),
+    "pose_excess": (("force",), _EVERY),
+    "rest_excess": (("rate",), _EVERY),
+    "wobble_excess": (("start", "end"), slice(-1, None)),
+    "angle_excess": (("start",), slice(0, 2)),
+    "alignment_excess": (("base", "mounting", "non_orthogonality"), _EVERY),
 }
-"""Kinds of rows that each of the unmodelled errors affects, in the order of UnmodelledErrors."""
+"""Kinds of rows that each of the unmodelled errors affects, and the components; the last of an attitude is wobble."""
+_OF_FIXTURE: Final = ("wobble_excess", "angle_excess", "alignment_excess")
+_BEYOND_STATED: Final = ("angle_excess", "alignment_excess")
+"""Unmodelled errors that are estimated only where the residuals show them, as they accuse the statement."""
 _INDEPENDENT: Final = 1e-10
 """Smallest eigenvalue (at most 1) of a residual direction that remains determined without the sequence."""
 _SMALLEST_LEVERAGE: Final = 0.05
@@ -184,8 +191,35 @@ def _shared_rows(joint: JointModel, system: LinearSystem) -> Indices:
     return np.concatenate([system.rows_of(kind).index[at].ravel() for kind, at in members.items()])
 
 
-def unmodelled_noise(system: LinearSystem) -> UnmodelledErrors:
-    """Standard deviations of unmodelled errors by restricted maximum likelihood."""
+class UnmodelledNoise(NamedTuple):
+    """Unmodelled errors that residuals may show.
+
+    Attributes
+    ----------
+    likelihood : RestrictedLikelihood
+        Their components in the order of :data:`EXCESSES`.
+    """
+
+    likelihood: RestrictedLikelihood
+
+    def of_fixture(self) -> UnmodelledErrors:
+        """Errors of the fixture, if they were the only ones."""
+        return self._estimate(np.isin(EXCESSES, _OF_FIXTURE))
+
+    def of_all(self) -> UnmodelledErrors:
+        """Errors of unit and fixture; those of a fixture that would be larger than any are errors of the unit."""
+        found = self._estimate(np.ones(len(EXCESSES), dtype=np.bool_))
+        if max(found.angle, found.alignment) > LARGEST_FIXTURE_RAD:
+            return self._estimate(~np.isin(EXCESSES, _BEYOND_STATED))
+        return found
+
+    def _estimate(self, used: Mask) -> UnmodelledErrors:
+        used = self.likelihood.significant(used, np.isin(EXCESSES, _BEYOND_STATED), MISFIT_PROBABILITY)
+        return UnmodelledErrors(*np.sqrt(self.likelihood.variances(used)).tolist())
+
+
+def unmodelled_noise(joint: JointModel, system: LinearSystem) -> UnmodelledNoise:
+    """Unmodelled errors by restricted maximum likelihood."""
     # The states of the bias instability are part of the known covariance, not unknowns.
     drift = np.concatenate([np.arange(c.start, c.stop) for n, c in system.columns.items() if "_drift" in n])
     priors = [rows.index.ravel() for rows in system.rows if "_drift" in rows.kind]
@@ -196,21 +230,22 @@ def unmodelled_noise(system: LinearSystem) -> UnmodelledErrors:
         root = splu(system.A[np.concatenate(priors)][:, drift].tocsc()).solve(np.eye(len(drift)))
         effect = system.A[kept][:, drift] @ root
         known += effect @ effect.T
-    parts = [np.zeros((m, m)) for _ in _SOURCES]
+    parts = [np.zeros((m, m)) for _ in EXCESSES]
+    # A prior that follows the data does not show the accuracy of the mounting.
+    silent = ("mounting",) if joint.U_note else ()
     for rows in system.rows:
         if "_drift" in rows.kind:
             continue
         at = np.searchsorted(kept, rows.index)
         block = at[:, :, None], at[:, None, :]
         # The known sources are summed: the total less large unmodelled errors would be rounding error.
-        known[block] += sum(share for source, share in rows.sources.items() if source not in _SOURCES)
-        for part, (source, kinds) in zip(parts, _SOURCES.items(), strict=True):
-            if rows.kind in kinds:
-                # The last component of an attitude is the wobble of its axis.
-                W = system.whitening[rows.kind][:, :, -1 if source == "wobble_excess" else slice(None)]
-                W = W.reshape(len(W), rows.size, -1)
+        known[block] += sum(share for source, share in rows.sources.items() if source not in EXCESSES)
+        for part, source in zip(parts, EXCESSES, strict=True):
+            kinds, components = _SOURCES[source]
+            if rows.kind in kinds and rows.kind not in silent:
+                W = system.whitening[rows.kind][:, :, components]
                 part[block] = W @ np.swapaxes(W, 1, 2)
     others = system.active.copy()
     others[drift] = False
     H = system.A[kept][:, np.flatnonzero(others)].toarray()
-    return UnmodelledErrors(*np.sqrt(restricted_likelihood(system.b[kept], H, known, tuple(parts))).tolist())
+    return UnmodelledNoise(RestrictedLikelihood(system.b[kept], H, known, tuple(parts)))

@@ -11,7 +11,7 @@ import numpy as np
 
 from srt.estimation import g_sensitivity_report
 from srt.estimation.calibration_builder import build_calibration
-from srt.estimation.error_sources import NO_ERRORS, accel_drift, by_drift, latitude_error
+from srt.estimation.error_sources import accel_drift, by_drift, latitude_error
 from srt.estimation.fixed_parameters import determined_by_fixture, reason_not_observed, value_of_fixed
 from srt.estimation.g_sensitivity import MODE as G_SENSITIVE
 from srt.estimation.observability import observed_limit
@@ -25,6 +25,7 @@ from srt.joint.residual_analysis import (
     residuals,
     sequence_diagnostics,
 )
+from srt.model.rotations import rotation_matrix
 from srt.noise.drift_forms import LINEAR, Statistics
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES
 
@@ -73,7 +74,6 @@ def make_calibration(
             reasons.setdefault(NAMES[i], f"{reason_not_observed(NAMES[i])}; {value}")
     analysis = analyse_solution(joint, solver, iteration, fixed.sigma)
     # Parameters that are not observable have their fixed value, not the one from a wide prior and correlations.
-    identity = np.tile(np.eye(3), (data.K, 1, 1))
     supported = joint.relies_on_fixture & determined_by_fixture(data)
     not_observed = np.array([name in reasons for name in NAMES]) & ~supported
     drift = joint.drift.estimates(iteration.state.drift)
@@ -93,7 +93,7 @@ def make_calibration(
         integrated=tuple(np.flatnonzero(joint.integrated).tolist()),
         wander=joint.bias_scatter,
         bias_by_sequence=iteration.state.bias_deviation + analysis.instability,
-        end_attitude=identity if iteration.point is None else iteration.point.compensated.rotation,
+        end_attitude=_end_attitude(joint, iteration),
         total=analysis.total,
         diagnostics=replace(
             solver.diagnostics(joint),
@@ -108,6 +108,16 @@ def make_calibration(
         notes=notes,
     )
     return build_calibration(solver.name, data, joint.options, result, reasons, warnings=tuple(warnings))
+
+
+def _end_attitude(joint: JointModel, iteration: IterationState) -> Array:
+    """C_End of every sequence as the gyros measured it, relative to the Earth, shape (K, 3, 3)."""
+    if iteration.point is None or iteration.point.state.attitude is None:
+        return np.tile(np.eye(3), (joint.data.K, 1, 1))
+    state, compensated, start = iteration.point.state, iteration.point.compensated, joint.data.start
+    earth = np.einsum("kba,kb->ka", iteration.point.state.attitude[start], joint.earth_rate(state)[start])
+    # Over the half minute of a rotation with its windows, the Earth turns by a milliradian.
+    return np.asarray(rotation_matrix(-earth * np.asarray(compensated.duration_s)[:, None]) @ compensated.rotation)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -255,8 +265,8 @@ def goodness_of_fit(
 
 
 def _fit_to_sensor_noise(joint: JointModel, solver: JointSolver, iteration: IterationState) -> tuple[float, int] | None:
-    """Goodness of fit without unmodelled errors in the noise; None if there are none, or the system is singular."""
-    if not any(joint.unmodelled_sigma):
+    """Goodness of fit without unmodelled errors of the unit; None if there are none, or the system is singular."""
+    if not any(joint.unmodelled_sigma.of_unit):
         return None
     assert iteration.point is not None
     whole = iteration.point.compensated
@@ -266,7 +276,7 @@ def _fit_to_sensor_noise(joint: JointModel, solver: JointSolver, iteration: Iter
     )
     compensated = replace(whole, force_noise=force, rate_noise=rate, rotation_noise=rotation)
     own = copy(joint)
-    own.unmodelled_sigma = NO_ERRORS
+    own.unmodelled_sigma = joint.unmodelled_sigma.of_fixture
     system = linearise(own, iteration.point.state, compensated, iteration.free, solver.prior)
     try:
         return goodness_of_fit(joint, solver, BlockSolution(system), system)

@@ -10,10 +10,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from scipy.special import chdtri
 
 if TYPE_CHECKING:
     from srt.noise.drift_forms import Statistics
-    from srt.types import Array
+    from srt.types import Array, Mask
 
 
 _POINTS: Final = 2000
@@ -45,8 +46,8 @@ def expected_variance(shown: Statistics, used: float, measured: Array | tuple[fl
     return float(weight @ root**2 / weight.sum())
 
 
-def restricted_likelihood(z: Array, H: Array, R0: Array, components: tuple[Array, ...]) -> Array:
-    """Variances v_i of the components.
+class RestrictedLikelihood:
+    """Restricted likelihood of variance components.
 
     Parameters
     ----------
@@ -58,39 +59,76 @@ def restricted_likelihood(z: Array, H: Array, R0: Array, components: tuple[Array
         Known covariance.
     components : tuple of ndarray, shape (n, n)
         Covariance of each component for unit variance.
-
-    Returns
-    -------
-    ndarray, shape (number of components,)
-        Variances, at least zero.
     """
-    scale = 1.0 / np.sqrt(np.diag(R0))
-    unit = H * scale[:, None]
-    # The restricted likelihood is that of the contrasts, the combinations of measurements without the parameters.
-    basis = np.linalg.qr(unit / np.linalg.norm(unit, axis=0), mode="complete")[0]
-    contrasts = basis[:, H.shape[1] :] * scale[:, None]
-    y, known = contrasts.T @ z, contrasts.T @ R0 @ contrasts
-    parts = [contrasts.T @ C @ contrasts for C in components]
-    # Initial values: the traces agree.
-    square = float(np.sum((z * scale) ** 2)) / len(components)
-    sizes = np.array([square / max(float(np.diag(C) @ scale**2), 1e-300) for C in components])
-    effective = np.array([bool(np.any(C)) for C in components])
-    sizes = np.where(effective, sizes, 0.0)
-    for _ in range(_STEPS):
-        P = np.linalg.inv(known + sum(v * C for v, C in zip(sizes, parts, strict=True)))
-        PC = [P @ C for C in parts]
-        Py = P @ y
-        score = np.array([-0.5 * np.trace(A) + 0.5 * float(Py @ C @ Py) for A, C in zip(PC, parts, strict=True)])
-        fisher = np.array([[0.5 * np.sum(A * B.T) for B in PC] for A in PC])
-        # A component without effect on the residuals, as a rotation error in a test of poses alone, stays zero.
-        free = ((sizes > 0.0) | (score > 0.0)) & effective
-        if not free.any():
-            break
-        step = np.zeros(len(parts))
-        step[free] = np.linalg.solve(fisher[np.ix_(free, free)], score[free])
-        new = np.maximum(sizes + step, 0.0)
-        done = np.all(np.abs(new - sizes) <= 1e-3 * np.maximum(new, 1e-12 * sizes.max()))
-        sizes = new
-        if done:
-            break
-    return sizes
+
+    def __init__(self, z: Array, H: Array, R0: Array, components: tuple[Array, ...]) -> None:
+        scale = 1.0 / np.sqrt(np.diag(R0))
+        unit = H * scale[:, None]
+        # The restricted likelihood is that of the contrasts, the combinations of measurements without the parameters.
+        basis = np.linalg.qr(unit / np.linalg.norm(unit, axis=0), mode="complete")[0]
+        contrasts = basis[:, H.shape[1] :] * scale[:, None]
+        self._y, self._known = contrasts.T @ z, contrasts.T @ R0 @ contrasts
+        self._parts = [contrasts.T @ C @ contrasts for C in components]
+        self._square = float(np.sum((z * scale) ** 2))
+        self._traces = [float(np.diag(C) @ scale**2) for C in components]
+
+    def variances(self, used: Mask | None = None) -> Array:
+        """Variances of the components, at least zero; of those not in ``used`` zero, shape (number of components,)."""
+        effective = np.array([bool(np.any(C)) for C in self._parts])
+        used = np.ones(len(self._parts), dtype=np.bool_) if used is None else used
+        # Initial values: the traces agree.
+        square = self._square / max(int(used.sum()), 1)
+        sizes = np.array([square / max(trace, 1e-300) for trace in self._traces])
+        effective &= used
+        sizes = np.where(effective, sizes, 0.0)
+        for _ in range(_STEPS):
+            P = np.linalg.inv(self._covariance(sizes))
+            PC = [P @ C for C in self._parts]
+            Py = P @ self._y
+            score = np.array(
+                [-0.5 * np.trace(A) + 0.5 * float(Py @ C @ Py) for A, C in zip(PC, self._parts, strict=True)]
+            )
+            fisher = np.array([[0.5 * np.sum(A * B.T) for B in PC] for A in PC])
+            # A component without effect on the residuals, as a rotation error in a test of poses alone, stays zero.
+            free = ((sizes > 0.0) | (score > 0.0)) & effective
+            if not free.any():
+                break
+            step = np.zeros(len(self._parts))
+            step[free] = np.linalg.solve(fisher[np.ix_(free, free)], score[free])
+            new = np.maximum(sizes + step, 0.0)
+            done = np.all(np.abs(new - sizes) <= 1e-3 * np.maximum(new, 1e-12 * sizes.max()))
+            sizes = new
+            if done:
+                break
+        return sizes
+
+    def significant(self, used: Mask, tested: Mask, probability: float) -> Mask:
+        """Components ``used`` without those of ``tested`` that the residuals do not show, shape as both.
+
+        One after the other the least significant component is left out, while its likelihood ratio is that of no
+        component with more than ``probability``. A variance at its bound has half the probability of a chi-square.
+        """
+        limit = 0.5 * float(chdtri(1, 2.0 * probability))
+        while (used & tested).any():
+            own = self.logarithm(self.variances(used))
+            without = {i: used & (np.arange(len(used)) != i) for i in np.flatnonzero(used & tested).tolist()}
+            loss = {i: own - self.logarithm(self.variances(others)) for i, others in without.items()}
+            least = min(loss, key=lambda i: loss[i])
+            if loss[least] > limit:
+                break
+            used = without[least]
+        return used
+
+    def logarithm(self, variances: Array) -> float:
+        """Logarithm of the likelihood, up to a constant."""
+        # Components of a gross error, far above the known noise, are positive definite up to rounding alone.
+        R = self._covariance(variances)
+        return -0.5 * float(np.linalg.slogdet(R)[1] + self._y @ np.linalg.solve(R, self._y))
+
+    def _covariance(self, variances: Array) -> Array:
+        return np.asarray(self._known + sum(v * C for v, C in zip(variances, self._parts, strict=True)))
+
+
+def restricted_likelihood(z: Array, H: Array, R0: Array, components: tuple[Array, ...]) -> Array:
+    """Variances of the components by :class:`RestrictedLikelihood`, at least zero, shape (number of components,)."""
+    return RestrictedLikelihood(z, H, R0, components).variances()

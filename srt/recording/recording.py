@@ -46,7 +46,11 @@ LARGEST_VALUE: Final = 1e12
 """Bound of the magnitude of values from files, SI units: far above any sensor's range; sums of squares stay finite."""
 
 _WOBBLE: Final = 0.01
-"""Default wobble as a fraction of the rotation sigma: 2 seconds of arc for a fixture of 1 mrad."""
+"""Default wobble as a fraction of the rotation sigma: 2 seconds of arc for a fixture of 1 mrad.
+
+Rotary tables on air bearings, the best, are specified to less than one second of arc; rolling bearings and floors have
+more. A navigation-grade unit would gain little with one second, and zero would be wrong (docs/design/joint.md).
+"""
 
 WINDOW_TOLERANCE: Final = 1e-6
 """Tolerance of window limits for the rounding of stamps, in intervals."""

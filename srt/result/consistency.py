@@ -148,7 +148,9 @@ class Consistency(ChiSquareTest):
     own_noise : ChiSquareTest or None
         With the noise of the sensors alone; None for merged calibrations.
     added_noise : mapping of str to AddedNoise, or None
-        By kind: "rotation_rad", "force_m_s2", "rate_rad_s", "wobble_rad".
+        By kind: "rotation_rad", "force_m_s2", "rate_rad_s", and of the fixture, whose own is the stated accuracy,
+        "wobble_rad", "start_angle_rad", "alignment_rad", and "turned_angle_rad", which enters no sigma: the gyros
+        measure the rotations.
     sigma_factor : (float, float) or None
         Smallest and largest sigma over that of the noise of the sensors.
     between_recordings : bool or None

@@ -19,9 +19,9 @@ from scipy.special import stdtrit
 from srt.sensor_errors import collapse_names
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping
 
-    from srt.result.consistency import ChiSquareTest, Consistency
+    from srt.result.consistency import AddedNoise, ChiSquareTest, Consistency
     from srt.result.diagnostics import Diagnostics
     from srt.result.noise_figures import NoiseFigures
 
@@ -47,6 +47,14 @@ NOT_IN_RESIDUALS: Final = frozenset({
 """Faults that moved a parameter by more than 3 sigma while the residuals agreed with the noise (outcomes of faults,
 docs/fault-detection.md), and others of their kind: readings that the estimate uses all the same, and wrong statements
 of the site, which are in the truth that all measurements share."""
+
+OF_FIXTURE: Final = {
+    "turned_angle_rad": "rotations",
+    "start_angle_rad": "start angles",
+    "alignment_rad": "alignment",
+    "wobble_rad": "axis wobble",
+}
+"""Kinds of added noise that are errors of the fixture, in words."""
 
 _SMALLEST: Final = 1e-99
 """p-value below which only this limit is shown: smaller ones underflow."""
@@ -113,12 +121,13 @@ def verdict_on(calibration: Judged) -> Verdict:
     if p is None:
         return Verdict(DOUBTFUL, "No measurement is redundant: their agreement cannot be tested.")
     agreement = f"{_agreement(p, merged=evidence.own_noise is None)} ({_chi_square(evidence.sensor_noise_test, p)})."
+    worse = _worse_fixture(evidence.added_noise or {})
     added = " ".join(_added(evidence, p, calibration.noise.sigma_inflation or 1.0))
     unseen = [*(fault.sentence for fault in wrong), *(calibration.diagnostics.contradicted or ())]
     found = [f"A fault was found that residuals need not show: {unseen[0]}"] if unseen else []
     lacking = list(_lacking(calibration.diagnostics.not_shown or ()))
     word = DOUBTFUL if added or found else PARTIAL if lacking else SOUND
-    return Verdict(word, " ".join([*found, *lacking, agreement, *_modelled(calibration), added]).rstrip())
+    return Verdict(word, " ".join([*found, *lacking, agreement, *_modelled(calibration), *worse, added]).rstrip())
 
 
 def _lacking(names: tuple[str, ...]) -> Iterator[str]:
@@ -168,15 +177,30 @@ def _chi_square(test: ChiSquareTest, p: float) -> str:
     return f"chi-square {test.chi_square:.4g} for {test.degrees_of_freedom} degrees of freedom, {p_value_text(p)}"
 
 
+def _of_fixture(noise: Mapping[str, AddedNoise]) -> list[str]:
+    """Kinds of added noise that show a fixture less accurate than stated; wobble alone can be an error of the unit."""
+    worse = "start_angle_rad" in noise or "alignment_rad" in noise
+    return [kind for kind in OF_FIXTURE if kind in noise and (worse or kind != "wobble_rad")]
+
+
+def _worse_fixture(noise: Mapping[str, AddedNoise]) -> Iterator[str]:
+    """Sentence on a fixture that is less accurate than stated."""
+    parts = [
+        f"{OF_FIXTURE[kind]} {1e3 * math.hypot(noise[kind].own, noise[kind].added):.2g} mrad, "
+        f"{1e3 * noise[kind].own:.2g} {'assumed' if kind == 'wobble_rad' else 'stated'}"
+        for kind in _of_fixture(noise)
+    ]
+    if parts:
+        yield f"The fixture is less accurate than stated: {'; '.join(parts)}."
+
+
 def _added(evidence: Consistency, p: float, inflation: float) -> Iterator[str]:
     """Sentences on the noise that was added and on the enlarged sigmas; none without a misfit."""
-    noise = evidence.added_noise or {}
+    found = evidence.added_noise or {}
+    told = _of_fixture(found)
+    noise = {kind: row for kind, row in found.items() if row.added > 0.0 and kind not in told}
     if noise:
-        parts = [
-            f"{_size(kind, row.added)} (own noise: {_size(kind, row.own)})"
-            for kind, row in noise.items()
-            if row.added > 0.0
-        ]
+        parts = [f"{_size(kind, row.added)} (own noise: {_size(kind, row.own)})" for kind, row in noise.items()]
         yield f"Added noise, 1-sigma: {', '.join(parts)}."
     if inflation > 1.0:
         yield f"All sigmas were multiplied by {inflation:.2g}."

@@ -8,7 +8,7 @@ from scipy.special import chdtri
 import srt
 from srt.noise.noise_model import ACCEL_FLOOR, GYRO_FLOOR, flicker_spread, noise_model
 from srt.noise.random_walk import _PIECE, _allan_octaves, _fit_one
-from srt.noise.variance_components import restricted_likelihood
+from srt.noise.variance_components import RestrictedLikelihood, restricted_likelihood
 
 N, RATE = 2000, 200.0
 WINDOWS = np.array([[k * N, (k + 1) * N] for k in range(34)])
@@ -207,3 +207,17 @@ def test_dithered_readings_have_no_error_of_their_own():
     readings = np.round((still(rng, 1e-4) + 0.1) / 1e-3) * 1e-3  # 1.4 noise sigma
     found = noise_model(recording(readings, readings), WINDOWS)
     assert found.undithered == ()
+
+
+def test_a_component_without_effect_is_left_out_and_another_kept():
+    """By chance, a component that is not there stays in one of a thousand; one of 3 sigma always does."""
+    rng = np.random.default_rng(11)
+    H, R0 = rng.standard_normal((80, 10)), np.eye(80)
+    parts = np.diag(np.r_[np.ones(40), np.zeros(40)]), np.diag(np.r_[np.zeros(40), np.ones(40)])
+    every, kept = np.ones(2, dtype=bool), []
+    for _ in range(100):
+        z = rng.standard_normal(80) * np.r_[np.full(40, 3.0), np.ones(40)]
+        kept.append(RestrictedLikelihood(z, H, R0, parts).significant(every, every, 1e-3))
+    assert np.all(np.array(kept)[:, 0])
+    assert np.sum(np.array(kept)[:, 1]) <= 2
+    assert RestrictedLikelihood(z, H, R0, parts).significant(every, ~every, 1e-3).all()

@@ -13,6 +13,7 @@ from g_sensitive import with_g_sensitivity
 import srt
 from srt.diagnosis.faults import FAULTS
 from srt.estimation import calibration_builder
+from srt.estimation.error_sources import NO_ERRORS
 from srt.estimation.leave_one_out import verdict
 from srt.result.calibration import STATUSES
 from srt.result.consistency import AddedNoise, ChiSquareTest
@@ -67,6 +68,23 @@ def test_added_noise_and_the_factor_are_told_after_the_agreement():
         "those of the sensors' own noise."
     )
     assert "multiplied by 2.1." in judged(200.0, 44, noise={"sigma_inflation": 2.13}).reason
+
+
+def test_a_fixture_less_accurate_than_stated_is_told_and_no_doubt():
+    worse = {kind: AddedNoise(added=9e-4, own=1e-4) for kind in ("start_angle_rad", "turned_angle_rad")}
+    told = (
+        "The fixture is less accurate than stated: rotations 0.91 mrad, 0.1 stated; start angles 0.91 mrad, 0.1 stated"
+    )
+    wobble = {"wobble_rad": AddedNoise(added=1e-5, own=1e-6)}
+    for added, ending in ((worse, "."), (worse | wobble, "; axis wobble 0.01 mrad, 0.001 assumed.")):
+        found = judged(44.0, 44, added_noise=added, sigma_factor=(1.0, 1.0))
+        assert found.word == SOUND
+        assert found.reason.endswith(told + ending)
+    # Wobble alone is what other small errors look like, whatever the rotations are.
+    del worse["start_angle_rad"]
+    found = judged(200.0, 44, added_noise=worse | wobble, sigma_factor=(1.0, 1.1))
+    assert found.word == DOUBTFUL
+    assert "rotations 0.91 mrad, 0.1 stated. Added noise, 1-sigma: 10 µrad of axis wobble per pose" in found.reason
 
 
 def test_effects_besides_the_27_errors_are_told():
@@ -133,7 +151,7 @@ def test_residuals_of_three_times_the_sensors_noise_are_no_calibration(ratio, st
     fit = 44 * ratio**2, 44
     result = SimpleNamespace(
         status="converged", message="It ended.", diagnostics=Diagnostics(), sensor_noise_fit=fit, chi_square=44.0,
-        degrees_of_freedom=44,
+        degrees_of_freedom=44, unmodelled=NO_ERRORS,
     )  # fmt: skip
     found, message = calibration_builder._status(
         result, {}, verdict([], np.eye(N_PARAMETERS), OBSERVED, 44.0, 44), free=False

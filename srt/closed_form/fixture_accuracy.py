@@ -1,0 +1,101 @@
+"""Accuracy of a fixture from its start attitudes: verticals of the accelerometers against the nominal ones.
+
+The closed form uses the change of specific force within a sequence, in which errors of the fixture cancel. They are an
+error of the Earth rate all the same, and of north, which no specific force shows. A fixture whose verticals differ by
+more than it is stated to is less accurate about the vertical, too.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from srt.closed_form.measurement_covariance import base_axes, fixture_axes
+from srt.estimation.error_sources import LARGEST_FIXTURE_RAD, NO_ERRORS, UnmodelledErrors, alignment_sigma, start_sigma
+from srt.estimation.goodness_of_fit import chi_square, contradicting_group, is_misfit, one_group_explains
+from srt.model.measurement_model import force_error_jacobian
+from srt.noise.variance_components import RestrictedLikelihood
+from srt.result.verdict import MISFIT_PROBABILITY
+
+if TYPE_CHECKING:
+    from srt.closed_form.iteration import Solution
+    from srt.sequences.preparation import PreparedRecording
+    from srt.types import Array
+
+_ANGLES, _WOBBLE = slice(0, 2), slice(2, 3)
+"""Inner and outer angle, and wobble, among the errors of a start."""
+_GROSS: Final = 4.0
+"""Largest tilt of a start in the largest sigma of a fixture: a larger one is another pose."""
+
+
+def fixture_excess(data: PreparedRecording, solution: Solution) -> UnmodelledErrors:
+    """Errors of start angles, alignment and wobble beyond the stated accuracy of the fixture.
+
+    Zero if the stated accuracy explains the verticals, if one sequence alone contradicts it, or if no accuracy of the
+    fixture explains them.
+
+    Parameters
+    ----------
+    data : PreparedRecording
+    solution : Solution
+        Converged.
+    """
+    m = solution.measurements
+    force, to_base = m.force[data.start], np.swapaxes(base_axes(m, data), -1, -2)
+    gravity = np.linalg.norm(force, axis=-1, keepdims=True)
+    up = force / gravity
+
+    def tilt(vectors: Array) -> Array:
+        """Horizontal components in the base of vectors in B_Strt, (K, 3, S), shape (2 K, S)."""
+        return np.asarray((to_base @ vectors)[:, :2].reshape(2 * data.K, -1))
+
+    common, executed = (tilt_axes(axes, up) for axes in fixture_axes(m, data))
+    own = executed[:, :, None, :] * np.eye(data.K)[:, None, :, None]
+    angles, wobble = (tilt(own[..., of].reshape(data.K, 3, -1)) for of in (_ANGLES, _WOBBLE))
+    stated = tilt((own * start_sigma(data.recording)).reshape(data.K, 3, -1))
+    aligned = tilt(common)
+    # The mounting is free: U follows the rotation axes.
+    mounting = tilt(tilt_axes(np.broadcast_to(np.eye(3), (data.K, 3, 3)), up))
+    noise = data.noise
+    variance = noise.accel_white**2 * data.windows.white_factor[data.start, None] + noise.accel_flicker**2
+    by_noise = tilt(_apart(np.sqrt(variance) / gravity))
+    by_errors = tilt(force_error_jacobian(m.force, m.accel)[data.start] / gravity[..., None])
+    total = np.asarray(sum(solution.covariance.values()))
+    R = _squared(stated) + alignment_sigma(data.recording) ** 2 * _squared(aligned) + _squared(by_noise)
+    R += by_errors @ total @ by_errors.T
+    z = tilt(up[..., None])[:, 0]
+
+    def tests(R: Array) -> tuple[list[tuple[float, int]], float, int]:
+        """Chi-square of every sequence against the others, that of all, and their degrees of freedom."""
+        statistic, freedom = chi_square(z, mounting, R)
+        rest = (np.flatnonzero(np.arange(2 * data.K) // 2 != k) for k in range(data.K))
+        others = [chi_square(z[at], mounting[at], R[np.ix_(at, at)]) for at in rest]
+        return [(statistic - less, freedom - left) for less, left in others], statistic, freedom
+
+    found = tests(R)
+    if not is_misfit(*found[1:]) or one_group_explains(*found) or np.abs(z).max() > _GROSS * LARGEST_FIXTURE_RAD:
+        return NO_ERRORS
+    parts = _squared(wobble), _squared(angles), _squared(aligned)
+    likelihood = RestrictedLikelihood(z, mounting, R, parts)
+    used = likelihood.significant(np.ones(3, dtype=np.bool_), np.array([False, True, True]), MISFIT_PROBABILITY)
+    excess = likelihood.variances(used)
+    found = tests(R + sum(v * C for v, C in zip(excess, parts, strict=True)))
+    if excess.max() > LARGEST_FIXTURE_RAD**2 or is_misfit(*found[1:]) or contradicting_group(*found) is not None:
+        return NO_ERRORS
+    return UnmodelledErrors(0.0, 0.0, 0.0, *np.sqrt(excess).tolist()).of_fixture
+
+
+def tilt_axes(axes: Array, up: Array) -> Array:
+    """Change of the vertical by small rotations about axes (K, 3, S), shape (K, 3, S)."""
+    return np.asarray(np.cross(axes, up[..., None], axis=1))
+
+
+def _apart(sigma: Array) -> Array:
+    """Independent errors (K, 3) of the channels of every sequence, shape (K, 3, 3 K)."""
+    K = len(sigma)
+    return np.asarray(np.einsum("kl,kab->kalb", np.eye(K), sigma[:, :, None] * np.eye(3)).reshape(K, 3, 3 * K))
+
+
+def _squared(root: Array) -> Array:
+    return np.asarray(root @ root.T)

@@ -1,0 +1,82 @@
+"""Recordings on a fixture that is less accurate than stated, by a generator that shares nothing with the estimators."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from scipy.special import ndtri
+from worse_than_stated import CASES, outcome, unit_of
+
+import srt
+
+UNITS = 2
+PARAMETERS = 27
+WORST = -float(ndtri(0.005 / (UNITS * PARAMETERS)))
+"""Largest error over sigma of all parameters and units, with a family-wise 1 %."""
+ACCUSATIONS = ("contradicts", "move left out", "label", "wrong_angle")
+
+
+def of_units(case, estimator):
+    return [outcome(case, seed, estimator) for seed in range(UNITS)]
+
+
+@pytest.mark.parametrize(
+    ("case", "estimator", "causes"),
+    [
+        *(
+            ("fixture of 1 mrad, 0.1 stated", estimator, {"rotations", "start angles"})
+            for estimator in ("closed-form", "least-squares", "ekf", "graph")
+        ),
+        ("fixture of 1 mrad, 0.1 stated, navigation grade", "closed-form", {"rotations", "start angles"}),
+        ("alignment of 1 mrad, 0.1 stated", "least-squares", {"alignment"}),
+    ],
+)
+def test_the_fixture_is_named_and_the_sigmas_are_true(case, estimator, causes):
+    """Mean NEES: 3.5 standard errors of a chi-square."""
+    found = of_units(case, estimator)
+    assert {row["word"] for row in found} == {"sound"}
+    seen = sum(row["seen"] for row in found)
+    assert seen == UNITS * PARAMETERS
+    assert abs(sum(row["nees"] for row in found) / seen - 1.0) < 3.5 * math.sqrt(2.0 / seen)
+    assert max(row["worst"] for row in found) < WORST
+    for row in found:
+        named = set(row["named"].split(", "))
+        assert causes <= named
+        assert not any(what.startswith(ACCUSATIONS) for what in named)
+
+
+def test_both_figures_are_told():
+    """17 starts have two angles each; those of their rotations are 12 of one rotation."""
+    case = CASES["fixture of 1 mrad, 0.1 stated"]
+    found = srt.calibrate(unit_of(case, 0)[0], "least-squares")
+    added = found.verdict.added_noise
+    assert added["start_angle_rad"].own == case.stated_sigma_rad
+    for kind, count in (("start_angle_rad", 34), ("turned_angle_rad", 12)):
+        size = math.hypot(added[kind].own, added[kind].added)
+        assert size == pytest.approx(case.true_sigma_rad, rel=3.5 / math.sqrt(2.0 * count))
+    assert "The fixture is less accurate than stated: rotations " in found.judgement.reason
+    assert "start angles 0.85 mrad, 0.1 stated" in found.judgement.reason
+    assert found.U_sigma_rad == pytest.approx(math.hypot(1e-4, added["alignment_rad"].added))
+
+
+def test_a_wobble_as_large_as_the_angles_is_doubtful_and_named():
+    """No fixture wobbles by 1 mrad while its angles are right; the errors are those of the sigmas all the same."""
+    for row in of_units("axis wobble of 1 mrad, not stated", "least-squares"):
+        assert row["word"] == "doubtful"
+        assert row["named"] == "axis wobble"
+        assert row["worst"] < WORST
+
+
+@pytest.mark.parametrize("estimator", ["closed-form", "least-squares"])
+def test_a_fixture_as_stated_is_not_named(estimator):
+    for row in of_units("fixture of 1 mrad as stated", estimator):
+        assert row["word"] == "sound"
+        assert row["named"] == ""
+
+
+def test_the_rotation_of_the_earth_is_no_error_of_the_rotations():
+    """The Earth turns by a milliradian within a sequence; the stated accuracy is 0.1 mrad, and true."""
+    row = outcome("alignment of 1 mrad, 0.1 stated", 3, "least-squares")
+    assert "alignment" in row["named"]
+    assert "rotations" not in row["named"]
