@@ -348,8 +348,8 @@ def run(joint: JointModel, solver: JointSolver, progress: Progress | None) -> Ca
         ):
             continue
         # What a drift hid, or seemed to be: the moves are judged again beside it.
-        if joint.drift.terms and (reasons := _contradicting_move(joint, solver, iteration)):
-            joint = joint.without_moves(reasons)
+        if joint.drift.terms and (against := _contradicting_move(joint, solver, iteration)):
+            joint = joint.without_moves(against)
             solver.restart()
             iteration = IterationState(joint.start, ~requested)
             continue
