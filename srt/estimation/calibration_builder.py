@@ -215,6 +215,8 @@ def _status(
 
 def _unmodelled_drift(result: SolverResult) -> str:
     """Sentences on drift that the residuals show and the estimate does not include; empty without."""
+    if all(row.modelled for row in result.diagnostics.drift or ()):
+        return ""
     return " ".join(term.sentence for term in result.drift if not term.modelled)
 
 

@@ -158,3 +158,12 @@ def test_residuals_of_three_times_the_sensors_noise_are_no_calibration(ratio, st
     )
     assert found == status
     assert ("3.1 times as large" in message) == (status == "inconsistent")
+
+
+def test_a_modelled_drift_of_the_gyros_is_no_fault():
+    """The residuals agree with the drift in the model; without the model they do not show it."""
+    found = Fault(fault="gyro_bias_drift", effect="warning", sentence="The bias moved.", details={}, runner_up=None)
+    for modelled, word in ((True, SOUND), (False, DOUBTFUL)):
+        drift = Drift(sensor="gyro", form="linear", change_rad_s=np.ones(3), modelled=modelled)
+        diagnostics = Diagnostics(faults=(found,), drift=(drift,))
+        assert judged(44.0, 44, diagnostics=diagnostics).word == word
