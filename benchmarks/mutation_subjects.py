@@ -161,7 +161,12 @@ SUBJECTS = (
             "add_bias_walk",
             "add_prior",
         ),
-        (("variance = joint.alignment_sigma**2", "variance = 0.25 * joint.alignment_sigma**2"),),
+        (
+            (
+                "R[None] for source, R in alignment_covariances(joint, 3)",
+                "R[None] / 4 for source, R in alignment_covariances(joint, 3)",
+            ),
+        ),
         (
             # The states of the accelerometers' drift are in no other row, and their distribution is symmetric.
             '*self.drift_blocks("accel", "force", -1.0),',
@@ -204,7 +209,7 @@ SUBJECTS = (
             ("LARGEST_RATIO: Final = 3.0", "LARGEST_RATIO: Final = 30.0"),
             ("_MANY: Final = 30", "_MANY: Final = 300"),
             ("p > 1.0 - MISFIT_PROBABILITY", "p > 1.0 + MISFIT_PROBABILITY"),
-            ("word = DOUBTFUL if added or found else SOUND", "word = DOUBTFUL if added else SOUND"),
+            ("word = DOUBTFUL if added or found else PARTIAL", "word = DOUBTFUL if added else PARTIAL"),
             ('f.effect.startswith("exit")', 'f.effect.startswith("no")'),
             ("stdtrit(freedom, 0.975)", "stdtrit(freedom, 0.95)"),
             ("    if overridden:", "    if False:"),
@@ -240,7 +245,7 @@ SUBJECTS = (
         (),
         (
             ("parts = _squared(wobble), _squared(angles)", "parts = _squared(wobble), 0.25 * _squared(angles)"),
-            ("or one_group_explains(*found):", "or False:"),
+            ("or one_group_explains(*found)", "or False"),
             ("if not is_misfit(*found[1:])", "if False"),
         ),
     ),

@@ -14,7 +14,7 @@ from estimators.square_root_filter import SquareRootFilter
 from estimators.unscented_filter import UnscentedFilter
 from srt.estimation.convergence import PARAMETER_UNITS
 from srt.estimation.observability import default_prior
-from srt.joint.iteration import run
+from srt.joint.calibration_run import run
 from srt.joint.recording_opening import open_joint_model
 from srt.sensor_errors import NAMES
 

@@ -16,7 +16,7 @@ from scipy.linalg import solve_triangular
 from scipy.special import chdtri
 
 from estimators.factor_graph import FactorGraph
-from srt.joint.iteration import run
+from srt.joint.calibration_run import run
 from srt.joint.recording_opening import open_joint_model
 from srt.joint.solver import JointSolver, LinearSolution
 from srt.result.diagnostics import Diagnostics, SequenceWeight

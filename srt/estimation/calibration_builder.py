@@ -66,9 +66,8 @@ def build_calibration(
     # not include it.
     covariance = np.where(mask, total * inflation**2 + np.outer(clock, clock), 0.0)
     covariance = 0.5 * (covariance + covariance.T)
-    fixture = data.recording.fixture
     chi_square, freedom = result.chi_square, result.degrees_of_freedom
-    free = fixture is None
+    free = data.recording.fixture is None
     turned = ExecutedRotations(data, result, np.sqrt(np.diag(covariance)))
     evidence = None
     if observed.any():
@@ -88,11 +87,7 @@ def build_calibration(
         held={name: fixed[name] for name in NAMES if name in fixed},
         contributions=_contributions(result, drifted, clock, observed, inflation),
         U=None if data.nominal is None else result.U,
-        U_sigma_rad=(
-            None
-            if data.nominal is None or fixture is None
-            else math.hypot(fixture.alignment_sigma_rad, result.unmodelled.alignment)
-        ),
+        U_sigma_rad=_mounting_sigma(data, result),
         residuals=result.residuals,
         site=stated_site(data.recording),
         noise=_noise(data, result, mask, inflation),
@@ -142,6 +137,14 @@ def _drifted_bias(data: PreparedRecording, result: SolverResult) -> Array:
             if term.modelled and term.sensor == "gyro":
                 out[at, at] += term.change**2 / 12.0
     return out
+
+
+def _mounting_sigma(data: PreparedRecording, result: SolverResult) -> float | None:
+    """1-sigma of the mounting, rad; None without a fixture."""
+    fixture = data.recording.fixture
+    if data.nominal is None or fixture is None:
+        return None
+    return math.hypot(fixture.alignment_sigma_rad, result.unmodelled.alignment)
 
 
 def _birge_ratio(result: SolverResult) -> float:

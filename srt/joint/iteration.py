@@ -1,4 +1,4 @@
-"""Gauss-Newton iteration of the joint model, and the calibration from its solution.
+"""Gauss-Newton iteration of the joint model.
 
 It solves for the attitudes of the windows together with the sensor errors. The iteration of the closed form, which
 solves for the sensor errors alone, is :mod:`srt.closed_form.iteration`.
@@ -17,55 +17,24 @@ import numpy as np
 from scipy.sparse import hstack
 
 from srt.estimation.convergence import CONVERGED_CORRECTION, CONVERGED_SIGMAS, MAX_STEP, PARAMETER_UNITS
-from srt.estimation.drift_model import MOST_TERMS
-from srt.estimation.error_sources import NO_ERRORS
-from srt.estimation.fixed_parameters import (
-    determined_by_fixture,
-    fixed_sigma,
-    reason_not_observed,
-    reason_on_request,
-    seen_by_earth_rate_alone,
-)
-from srt.estimation.observability import admission_sigma, admit, default_prior, observed_limit
+from srt.estimation.observability import admission_sigma, admit, default_prior
 from srt.joint.block_solution import eliminate
-from srt.joint.initial_attitudes import initial_attitudes, placed
+from srt.joint.initial_attitudes import initial_attitudes
 from srt.joint.linear_system import N_ERRORS, global_columns, total
-from srt.joint.linearisation import Linearisation, linearise
-from srt.joint.model_selection import (
-    add_drift,
-    add_fixture_errors,
-    add_g_sensitivity,
-    add_instability,
-    add_unmodelled_noise,
-)
-from srt.joint.recording_opening import contradicting_move
-from srt.joint.residual_analysis import contradicting_rests, contradictions
-from srt.joint.solution_analysis import (
-    FixedParameters,
-    analyse_solution,
-    make_calibration,
-    whole_solution,
-)
-from srt.joint.solver import IterationState, JointSolver
+from srt.joint.linearisation import Linearisation
 from srt.model.rotations import rotation_matrix, rotation_vector
 from srt.model.sensor_model import outside_model
-from srt.model.table1 import SEQUENCES
-from srt.sensor_errors import N_PARAMETERS, NAMES, SensorErrors
+from srt.sensor_errors import N_PARAMETERS, SensorErrors
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
     from srt.estimation.registry import Progress
     from srt.joint.joint_model import JointModel
     from srt.joint.joint_state import CompensatedData, JointState
     from srt.joint.linear_system import Columns, LinearSystem
-    from srt.result.calibration import Calibration
-    from srt.result.diagnostics import Diagnostics
+    from srt.joint.solver import IterationState, JointSolver
     from srt.types import Array, Mask
 
 
-_ROUNDS: Final = 6
-"""Maximum number of rounds; a change of the noise model or of the free parameters starts a new round."""
 _SCATTER_UPDATES: Final = 2
 """Number of updates of the bias scatter. Further updates could alternate between zero and a small scatter."""
 _INDEPENDENT: Final = 1e-10
@@ -311,202 +280,3 @@ def observable_parameters(system: LinearSystem, requested: Mask) -> Mask:
     Q = Q[:, np.abs(np.diag(T)) > _INDEPENDENT]  # dependent columns add rounding errors only
     left = wanted - Q @ (Q.T @ wanted)
     return admit(left * admission_sigma(), ~requested)
-
-
-def run(joint: JointModel, solver: JointSolver, progress: Progress | None) -> Calibration:
-    """Calibrate with a solver.
-
-    Raises
-    ------
-    InputError
-        If an option does not apply to joint estimation.
-    """
-    joint.options.refuse(("step", "down", "measured_vertical", "window_attitude"), "Joint estimation")
-    joint, found = _with_sound_moves(joint, solver, progress)
-    options = joint.options
-    uncertain = fixed_sigma(joint.data, options)
-    reasons = {name: reason_on_request(name, uncertain, joint.data) for name in options.fixed_names}
-    reasons = _not_shown_by_poses(joint, reasons) | reasons
-    fixed = FixedParameters(reasons, uncertain)
-    requested = np.array([name in reasons for name in NAMES])
-    start = joint.with_fixed_values(joint.start, requested)
-    iteration = IterationState(start, ~requested) if found is None else found
-    held: Diagnostics | None = None
-    for _ in range(_ROUNDS * (1 + MOST_TERMS)):
-        iteration = iterate(joint, solver, iteration, requested=requested, progress=progress)
-        iteration = _with_still_windows(joint, solver, iteration, requested, progress)
-        if (found_held := _integrate_moving_windows(joint, solver, iteration, uncertain)) is not None:
-            held = found_held
-            continue
-        if _relies_on_fixture(joint, iteration, uncertain):
-            vague = requested | _vague(joint, iteration, requested)
-            solver.prior = joint.prior_of_fixture(uncertain)
-            solver.restart()
-            start = replace(joint.start, drift=iteration.state.drift)
-            iteration = IterationState(joint.with_fixed_values(start, vague), ~vague)
-            continue
-        if iteration.status != "converged":
-            break
-        if any(
-            add(joint, solver, iteration)
-            for add in (add_g_sensitivity, add_instability, add_unmodelled_noise, add_drift)
-        ):
-            continue
-        # What a drift hid, or seemed to be: the moves are judged again beside it.
-        if joint.drift.terms and (moves := _contradicting_move(joint, solver, iteration)):
-            joint = joint.without_moves(moves)
-            solver.restart()
-            iteration = IterationState(joint.with_fixed_values(joint.start, requested), ~requested)
-            continue
-        suspect = contradicting_rests(joint, whole_solution(joint, solver, iteration))
-        if (found_held := _integrate_moving_windows(joint, solver, iteration, uncertain, suspect)) is not None:
-            held = found_held
-            joint.unmodelled_sigma = NO_ERRORS
-            continue
-        weak = iteration.free & (iteration.sigma > observed_limit(joint.admission))
-        if not weak.any() or solver.prior is not None:
-            break
-        iteration.free = iteration.free & ~weak
-        iteration.state = joint.with_fixed_values(iteration.state, weak)
-    return make_calibration(joint, solver, iteration, fixed, held)
-
-
-def _with_drift(
-    joint: JointModel,
-    solver: JointSolver,
-    iteration: IterationState,
-    requested: Mask,
-    progress: Progress | None,
-    accused: Callable[[IterationState], int],
-) -> IterationState | None:
-    """Solution with bias drift if less than half of the windows or moves accused without it are so beside it."""
-    drift, unmodelled = joint.drift, joint.unmodelled_sigma
-    found = replace(iteration, corrections=list(iteration.corrections or ()))
-    before = left = accused(iteration)
-    while left and add_drift(joint, solver, found):
-        solver.restart()
-        found = iterate(joint, solver, found, requested=requested, progress=progress)
-        if found.status != "converged":
-            left = before
-            break
-        left = accused(found)
-    if 2 * left < before:
-        return found
-    joint.drift, joint.unmodelled_sigma = drift, unmodelled
-    solver.restart()
-    return None
-
-
-def _with_still_windows(
-    joint: JointModel, solver: JointSolver, iteration: IterationState, requested: Mask, progress: Progress | None
-) -> IterationState:
-    """Solution with a bias drift, if that explains why windows seem to move."""
-
-    def moving(at: IterationState) -> int:
-        assert at.point is not None
-        return int(joint.moving_windows(at.state, at.point.compensated).sum())
-
-    if iteration.status != "converged":
-        return iteration
-    return _with_drift(joint, solver, iteration, requested, progress, moving) or iteration
-
-
-def _integrate_moving_windows(
-    joint: JointModel, solver: JointSolver, iteration: IterationState, uncertain: Array, suspect: Mask | None = None
-) -> Diagnostics | None:
-    """Integrate the attitude in windows in which the unit moved; diagnostics before, None if there are no new ones.
-
-    Motion in a window can prevent convergence, and would pass for noise or drift of the sensors.
-    """
-    if iteration.point is None or iteration.status == "outside_model":
-        return None
-    moving_windows = joint.moving_windows(iteration.state, iteration.point.compensated, suspect)
-    if not moving_windows.any():
-        return None
-    table = analyse_solution(joint, solver, iteration, uncertain).table
-    held = replace(solver.diagnostics(joint), sequences=table)
-    joint.integrate_windows(moving_windows)
-    solver.restart()
-    return held
-
-
-def _relies_on_fixture(joint: JointModel, iteration: IterationState, uncertain: Array) -> bool:
-    """True if the nominal angles of the fixture give a parameter more accurately than the test, which lacks sequences.
-
-    ``uncertain`` is the sigma of the initial values. Poses alone measure the directions that the fixture states.
-    """
-    data = joint.data
-    if data.nominal is None or data.posed.all() or set(SEQUENCES) <= set(data.ids):
-        return False
-    if joint.options.prior is not None or joint.relies_on_fixture:
-        return False
-    vague = iteration.free & (uncertain > 0.0) & (iteration.sigma > uncertain)
-    return bool(vague.any()) or iteration.status != "converged"
-
-
-def _vague(joint: JointModel, iteration: IterationState, requested: Mask) -> Mask:
-    """Parameters that neither the measurements nor the nominal angles of the fixture give, but for asymmetries.
-
-    They are fixed: within a prior as wide as a third, the iteration would wander. The prior of asymmetries is narrow.
-    """
-    known = determined_by_fixture(joint.data) | ["asymmetry" in name for name in NAMES]
-    if iteration.point is not None:
-        known = known | observable_parameters(iteration.point.system, requested)
-    return np.asarray(~known)
-
-
-def _not_shown_by_poses(joint: JointModel, requested: Mapping[str, str]) -> dict[str, str]:
-    """Parameters that a test of poses and stated rates does not show, with reasons; none if there are other rotations.
-
-    They are fixed from the start. With a wide prior, the square of a misalignment of a third would become a scale
-    error, and the iteration would wander.
-    """
-    by_earth_rate = seen_by_earth_rate_alone(joint.data)
-    if not by_earth_rate:
-        return {}
-    wanted = np.array([name not in by_earth_rate and name not in requested for name in NAMES])
-    system = linearise(joint, *placed(joint, joint.start), wanted)
-    observable = observable_parameters(system, ~wanted)
-    others = [name for name, lost in zip(NAMES, wanted & ~observable, strict=True) if lost]
-    return by_earth_rate | {name: reason_not_observed(name) for name in others}
-
-
-def _with_sound_moves(
-    joint: JointModel, solver: JointSolver, progress: Progress | None
-) -> tuple[JointModel, IterationState | None]:
-    """Leave out the moves that contradict the other measurements, one after the other.
-
-    Returns the model without them, and its solution if one was found.
-    """
-    requested = np.array([name in joint.options.fixed_names for name in NAMES])
-    while joint.data.moves:
-        start = IterationState(joint.with_fixed_values(joint.start, requested), ~requested)
-        iteration = iterate(joint, solver, start, requested=requested, progress=progress)
-        if iteration.status != "converged":
-            solver.restart()
-            break
-        if add_g_sensitivity(joint, solver, iteration):
-            joint.start = replace(joint.start, drift=iteration.state.drift)
-            continue
-        if add_fixture_errors(joint, solver, iteration):
-            continue
-        reasons = _contradicting_move(joint, solver, iteration)
-        if not reasons:
-            return joint, iteration
-
-        def accused(found: IterationState, joint: JointModel = joint) -> int:
-            return len(_contradicting_move(joint, solver, found))
-
-        found = _with_drift(joint, solver, iteration, requested, progress, accused)
-        if found is not None:
-            return joint, found
-        joint = joint.without_moves(reasons)
-        solver.restart()
-    return joint, None
-
-
-def _contradicting_move(joint: JointModel, solver: JointSolver, iteration: IterationState) -> dict[int, str]:
-    """Move that contradicts the other measurements of a solution, with the reason; empty if none does."""
-    against = contradictions(joint, whole_solution(joint, solver, iteration))
-    tests = [(against[step].chi_square, against[step].degrees_of_freedom) for step in joint.rank.tolist()]
-    return contradicting_move(tests, joint.data.is_move)

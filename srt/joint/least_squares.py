@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from srt.joint.block_solution import BlockSolution
-from srt.joint.iteration import run
+from srt.joint.calibration_run import run
 from srt.joint.linearisation import with_prior
 from srt.joint.recording_opening import open_joint_model
 from srt.joint.solver import JointSolver, LinearSolution

@@ -381,9 +381,9 @@ def test_earth_rate_of_unknown_direction():
 
 FIXED_SIGMA_OF = {
     "closed-form": "srt.closed_form.estimator",
-    "least-squares": "srt.joint.iteration",
-    "graph": "srt.joint.iteration",
-    "ekf": "srt.joint.iteration",
+    "least-squares": "srt.joint.calibration_run",
+    "graph": "srt.joint.calibration_run",
+    "ekf": "srt.joint.calibration_run",
 }
 """Module of each estimator that asks for the sigma of fixed values."""
 
