@@ -70,7 +70,7 @@ def gyro_instability(
         Sequence of each window.
     """
     # A root of the same covariance with a column a window: that of the drift has one for each part of each rotation.
-    root = np.linalg.qr(data.drift.windows.T, mode="r").T
+    root = np.asarray(np.linalg.qr(data.drift.windows.T, mode="r")).T
     courses = {"instability": root, "sequences": np.eye(data.K)[owner]}
     found = gyro_statistics(data, slope, rest, integrated, present, courses)
     flicker = variance_component(found["instability"])
