@@ -87,19 +87,20 @@ def estimate_units(recordings: Sequence[Recording], options: Sequence[Options]) 
         Of each unit: its calibration, or what :func:`estimate` raises for it.
     """
     out: list[Calibration | Exception | None] = [None] * len(recordings)
-    groups: list[dict[int, _Unit]] = []
+    groups: list[list[tuple[int, _Unit]]] = []
     for number, (recording, chosen) in enumerate(zip(recordings, options, strict=True)):
         try:
             unit = _Unit.of(recording, chosen)
         except Exception as error:  # a unit that cannot be calibrated leaves the others
             out[number] = error
             continue
-        group = next((own for own in groups if next(iter(own.values())).is_like(unit)), None)
+        group = next((own for own in groups if own[0][1].is_like(unit)), None)
         if group is None:
-            groups.append(group := {})
-        group[number] = unit
+            groups.append([(number, unit)])
+        else:
+            group.append((number, replace(unit, formulas=group[0][1].formulas)))
     for group in groups:
-        for (number, unit), solution in zip(group.items(), _solutions(list(group.values())), strict=True):
+        for (number, unit), solution in zip(group, _solutions([unit for _, unit in group]), strict=True):
             try:
                 out[number] = unit.calibration(unit.solution() if solution is None else solution)
             except Exception as error:

@@ -1,0 +1,112 @@
+"""Batches of a campaign: units of one motion as arrays, with the results of each by itself."""
+
+from dataclasses import replace
+from itertools import chain
+
+import numpy as np
+import pytest
+from small_campaign import TIMES, numbers, same, small_campaign
+
+import srt
+from sims import simulate
+from sims.robustness import run
+from sims.robustness.run import LARGEST_BATCH, batch_size, run_campaign
+from sims.robustness.trial import run_batch, run_trial
+from srt.closed_form import estimator
+from srt.closed_form.estimator import estimate_units
+from srt.comparison.parallel import Engine
+from srt.estimation.options import Options
+from srt.exceptions import DataError
+from srt.sensor_errors import NAMES
+
+ONE_MOTION = "\ntrials_per_motion = 100"
+
+
+def by_batches(campaign, size):
+    tasks = list(campaign.tasks)
+    return list(chain(*chain(*(run_batch(campaign, tasks[a : a + size]) for a in range(0, len(tasks), size)))))
+
+
+def assert_alike(one, other):
+    """Numbers equal to rounding: errors to 1e-12 and 1e-9 sigma, all that are no numbers exactly."""
+    assert one.keys() == other.keys()
+    for name in set(one) - {*TIMES, "nees", "largest", "distance"}:
+        if name.startswith("error_"):
+            assert other[name] == pytest.approx(one[name], rel=0, abs=1e-12, nan_ok=True)
+        elif name.startswith("sigma_"):
+            assert other[name] == pytest.approx(one[name], rel=1e-7, abs=1e-12, nan_ok=True)
+        else:
+            assert other[name] == one[name]
+
+
+def test_batches_of_any_size_give_the_same(tmp_path):
+    """Units of ±50 % and 0.3 rad, of which some cannot be calibrated, and some lack sequences."""
+    extra = "missing_sequences = { choices = [0, 0, 0, 2] }\n"
+    campaign = small_campaign(tmp_path, trials="6" + ONE_MOTION, extra=extra)
+    campaign = replace(campaign, grid={"scale_percent": (50, 90), "misalignment_mrad": (300,)})
+    one, three, all_of_them = (by_batches(campaign, size) for size in (1, 5, 12))
+    assert {"converged", "no_imu"} <= {row["outcome"] for row in one}
+    for row, *others in zip(one, three, all_of_them, strict=True):
+        for other in others:
+            assert_alike(row, other)
+
+
+def test_units_with_noise_agree_with_single_runs_to_a_billionth_of_sigma(tmp_path):
+    campaign = small_campaign(tmp_path, trials="8" + ONE_MOTION)
+    campaign.scenario["recording"]["noise"] = True
+    scenarios = [campaign.unit(1, k)[0] for k in range(8)]
+    recordings = [simulate(scenario).recording for scenario in scenarios]
+    for recording, found in zip(recordings, estimate_units(recordings, [Options()] * 8), strict=True):
+        alone = srt.calibrate(recording, "closed-form", checks=False)
+        assert (found.status, found.message) == (alone.status, alone.message)
+        assert np.abs((found.errors.vector - alone.errors.vector) / alone.sigma).max() < 1e-9
+        np.testing.assert_allclose(found.sigma, alone.sigma, rtol=1e-9)
+
+
+def test_a_unit_that_cannot_be_calibrated_leaves_the_others(tmp_path, monkeypatch):
+    """What a single run raises stands in its place; a failure while units are iterated together ends one of them."""
+    campaign = small_campaign(tmp_path, trials="3" + ONE_MOTION)
+    recordings = [simulate(campaign.unit(0, k)[0]).recording for k in range(3)]
+    recordings[1] = recordings[1].with_sequences(())
+    first, refused, last = estimate_units(recordings, [Options()] * 3)
+    assert isinstance(refused, DataError)
+    assert "labelled sequences" in str(refused)
+    assert (first.status, last.status) == ("converged", "converged")
+
+    iterated = []
+
+    def failing(data, *args, **options):
+        iterated.append(len(data.units))
+        raise np.linalg.LinAlgError("of one unit")
+
+    monkeypatch.setattr(estimator, "iterate_units", failing)
+    again, _, _ = estimate_units(recordings, [Options()] * 3)
+    assert iterated == [2]
+    np.testing.assert_array_equal(
+        again.errors.vector, srt.calibrate(recordings[0], "closed-form", checks=False).errors.vector
+    )
+
+
+def test_a_campaign_runs_in_batches(tmp_path, monkeypatch):
+    """Every trial once, the same to the bit with one worker and with two, and to rounding by itself."""
+    campaign = small_campaign(tmp_path, trials="24" + ONE_MOTION)
+    assert batch_size(campaign) == 3
+    assert batch_size(replace(campaign, trials=10_000)) == LARGEST_BATCH
+    least_squares = replace(campaign.estimators[0], name="least-squares")
+    assert batch_size(replace(campaign, trials=10_000, estimators=(least_squares,))) == 1
+    sizes = []
+
+    def counted(campaign, tasks):
+        sizes.append(len(tasks))
+        return run_batch(campaign, tasks)
+
+    monkeypatch.setattr(run, "run_batch", counted)
+    table = run_campaign(campaign, tmp_path / "one")
+    assert sizes == [3] * 16
+    monkeypatch.undo()
+    assert same(table, run_campaign(campaign, tmp_path / "two", engine=Engine(2)))
+    rows = {(row["point"], row["replicate"]): row for row in numbers(table)}
+    assert len(rows) == campaign.size
+    (alone,) = run_trial(campaign, (1, 7))
+    for name in NAMES:
+        assert rows[1, 7][f"error_{name}"] == pytest.approx(alone[f"error_{name}"], rel=0, abs=1e-12)
