@@ -102,23 +102,35 @@ def estimate_units(recordings: Sequence[Recording], options: Sequence[Options]) 
     for group in groups:
         for (number, unit), solution in zip(group, _solutions([unit for _, unit in group]), strict=True):
             try:
-                out[number] = unit.calibration(unit.solution() if solution is None else solution)
+                out[number] = solution if isinstance(solution, Exception) else unit.calibration(solution)
             except Exception as error:
                 out[number] = error
     return [found for found in out if found is not None]
 
 
-def _solutions(units: list[_Unit]) -> Sequence[Solution | None]:
-    """Solutions of units of one schedule; None for those that are to be iterated alone."""
+def _solutions(units: list[_Unit]) -> Sequence[Solution | Exception]:
+    """Solutions of units of one schedule, each in its turn where they cannot be iterated together.
+
+    Raises
+    ------
+    Exception
+        A failure of the units together that none of them has alone.
+    """
     first = units[0]
-    if len(units) == 1:
-        return [None]
     start, U = np.stack([unit.first[0].vector for unit in units]), np.stack([unit.first[1] for unit in units])
     data = together([unit.data for unit in units])
     try:
         return iterate_units(data, first.options, first.formulas, start, U, fixed_sigma=first.uncertain)
-    except Exception:  # of one of the units, which ends it alone
-        return [None] * len(units)
+    except Exception:
+        found: list[Solution | Exception] = []
+        for unit in units:
+            try:
+                found.append(unit.solution())
+            except Exception as error:
+                found.append(error)
+        if not any(isinstance(solution, Exception) for solution in found):
+            raise
+        return found
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -372,11 +372,12 @@ def _wrong_rotation_angles(data: PreparedRecording, turned: Array, U: Array) -> 
     if fixture is None:
         return ()
     said = []
-    for k, sequence in enumerate(data.catalogue):
-        if sequence is None:
-            continue
-        nominal = U @ end_attitude(sequence) @ U.T
-        off = rotation_vector((nominal.T @ turned[k])[None])[0]
+    known = [(k, sequence) for k, sequence in enumerate(data.catalogue) if sequence is not None]
+    if not known:
+        return ()
+    nominal = U @ np.stack([end_attitude(sequence) for _, sequence in known]) @ U.T
+    errors = rotation_vector(np.swapaxes(nominal, 1, 2) @ turned[[k for k, _ in known]])
+    for (k, sequence), off in zip(known, errors, strict=True):
         # Every leg has its own error; about a misaligned axis a turn ends up to twice the misalignment away.
         legs = len(sequence.rotations)
         allowed = _SIGMAS * math.hypot(math.sqrt(legs) * fixture.rotation_sigma_rad, 2.0 * fixture.alignment_sigma_rad)

@@ -12,8 +12,9 @@ from sims import simulate
 from sims.robustness import run
 from sims.robustness.run import LARGEST_BATCH, batch_size, run_campaign
 from sims.robustness.trial import run_batch, run_trial
-from srt.closed_form import estimator
+from srt.closed_form import estimator, iteration
 from srt.closed_form.estimator import estimate_units
+from srt.closed_form.iteration import iterate_units
 from srt.comparison.parallel import Engine
 from srt.estimation.options import Options
 from srt.exceptions import DataError
@@ -63,8 +64,8 @@ def test_units_with_noise_agree_with_single_runs_to_a_billionth_of_sigma(tmp_pat
         np.testing.assert_allclose(found.sigma, alone.sigma, rtol=1e-9)
 
 
-def test_a_unit_that_cannot_be_calibrated_leaves_the_others(tmp_path, monkeypatch):
-    """What a single run raises stands in its place; a failure while units are iterated together ends one of them."""
+def test_a_unit_that_cannot_be_calibrated_leaves_the_others(tmp_path):
+    """What a single run raises stands in its place."""
     campaign = small_campaign(tmp_path, trials="3" + ONE_MOTION)
     recordings = [simulate(campaign.unit(0, k)[0]).recording for k in range(3)]
     recordings[1] = recordings[1].with_sequences(())
@@ -73,18 +74,36 @@ def test_a_unit_that_cannot_be_calibrated_leaves_the_others(tmp_path, monkeypatc
     assert "labelled sequences" in str(refused)
     assert (first.status, last.status) == ("converged", "converged")
 
-    iterated = []
 
-    def failing(data, *args, **options):
-        iterated.append(len(data.units))
-        raise np.linalg.LinAlgError("of one unit")
+def test_a_unit_that_fails_among_others_fails_alone(tmp_path, monkeypatch):
+    campaign = small_campaign(tmp_path, trials="3" + ONE_MOTION)
+    simulations = [simulate(campaign.unit(0, k)[0]) for k in range(3)]
+    recordings, given = [s.recording for s in simulations], [Options(start=s.truth) for s in simulations]
+    failing = simulations[1].truth.vector
 
-    monkeypatch.setattr(estimator, "iterate_units", failing)
-    again, _, _ = estimate_units(recordings, [Options()] * 3)
-    assert iterated == [2]
-    np.testing.assert_array_equal(
-        again.errors.vector, srt.calibrate(recordings[0], "closed-form", checks=False).errors.vector
-    )
+    def units(data, options, formulas, start, *rest, **stated):
+        if np.any(np.all(start == failing, axis=1)):
+            raise np.linalg.LinAlgError("of one unit")
+        return iterate_units(data, options, formulas, start, *rest, **stated)
+
+    monkeypatch.setattr(iteration, "iterate_units", units)
+    monkeypatch.setattr(estimator, "iterate_units", units)
+    first, failed, last = estimate_units(recordings, given)
+    assert isinstance(failed, np.linalg.LinAlgError)
+    assert (first.status, last.status) == ("converged", "converged")
+
+
+def test_a_failure_that_no_unit_has_alone_is_told(tmp_path, monkeypatch):
+    """Units together must not be slow for a defect that none of them shows."""
+    campaign = small_campaign(tmp_path, trials="2" + ONE_MOTION)
+    recordings = [simulate(campaign.unit(0, k)[0]).recording for k in range(2)]
+
+    def defect(*args, **stated):
+        raise ValueError("of all")
+
+    monkeypatch.setattr(estimator, "iterate_units", defect)
+    with pytest.raises(ValueError, match="of all"):
+        estimate_units(recordings, [Options()] * 2)
 
 
 def test_a_campaign_runs_in_batches(tmp_path, monkeypatch):
