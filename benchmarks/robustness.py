@@ -2,9 +2,9 @@
 
 ``python benchmarks/robustness.py`` runs 17 sequences at 100 Hz with noise, and short noise-free ones, through the
 closed form, each trial in a motion of its own and all in one, one trial after the other and in batches. The fixed
-numpy load of ``benchmarks/speed.py`` stands beside. ``--memory N`` runs N short trials in this process and prints the
-peak of its memory; ``--equal N`` compares N units of ±50 % and 0.3 rad with single runs. Ratios are of runs that take
-turns, so that a machine busy with other work moves them less.
+numpy load of ``benchmarks/numpy_load.py`` stands beside. ``--memory N`` runs N short trials in this process and prints
+the peak of its memory; ``--equal N`` compares N units of ±50 % and 0.3 rad with single runs. Ratios are of runs that
+take turns, so that a machine busy with other work moves them less.
 """
 
 import os
@@ -25,8 +25,8 @@ from dataclasses import replace
 from itertools import chain, islice
 from pathlib import Path
 
+from numpy_load import cpu_time, numpy_load
 from rich.console import Console
-from speed import cpu_time, numpy_load
 
 import srt
 from sims.robustness.campaign import Campaign, EstimatorChoice, load_campaign

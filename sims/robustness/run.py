@@ -78,8 +78,11 @@ def run_campaign(
 
 
 def batch_size(campaign: Campaign) -> int:
-    """Number of trials that a worker takes at a time: more than one where all estimators calibrate units as arrays."""
-    if not all(choice.name in TOGETHER for choice in campaign.estimators):
+    """Number of trials that a worker takes at a time.
+
+    More than one where units run through one motion, and all estimators calibrate them as arrays.
+    """
+    if campaign.trials_per_motion == 1 or not all(choice.name in TOGETHER for choice in campaign.estimators):
         return 1
     return min(LARGEST_BATCH, max(1, campaign.size // _SHARES))
 

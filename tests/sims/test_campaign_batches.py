@@ -113,6 +113,7 @@ def test_a_campaign_runs_in_batches(tmp_path, monkeypatch):
     assert batch_size(replace(campaign, trials=10_000)) == LARGEST_BATCH
     least_squares = replace(campaign.estimators[0], name="least-squares")
     assert batch_size(replace(campaign, trials=10_000, estimators=(least_squares,))) == 1
+    assert batch_size(replace(campaign, trials=10_000, trials_per_motion=1)) == 1
     sizes = []
 
     def counted(campaign, tasks):
