@@ -1,8 +1,10 @@
 """Speed and memory of campaigns: trials per second and core, CPU time of each part, two workers against one.
 
-``python benchmarks/robustness.py`` runs 17 sequences at 100 Hz with noise through the closed form, each trial in a
-motion of its own and all in one; ``--memory`` runs 10,000 short trials and prints the memory of all processes on the
-way. Ratios are of runs that take turns, so that a machine busy with other work moves them less.
+``python benchmarks/robustness.py`` runs 17 sequences at 100 Hz with noise, and short noise-free ones, through the
+closed form, each trial in a motion of its own and all in one, one trial after the other and in batches. The fixed
+numpy load of ``benchmarks/numpy_load.py`` stands beside. ``--memory N`` runs N short trials in this process and prints
+the peak of its memory; ``--equal N`` compares N units of ±50 % and 0.3 rad with single runs. Ratios are of runs that
+take turns, so that a machine busy with other work moves them less.
 """
 
 import os
@@ -11,28 +13,34 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import argparse
+import math
+import resource
 import statistics
+import sys
 import tempfile
 import time
+from collections import Counter
+from contextlib import suppress
 from dataclasses import replace
+from itertools import chain, islice
 from pathlib import Path
 
-import psutil
+from numpy_load import cpu_time, numpy_load
 from rich.console import Console
 
 import srt
 from sims.robustness.campaign import Campaign, EstimatorChoice, load_campaign
-from sims.robustness.run import run_campaign
-from sims.robustness.trial import run_trial
+from sims.robustness.run import LARGEST_BATCH, batched, run_campaign
+from sims.robustness.trial import run_batch, run_trial
 from sims.scenarios.simulation import simulate
 from srt.comparison.parallel import Engine
 from srt.estimation.options import Options
 from srt.model.platform_steps import COMPILED_RECORDINGS
+from srt.sensor_errors import NAMES
 
 console = Console(width=120)
 ROUNDS = 5
 """Rounds of a comparison; figures are their medians."""
-MIB = 2.0**20
 
 
 def full() -> Campaign:
@@ -50,19 +58,19 @@ def lean() -> Campaign:
     return replace(campaign, scenario={**campaign.scenario, "schedule": schedule, "recording": recording})
 
 
-def per_trial(campaign: Campaign, trials: int) -> float:
+def per_trial(campaign: Campaign, trials: int, batch: int) -> float:
     """CPU seconds of one trial in this process, mean: every tenth also computes the fixed point."""
-    spent = []
-    for k in range(trials + 1):
-        began = time.thread_time()
-        run_trial(campaign, (k % len(campaign.points), k // len(campaign.points)))
-        spent.append(time.thread_time() - began)
-    return statistics.mean(spent[1:])  # the first one imports
+    tasks = islice(campaign.tasks, 1, None)
+    run_batch(campaign, [(0, 0)])  # the first one imports
+    began = time.thread_time()
+    for own in batched(islice(tasks, trials), batch):
+        run_batch(campaign, own)
+    return (time.thread_time() - began) / trials
 
 
 def parts(campaign: Campaign, trials: int) -> dict[str, float]:
     """CPU milliseconds of the parts of a trial, medians."""
-    rows: dict[str, list[float]] = {"simulate": [], "calibrate": [], "again from the true errors": []}
+    rows: dict[str, list[float]] = {"simulate": [], "calibrate": [], "from the true errors": [], "with all checks": []}
     for k in range(trials):
         scenario, _ = campaign.unit(0, k)
         t0 = time.thread_time()
@@ -72,7 +80,10 @@ def parts(campaign: Campaign, trials: int) -> dict[str, float]:
         t2 = time.thread_time()
         srt.calibrate(simulation.recording, "closed-form", start=simulation.truth, checks=False)
         t3 = time.thread_time()
-        for row, spent in zip(rows.values(), (t1 - t0, t2 - t1, t3 - t2), strict=True):
+        with suppress(srt.SrtError):  # units far from those of a data sheet have faults
+            srt.calibrate(replace(simulation.recording), "closed-form")
+        t4 = time.thread_time()
+        for row, spent in zip(rows.values(), (t1 - t0, t2 - t1, t3 - t2, t4 - t3), strict=True):
             row.append(1e3 * spent)
     return {name: statistics.median(row) for name, row in rows.items()}
 
@@ -84,17 +95,45 @@ def wall(campaign: Campaign, workers: int, folder: Path) -> float:
 
 
 def speed(trials: int) -> None:
+    console.print("| trials | motion | fixed point | batch | ms of CPU | a second and core | numpy loads |")
+    console.print("|---|---|---|---:|---:|---:|---:|")
     for name, campaign in (("17 sequences, 100 Hz, noise", full()), ("50 Hz, 2 s of dwell, 2 rad/s", lean())):
-        for motions, size in (("a motion each", 1), ("one motion", trials + 1)):
+        for motion, size in (("each", 1), ("one", trials + 1)):
             for checked in (True, False):
                 # As many trials as numba needs to be worth its start.
                 chosen = replace(campaign, fixed_point=checked, trials_per_motion=size, trials=COMPILED_RECORDINGS)
-                each = per_trial(chosen, trials)
-                what = f"{motions}, {'fixed point checked' if checked else 'status believed'}"
-                per_s = 1.0 / each
-                console.print(f"{name}, {what}: {per_s:.1f} trials per second and core ({1e3 * each:.1f} ms of CPU)")
-        shares = ", ".join(f"{part} {spent:.1f} ms" for part, spent in parts(campaign, trials).items())
-        console.print(f"  of which, with a motion each, {shares}")
+                for batch in (1, LARGEST_BATCH):
+                    load_s, each = cpu_time(numpy_load), per_trial(chosen, trials, batch)
+                    figures = f"{1e3 * each:.1f} | {1.0 / each:.1f} | {each / load_s:.3f}"
+                    what = "checked" if checked else "not checked"
+                    console.print(f"| {name} | {motion} | {what} | {batch} | {figures} |")
+        shares = ", ".join(f"{part} {spent:.1f} ms" for part, spent in parts(campaign, min(trials, 20)).items())
+        console.print(f"\n{name}, parts of a trial one after the other: {shares}\n")
+
+
+def equal(trials: int) -> float:
+    """Largest difference of an estimate in a batch from that of a single run, in sigma."""
+    campaign = lean()
+    recording = {**campaign.scenario["recording"], "noise": True}
+    grid = {**campaign.grid, "scale_percent": (50.0,), "misalignment_mrad": (300.0,)}
+    campaign = replace(
+        campaign, scenario={**campaign.scenario, "recording": recording}, grid=grid, trials=trials,
+        trials_per_motion=trials, fixed_point=False,
+    )  # fmt: skip
+    tasks = list(campaign.tasks)
+    together = chain(*(run_batch(campaign, own) for own in batched(tasks, LARGEST_BATCH)))
+    outcomes, largest = Counter[str](), 0.0
+    for (row,), task in zip(together, tasks, strict=True):
+        (alone,) = run_trial(campaign, task)
+        if (row["outcome"], row.get("message")) != (alone["outcome"], alone.get("message")):
+            console.print(f"trial {task}: {row['outcome']} in a batch, {alone['outcome']} alone")
+            largest = math.inf
+        outcomes[row["outcome"]] += 1
+        if row["outcome"] == "converged":
+            largest = max(largest, *(abs(row[f"error_{n}"] - alone[f"error_{n}"]) / alone[f"sigma_{n}"] for n in NAMES))
+    console.print(f"{trials} units of ±50 % and 0.3 rad, with noise, in batches of {LARGEST_BATCH}: {dict(outcomes)}")
+    console.print(f"largest difference from single runs: {largest:.1e} sigma")
+    return largest
 
 
 def workers(trials: int) -> None:
@@ -114,33 +153,39 @@ def workers(trials: int) -> None:
 
 def memory(trials: int) -> None:
     campaign = lean()
-    campaign = replace(campaign, trials=-(-trials // len(campaign.points)))
-    me = psutil.Process()
+    campaign = replace(campaign, trials=-(-trials // len(campaign.points)), trials_per_motion=100)
 
     def look(done: int, size: int) -> None:
-        if done and done % (size // 10) == 0:
-            used = [me.memory_info().rss, *(child.memory_info().rss for child in me.children(recursive=True))]
-            mine, largest = used[0] / MIB, max(used[1:], default=0.0) / MIB
-            console.print(f"{done} trials: this process {mine:.0f} MiB, the largest worker {largest:.0f} MiB")
+        if done == size:
+            peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+            console.print(f"{done} trials: peak of the memory {peak:.0f} MiB")
 
+    load_s, began = cpu_time(numpy_load), time.process_time()
     with tempfile.TemporaryDirectory() as folder:
-        began = time.perf_counter()
-        run_campaign(campaign, Path(folder), engine=Engine(2), progress=look)
-        spent = time.perf_counter() - began
-    console.print(f"{campaign.size} trials in {spent:.0f} s on two workers ({campaign.size / spent:.1f} per second)")
+        run_campaign(campaign, Path(folder), progress=look)
+    spent = time.process_time() - began
+    each = spent / campaign.size
+    console.print(
+        f"{spent:.0f} s of CPU, {1.0 / each:.1f} trials a second and core ({each / load_s:.3f} numpy loads each); "
+        f"100,000 would take {1e5 * each / 60.0:.0f} minutes of CPU"
+    )
 
 
-def main() -> None:
+def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--trials", type=int, default=60, help="of each figure (default 60)")
-    parser.add_argument("--memory", action="store_true", help="10,000 trials instead, and what they hold")
+    parser.add_argument("--memory", type=int, metavar="N", help="run N trials of a campaign instead")
+    parser.add_argument("--equal", type=int, metavar="N", help="compare N units with single runs instead")
     arguments = parser.parse_args()
     if arguments.memory:
-        memory(10_000)
-        return
-    speed(arguments.trials)
-    workers(arguments.trials)
+        memory(arguments.memory)
+    elif arguments.equal:
+        return int(equal(arguments.equal) > 1e-9)
+    else:
+        speed(arguments.trials)
+        workers(arguments.trials)
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -28,6 +28,7 @@ import accuracy_trials
 import numpy as np
 import recorded_sets
 import robustness
+from numpy_load import cpu_time, numpy_load
 
 import srt
 from sims.physics.imu import read_out
@@ -66,23 +67,6 @@ class Row:
     def text(self) -> str:
         limit = "" if self.limit_s is None else f"{self.seconds / self.limit_s:.0f}"
         return f"| {self.name} | {self.seconds * 1e3:.1f} | {self.seconds / self.load_s:.3f} | {limit} | {self.peer} |"
-
-
-def numpy_load() -> None:
-    """Fixed work: element-wise, sorting and small dense matrices, about as a calibration mixes them."""
-    rng = np.random.default_rng(0)
-    for _ in range(12):
-        matrix = rng.standard_normal((400, 400))
-        np.linalg.inv(matrix)
-        np.sort(rng.standard_normal(200_000))
-        np.cumsum(matrix)
-
-
-def cpu_time(call: Callable[[], object]) -> float:
-    """CPU time of a call, s."""
-    began = time.process_time()
-    call()
-    return time.process_time() - began
 
 
 def sum_once(recording: srt.Recording) -> float:

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from functools import partial
+from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from sims.robustness.result_folder import ResultFolder
-from sims.robustness.trial import run_trial
+from sims.robustness.trial import TOGETHER, run_batch
 from srt.comparison.parallel import Engine
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable, Iterator
     from os import PathLike
 
     import pyarrow as pa
@@ -19,6 +20,11 @@ if TYPE_CHECKING:
     from sims.robustness.campaign import Campaign
 
     Progress = Callable[[int, int], None]
+
+LARGEST_BATCH: Final = 32
+"""Largest number of trials of a batch: their recordings are in memory together."""
+_SHARES: Final = 16
+"""Least number of batches of a campaign, so that the workers finish together and an interruption costs little."""
 
 
 def run_campaign(
@@ -61,9 +67,28 @@ def run_campaign(
         if progress is not None:
             progress(finished, campaign.size)
         left = (task for task in campaign.tasks if task not in store.done)
-        for rows in (engine or Engine()).run(partial(run_trial, campaign), left):
-            store.add(rows)
-            finished += 1
+        batches = batched(left, batch_size(campaign))
+        for trials in (engine or Engine()).run(partial(run_batch, campaign), batches):
+            for rows in trials:
+                store.add(rows)
+            finished += len(trials)
             if progress is not None:
                 progress(finished, campaign.size)
         return store.finish()
+
+
+def batch_size(campaign: Campaign) -> int:
+    """Number of trials that a worker takes at a time.
+
+    More than one where units run through one motion, and all estimators calibrate them as arrays.
+    """
+    if campaign.trials_per_motion == 1 or not all(choice.name in TOGETHER for choice in campaign.estimators):
+        return 1
+    return min(LARGEST_BATCH, max(1, campaign.size // _SHARES))
+
+
+def batched(tasks: Iterable[tuple[int, int]], size: int) -> Iterator[tuple[tuple[int, int], ...]]:
+    """Tasks in batches, in their order."""
+    left = iter(tasks)
+    while batch := tuple(islice(left, size)):
+        yield batch

@@ -12,15 +12,21 @@ import srt
 from sims.physics.imu import is_imu
 from sims.robustness.campaign import drawn_prior
 from sims.scenarios.simulation import simulate
+from srt.closed_form.estimator import estimate_units
 from srt.constants import STANDARD_GRAVITY_M_S2
+from srt.estimation.registry import automatic_estimator
 from srt.exceptions import SrtError
 from srt.model.platform_steps import many_recordings
 from srt.result.verdict import USABLE
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from sims.robustness.campaign import Campaign, EstimatorChoice
     from sims.scenarios.simulation import Simulation
+    from srt.estimation.options import Options
+    from srt.recording.recording import Recording
     from srt.result.calibration import Calibration
     from srt.sensor_errors import SensorErrors
 
@@ -56,6 +62,8 @@ solution there. The limit is a thirtieth of that.
 """
 SAMPLED: Final = 10
 """Every so many trials the fixed point is computed in any case: an estimator that stops too early is noticed."""
+TOGETHER: Final = ("closed-form",)
+"""Estimators of which a batch is calibrated as arrays."""
 _NEWTON: Final = ("closed-form",)
 """Estimators to which this applies. A filter that passes over the data once, or a robust loss, depends on its start."""
 
@@ -74,86 +82,147 @@ def run_trial(campaign: Campaign, task: tuple[int, int]) -> list[Row]:
     list of dict
         One row for each estimator: the columns of :mod:`sims.robustness.result_folder`.
     """
+    return run_batch(campaign, (task,))[0]
+
+
+def run_batch(campaign: Campaign, tasks: Sequence[tuple[int, int]]) -> list[list[Row]]:
+    """Rows of :func:`run_trial` of several trials, of which the closed form iterates those of one motion as arrays.
+
+    The draws of a trial are its own, so that its numbers depend on the other trials of the batch by rounding alone.
+    """
     # Overflow far from a solution is expected: the outcome of the trial records the failure.
     with np.errstate(all="ignore"), many_recordings(campaign.size):
-        return _run(campaign, *task)
+        return _run(campaign, tasks)
 
 
-def _run(campaign: Campaign, point: int, number: int) -> list[Row]:
-    began = time.thread_time()
-    scenario, values = campaign.unit(point, number)
-    simulation = simulate(scenario)
-    row = {"point": point, "replicate": number, "seed": scenario.seed, **values}
-    row |= {f"truth_{name}": value for name, value in simulation.truth.as_dict().items()}
-    row["simulate_s"] = time.thread_time() - began
-    if not is_imu(simulation.truth):
-        return [row | {"estimator": e.label, "outcome": "no_imu"} for e in campaign.estimators]
-    sampled = number % SAMPLED == 0
-    return [row | score(simulation, e, fixed_point=campaign.fixed_point, sampled=sampled) for e in campaign.estimators]
+def _run(campaign: Campaign, tasks: Sequence[tuple[int, int]]) -> list[list[Row]]:
+    rows: list[Row] = []
+    simulations: list[Simulation] = []
+    for point, number in tasks:
+        began = time.thread_time()
+        scenario, values = campaign.unit(point, number)
+        simulation = simulate(scenario)
+        row = {"point": point, "replicate": number, "seed": scenario.seed, **values}
+        row |= {f"truth_{name}": value for name, value in simulation.truth.as_dict().items()}
+        row["simulate_s"] = time.thread_time() - began
+        rows.append(row)
+        simulations.append(simulation)
+    possible = [u for u, simulation in enumerate(simulations) if is_imu(simulation.truth)]
+    sampled = [tasks[u][1] % SAMPLED == 0 for u in possible]
+    out = [[row | {"estimator": e.label, "outcome": "no_imu"} for e in campaign.estimators] for row in rows]
+    for column, choice in enumerate(campaign.estimators):
+        own = [simulations[u] for u in possible]
+        for u, found in zip(possible, scores(own, choice, sampled, fixed_point=campaign.fixed_point), strict=True):
+            out[u][column] = rows[u] | found
+    return out
 
 
 def score(simulation: Simulation, choice: EstimatorChoice, *, fixed_point: bool, sampled: bool = True) -> Row:
+    """:func:`scores` of one simulation."""
+    return scores([simulation], choice, [sampled], fixed_point=fixed_point)[0]
+
+
+def scores(
+    simulations: Sequence[Simulation], choice: EstimatorChoice, sampled: Sequence[bool], *, fixed_point: bool
+) -> list[Row]:
     """Calibrate with one estimator; compare with the truth and with the fixed point reached from the truth.
 
     Parameters
     ----------
-    simulation : Simulation
+    simulations : sequence of Simulation
     choice : EstimatorChoice
+    sampled : sequence of bool
+        False: the fixed point is computed only if the result may be another one; else its distance is not known.
     fixed_point : bool
         True: compare with the fixed point. False: the reported status is not verified.
-    sampled : bool
-        False: the fixed point is computed only if the result may be another one; else its distance is not known.
 
     Returns
     -------
-    dict
-        The columns of one row that depend on the estimator.
+    list of dict
+        The columns of a row that depend on the estimator, for each simulation.
     """
-    truth = simulation.truth
-    prior = drawn_prior(simulation.scenario) if choice.drawn_prior else choice.options.prior
-    given = replace(choice.options, prior=prior)
-    at_truth = replace(given, start=truth)
-    options = at_truth if choice.from_truth else given
+    at_truth = []
+    for simulation in simulations:
+        prior = drawn_prior(simulation.scenario) if choice.drawn_prior else choice.options.prior
+        at_truth.append(replace(choice.options, prior=prior, start=simulation.truth))
+    given = [options if choice.from_truth else replace(options, start=choice.options.start) for options in at_truth]
+    recordings = [simulation.recording for simulation in simulations]
+    results = _calibrated(recordings, choice.name, given)
+    rows = [
+        _score(choice, found, simulation.truth, spent)
+        for simulation, (found, spent) in zip(simulations, results, strict=True)
+    ]
+    if not fixed_point:
+        return rows
+    to_compare: list[int] = []
+    for u, ((found, _), simulation) in enumerate(zip(results, simulations, strict=True)):
+        if isinstance(found, Exception) or found.status not in USABLE:
+            continue
+        if choice.from_truth:
+            rows[u]["distance"] = 0.0
+        elif not sampled[u] and is_unique(found, simulation.truth):
+            rows[u]["distance"] = None
+        else:
+            to_compare.append(u)
+    references = _calibrated([recordings[u] for u in to_compare], choice.name, [at_truth[u] for u in to_compare])
+    for u, (reference, _) in zip(to_compare, references, strict=True):
+        found = results[u][0]
+        assert not isinstance(found, Exception)
+        if isinstance(reference, Exception):  # any failure leaves no reference result
+            rows[u]["message"] = f"{found.message} From the true errors: {reference}"
+        if isinstance(reference, Exception) or reference.status not in USABLE:
+            rows[u]["outcome"] = "unverified"
+        else:
+            rows[u]["distance"] = distance(found, reference)
+            rows[u]["outcome"] = "converged" if rows[u]["distance"] <= 1.0 else "wrong_minimum"
+    return rows
+
+
+def _calibrated(
+    recordings: Sequence[Recording], name: str, options: Sequence[Options]
+) -> list[tuple[Calibration | Exception, float]]:
+    """Calibration of each recording, or what is raised instead, and its CPU time, s; closed forms as arrays."""
     began = time.thread_time()
-    try:
-        found = srt.calibrate(simulation.recording, choice.name, options=options, checks=False)
-    except SrtError as error:
-        return _without_result(choice, "refused", str(error), began)
-    except Exception as error:  # a defect is an outcome: the other trials continue
-        return _without_result(choice, "crashed", f"{type(error).__name__}: {error}", began)
-    row: Row = {
+    if (
+        len(recordings) > 1
+        and name in ("auto", *TOGETHER)
+        and all(automatic_estimator(r) in TOGETHER for r in recordings)
+    ):
+        results = estimate_units(recordings, options)
+        spent = (time.thread_time() - began) / len(results)
+        return [(found, spent) for found in results]
+    out: list[tuple[Calibration | Exception, float]] = []
+    for recording, chosen in zip(recordings, options, strict=True):
+        began = time.thread_time()
+        found: Calibration | Exception
+        try:
+            found = srt.calibrate(recording, name, options=chosen, checks=False)
+        except Exception as error:  # a defect is an outcome: the other trials continue
+            found = error
+        out.append((found, time.thread_time() - began))
+    return out
+
+
+def _score(choice: EstimatorChoice, found: Calibration | Exception, truth: SensorErrors, spent: float) -> Row:
+    """Columns of one result before it is compared with the fixed point."""
+    if isinstance(found, SrtError):
+        return _without_result(choice, "refused", str(found), spent)
+    if isinstance(found, Exception):
+        return _without_result(choice, "crashed", f"{type(found).__name__}: {found}", spent)
+    return {
         "estimator": choice.label,
         "status": found.status,
         "message": found.message,
         "outcome": "converged" if found.status in USABLE else found.status,
         "playbacks": len(found.corrections),
-        "calibrate_s": time.thread_time() - began,
+        "calibrate_s": spent,
         # Normalised innovations of a filter, over their degrees of freedom, in the order of time
         "nis": [row.nis / row.degrees_of_freedom for row in found.diagnostics.filter or ()],
         **errors_of(found, truth),
     }
-    if found.status in USABLE and fixed_point:
-        if choice.from_truth:
-            row["distance"] = 0.0
-            return row
-        if not sampled and is_unique(found, truth):
-            row["distance"] = None
-            return row
-        try:
-            reference = srt.calibrate(simulation.recording, choice.name, options=at_truth, checks=False)
-        except Exception as error:  # any failure leaves no reference result
-            row["message"] = f"{found.message} From the true errors: {error}"
-            reference = None
-        if reference is None or reference.status not in USABLE:
-            row["outcome"] = "unverified"
-        else:
-            row["distance"] = distance(found, reference)
-            row["outcome"] = "converged" if row["distance"] <= 1.0 else "wrong_minimum"
-    return row
 
 
-def _without_result(choice: EstimatorChoice, outcome: str, message: str, began: float) -> Row:
-    spent = time.thread_time() - began
+def _without_result(choice: EstimatorChoice, outcome: str, message: str, spent: float) -> Row:
     return {"estimator": choice.label, "outcome": outcome, "message": message, "calibrate_s": spent}
 
 

@@ -7,7 +7,7 @@ and one chi-square for each triad shows a drift of its biases. ``least-squares``
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -15,7 +15,7 @@ from scipy.special import chdtrc
 
 from srt.closed_form.fixture_accuracy import fixture_excess
 from srt.closed_form.formulas import SelectedFormulas
-from srt.closed_form.iteration import iterate
+from srt.closed_form.iteration import iterate, iterate_units
 from srt.closed_form.leave_one_out import contradictions, second_order_variance, sequence_diagnostics
 from srt.closed_form.measurement_covariance import accel_drift, covariance, disturbances, effect
 from srt.estimation import g_sensitivity_report
@@ -45,15 +45,18 @@ from srt.result.verdict import MISFIT_PROBABILITY
 from srt.sensor_errors import NAMES, SensorErrors
 from srt.sequences.checked_preparation import prepare_checked
 from srt.sequences.moves import recorded_moves
+from srt.sequences.prepared_units import alike, together
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from srt.closed_form.iteration import Solution
     from srt.estimation.drift_model import Sensor
     from srt.estimation.error_sources import UnmodelledErrors
     from srt.estimation.options import Options
     from srt.estimation.registry import Progress
     from srt.noise.drift_forms import DriftTest, Statistics
-    from srt.recording.recording import Recording
+    from srt.recording.recording import Recording, SequenceLabel
     from srt.result.calibration import Calibration
     from srt.result.diagnostics import GSensitivity
     from srt.sequences.preparation import PreparedRecording
@@ -71,41 +74,135 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
     DataError
         If the recording has no fixture, or its sequences are not those of Table 1.
     """
-    options.refuse(("loss", "filter", "prior", "fixture_states", "live", "targets"), "The closed form")
-    labels = tuple(s for s in recording.sequences if s.id in SEQUENCES)
-    if recording.fixture is None or not labels:
-        raise DataError(
-            "The closed form needs labelled sequences of Table 1 on a fixture, and this recording has none; "
-            "use the least-squares estimator."
-        )
-    data = prepare_checked(recording, labels, options.average)
-    uncertain = fixed_sigma(data, options)
-    formulas = SelectedFormulas(data, options)
-    initial, U = initial_estimate(data, options)
-    first = SensorErrors(np.where(formulas.fixed, fixed_values(data, options, initial).vector, initial.vector)), U
-    solution = iterate(data, options, formulas, *first, progress, fixed_sigma=uncertain)
-    used = options
-    if options.gyro_bias == "auto" and _shows_g_sensitivity(data, solution, formulas.fixed):
-        used = replace(options, gyro_bias=G_SENSITIVE)
-        solution = iterate(data, used, formulas, *first, progress, fixed_sigma=uncertain)
-    data, solution = _with_instability(data, used, formulas, solution, uncertain)
-    excess, stated = NO_ERRORS, data
-    if solution.status == "converged" and any(excess := fixture_excess(data, solution)):
-        data = _less_accurate(data, excess)
-        solution = iterate(data, used, formulas, solution.errors, solution.U, fixed_sigma=uncertain)
-    fixed = {name: reason_on_request(name, uncertain, data) for name in options.fixed_names}
-    for name in formulas.missing:
-        absent = [s for s in closed_form.sequences_needed(name) if s not in data.ids]
-        value = value_of_fixed(name, uncertain, data, options)
-        fixed[name] = f"sequence {', '.join(absent)} is missing or void; {value}"
-    unused = [s.title for s in recording.sequences if s.id not in SEQUENCES]
-    warnings = (f"Not of Table 1 and not used by the closed form: {', '.join(unused)}.",) if unused else ()
-    result = _result(data, options, formulas, solution, np.array([name in fixed for name in NAMES]))
-    result = replace(result, unmodelled=excess)
-    if not options.ignore_moves:
-        moves = len(recorded_moves(recording, labels))
-        result = replace(result, diagnostics=replace(result.diagnostics, unused_moves=moves))
-    return build_calibration("closed-form", stated, options, result, fixed, warnings=warnings)
+    unit = _Unit.of(recording, options)
+    return unit.calibration(unit.solution(progress), progress)
+
+
+def estimate_units(recordings: Sequence[Recording], options: Sequence[Options]) -> list[Calibration | Exception]:
+    """Calibrate units, with those of one schedule as arrays; results are those of :func:`estimate` to rounding.
+
+    Parameters
+    ----------
+    recordings : sequence of Recording
+    options : sequence of Options
+        Of each recording. Units with different options, except for the errors to start from, are iterated apart.
+
+    Returns
+    -------
+    list of Calibration or Exception
+        Of each unit: its calibration, or what :func:`estimate` raises for it.
+    """
+    out: list[Calibration | Exception | None] = [None] * len(recordings)
+    groups: list[list[tuple[int, _Unit]]] = []
+    for number, (recording, chosen) in enumerate(zip(recordings, options, strict=True)):
+        try:
+            unit = _Unit.of(recording, chosen)
+        except Exception as error:  # a unit that cannot be calibrated leaves the others
+            out[number] = error
+            continue
+        group = next((own for own in groups if own[0][1].is_like(unit)), None)
+        if group is None:
+            groups.append([(number, unit)])
+        else:
+            group.append((number, replace(unit, formulas=group[0][1].formulas)))
+    for group in groups:
+        for (number, unit), solution in zip(group, _solutions([unit for _, unit in group]), strict=True):
+            try:
+                out[number] = solution if isinstance(solution, Exception) else unit.calibration(solution)
+            except Exception as error:
+                out[number] = error
+    return [found for found in out if found is not None]
+
+
+def _solutions(units: list[_Unit]) -> Sequence[Solution | Exception]:
+    """Solutions of units of one schedule, each in its turn where they cannot be iterated together.
+
+    Raises
+    ------
+    Exception
+        A failure of the units together that none of them has alone.
+    """
+    first = units[0]
+    start, U = np.stack([unit.first[0].vector for unit in units]), np.stack([unit.first[1] for unit in units])
+    data = together([unit.data for unit in units])
+    try:
+        return iterate_units(data, first.options, first.formulas, start, U, fixed_sigma=first.uncertain)
+    except Exception:
+        found: list[Solution | Exception] = []
+        for unit in units:
+            try:
+                found.append(unit.solution())
+            except Exception as error:
+                found.append(error)
+        if not any(isinstance(solution, Exception) for solution in found):
+            raise
+        return found
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Unit:
+    """Recording before the iteration: prepared, with initial estimate and its uncertainty where it is fixed."""
+
+    recording: Recording
+    options: Options
+    labels: tuple[SequenceLabel, ...]
+    data: PreparedRecording
+    uncertain: Array
+    formulas: SelectedFormulas
+    first: tuple[SensorErrors, Array]
+
+    @classmethod
+    def of(cls, recording: Recording, options: Options) -> _Unit:
+        options.refuse(("loss", "filter", "prior", "fixture_states", "live", "targets"), "The closed form")
+        labels = tuple(s for s in recording.sequences if s.id in SEQUENCES)
+        if recording.fixture is None or not labels:
+            raise DataError(
+                "The closed form needs labelled sequences of Table 1 on a fixture, and this recording has none; "
+                "use the least-squares estimator."
+            )
+        data = prepare_checked(recording, labels, options.average)
+        uncertain = fixed_sigma(data, options)
+        formulas = SelectedFormulas(data, options)
+        initial, U = initial_estimate(data, options)
+        first = SensorErrors(np.where(formulas.fixed, fixed_values(data, options, initial).vector, initial.vector)), U
+        return cls(recording, options, labels, data, uncertain, formulas, first)
+
+    def is_like(self, other: _Unit) -> bool:
+        """True if the two can be iterated together."""
+        start = SensorErrors()  # the initial estimates are arrays by unit
+        own, others = (replace(unit.options, start=start) for unit in (self, other))
+        return own == others and np.array_equal(self.uncertain, other.uncertain) and alike(self.data, other.data)
+
+    def solution(self, progress: Progress | None = None) -> Solution:
+        return iterate(self.data, self.options, self.formulas, *self.first, progress, fixed_sigma=self.uncertain)
+
+    def calibration(self, solution: Solution, progress: Progress | None = None) -> Calibration:
+        """Calibration of the solution, or of one with other noise or g-sensitivity if the residuals show them."""
+        recording, options, data, formulas, uncertain = (
+            self.recording, self.options, self.data, self.formulas, self.uncertain,
+        )  # fmt: skip
+        used = options
+        if options.gyro_bias == "auto" and _shows_g_sensitivity(data, solution, formulas.fixed):
+            used = replace(options, gyro_bias=G_SENSITIVE)
+            solution = iterate(data, used, formulas, *self.first, progress, fixed_sigma=uncertain)
+        data, solution = _with_instability(data, used, formulas, solution, uncertain)
+        excess, stated = NO_ERRORS, data
+        if solution.status == "converged" and any(excess := fixture_excess(data, solution)):
+            data = _less_accurate(data, excess)
+            solution = iterate(data, used, formulas, solution.errors, solution.U, fixed_sigma=uncertain)
+        fixed = {name: reason_on_request(name, uncertain, data) for name in options.fixed_names}
+        for name in formulas.missing:
+            absent = [s for s in closed_form.sequences_needed(name) if s not in data.ids]
+            value = value_of_fixed(name, uncertain, data, options)
+            fixed[name] = f"sequence {', '.join(absent)} is missing or void; {value}"
+        unused = [s.title for s in recording.sequences if s.id not in SEQUENCES]
+        warnings = (f"Not of Table 1 and not used by the closed form: {', '.join(unused)}.",) if unused else ()
+        result = _result(data, options, formulas, solution, np.array([name in fixed for name in NAMES]))
+        result = replace(result, unmodelled=excess)
+        if not options.ignore_moves:
+            moves = len(recorded_moves(recording, self.labels))
+            result = replace(result, diagnostics=replace(result.diagnostics, unused_moves=moves))
+        return build_calibration("closed-form", stated, options, result, fixed, warnings=warnings)
 
 
 def _less_accurate(data: PreparedRecording, excess: UnmodelledErrors) -> PreparedRecording:

@@ -75,6 +75,7 @@ class SelectedFormulas:
     """
 
     def __init__(self, data: PreparedRecording, options: Options) -> None:
+        self._without: dict[int, SelectedFormulas] = {}
         self._select(data, options, data.ids, averaged_components(data))
 
     def _select(self, data: PreparedRecording, options: Options, ids: Collection[str], averaged: Array) -> None:
@@ -98,11 +99,13 @@ class SelectedFormulas:
         DataError
             If they support no formula at all.
         """
-        ids = (*self.data.ids[:k], *self.data.ids[k + 1 :])
-        out = object.__new__(SelectedFormulas)
-        averaged = averaged_components(self.data, k) if self.data.ids[k] in ids else self._averaged
-        out._select(self.data, self.options, ids, averaged)
-        return out
+        if k not in self._without:
+            ids = (*self.data.ids[:k], *self.data.ids[k + 1 :])
+            out = object.__new__(SelectedFormulas)
+            averaged = averaged_components(self.data, k) if self.data.ids[k] in ids else self._averaged
+            out._select(self.data, self.options, ids, averaged)
+            self._without[k] = out  # for the other units of this schedule
+        return self._without[k]
 
     @cached_property
     def fixed(self) -> Mask:

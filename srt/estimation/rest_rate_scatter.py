@@ -71,10 +71,12 @@ def gyro_instability(
     owner : ndarray of int, shape (W,)
         Sequence of each window.
     """
-    courses = {"instability": data.drift.windows, "sequences": np.eye(data.K)[owner]}
+    # A root of the same covariance with a column a window: that of the drift has one for each part of each rotation.
+    root = np.asarray(np.linalg.qr(data.drift.windows.T, mode="r")).T
+    courses = {"instability": root, "sequences": np.eye(data.K)[owner]}
     found = gyro_statistics(data, slope, rest, integrated, present, courses)
-    flicker, scatter = (variance_component(found[name]) for name in courses)
-    if flicker.p_value > MISFIT_PROBABILITY or flicker.ratio < scatter.ratio:
+    flicker = variance_component(found["instability"])
+    if flicker.p_value > MISFIT_PROBABILITY or flicker.ratio < variance_component(found["sequences"]).ratio:
         return None
     return math.sqrt(expected_variance(found["instability"], 0.0, (0.0, math.inf))), flicker.ratio
 

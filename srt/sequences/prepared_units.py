@@ -83,7 +83,7 @@ def together(units: Sequence[PreparedRecording]) -> PreparedUnits:
     """
     first = units[0]
     for number, unit in enumerate(units[1:], 2):
-        if not _alike(first, unit):
+        if not alike(first, unit):
             raise InputError(
                 f"Unit {number} differs from the first in schedule, labels, site, fixture or stated noise, but units "
                 "that are calibrated together have these in common: calibrate it by itself."
@@ -101,7 +101,7 @@ def _joined(units: Sequence[PreparedRecording]) -> PreparedUnits:
     return PreparedUnits(**{**shared, "windows": windows}, units=tuple(units))
 
 
-def _alike(first: PreparedRecording, unit: PreparedRecording) -> bool:
+def alike(first: PreparedRecording, unit: PreparedRecording) -> bool:
     """True if two units went through one schedule on one fixture."""
     a, b = first.recording, unit.recording
     return (

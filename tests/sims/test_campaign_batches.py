@@ -1,0 +1,132 @@
+"""Batches of a campaign: units of one motion as arrays, with the results of each by itself."""
+
+from dataclasses import replace
+from itertools import chain
+
+import numpy as np
+import pytest
+from small_campaign import TIMES, numbers, same, small_campaign
+
+import srt
+from sims import simulate
+from sims.robustness import run
+from sims.robustness.run import LARGEST_BATCH, batch_size, run_campaign
+from sims.robustness.trial import run_batch, run_trial
+from srt.closed_form import estimator, iteration
+from srt.closed_form.estimator import estimate_units
+from srt.closed_form.iteration import iterate_units
+from srt.comparison.parallel import Engine
+from srt.estimation.options import Options
+from srt.exceptions import DataError
+from srt.sensor_errors import NAMES
+
+ONE_MOTION = "\ntrials_per_motion = 100"
+
+
+def by_batches(campaign, size):
+    tasks = list(campaign.tasks)
+    return list(chain(*chain(*(run_batch(campaign, tasks[a : a + size]) for a in range(0, len(tasks), size)))))
+
+
+def assert_alike(one, other):
+    """Numbers equal to rounding: errors to 1e-12 and 1e-9 sigma, all that are no numbers exactly."""
+    assert one.keys() == other.keys()
+    for name in set(one) - {*TIMES, "nees", "largest", "distance"}:
+        if name.startswith("error_"):
+            assert other[name] == pytest.approx(one[name], rel=0, abs=1e-12, nan_ok=True)
+        elif name.startswith("sigma_"):
+            assert other[name] == pytest.approx(one[name], rel=1e-7, abs=1e-12, nan_ok=True)
+        else:
+            assert other[name] == one[name]
+
+
+def test_batches_of_any_size_give_the_same(tmp_path):
+    """Units of ±50 % and 0.3 rad, of which some cannot be calibrated, and some lack sequences."""
+    extra = "missing_sequences = { choices = [0, 0, 0, 2] }\n"
+    campaign = small_campaign(tmp_path, trials="6" + ONE_MOTION, extra=extra)
+    campaign = replace(campaign, grid={"scale_percent": (50, 90), "misalignment_mrad": (300,)})
+    one, three, all_of_them = (by_batches(campaign, size) for size in (1, 5, 12))
+    assert {"converged", "no_imu"} <= {row["outcome"] for row in one}
+    for row, *others in zip(one, three, all_of_them, strict=True):
+        for other in others:
+            assert_alike(row, other)
+
+
+def test_units_with_noise_agree_with_single_runs_to_a_billionth_of_sigma(tmp_path):
+    campaign = small_campaign(tmp_path, trials="8" + ONE_MOTION)
+    campaign.scenario["recording"]["noise"] = True
+    scenarios = [campaign.unit(1, k)[0] for k in range(8)]
+    recordings = [simulate(scenario).recording for scenario in scenarios]
+    for recording, found in zip(recordings, estimate_units(recordings, [Options()] * 8), strict=True):
+        alone = srt.calibrate(recording, "closed-form", checks=False)
+        assert (found.status, found.message) == (alone.status, alone.message)
+        assert np.abs((found.errors.vector - alone.errors.vector) / alone.sigma).max() < 1e-9
+        np.testing.assert_allclose(found.sigma, alone.sigma, rtol=1e-9)
+
+
+def test_a_unit_that_cannot_be_calibrated_leaves_the_others(tmp_path):
+    """What a single run raises stands in its place."""
+    campaign = small_campaign(tmp_path, trials="3" + ONE_MOTION)
+    recordings = [simulate(campaign.unit(0, k)[0]).recording for k in range(3)]
+    recordings[1] = recordings[1].with_sequences(())
+    first, refused, last = estimate_units(recordings, [Options()] * 3)
+    assert isinstance(refused, DataError)
+    assert "labelled sequences" in str(refused)
+    assert (first.status, last.status) == ("converged", "converged")
+
+
+def test_a_unit_that_fails_among_others_fails_alone(tmp_path, monkeypatch):
+    campaign = small_campaign(tmp_path, trials="3" + ONE_MOTION)
+    simulations = [simulate(campaign.unit(0, k)[0]) for k in range(3)]
+    recordings, given = [s.recording for s in simulations], [Options(start=s.truth) for s in simulations]
+    failing = simulations[1].truth.vector
+
+    def units(data, options, formulas, start, *rest, **stated):
+        if np.any(np.all(start == failing, axis=1)):
+            raise np.linalg.LinAlgError("of one unit")
+        return iterate_units(data, options, formulas, start, *rest, **stated)
+
+    monkeypatch.setattr(iteration, "iterate_units", units)
+    monkeypatch.setattr(estimator, "iterate_units", units)
+    first, failed, last = estimate_units(recordings, given)
+    assert isinstance(failed, np.linalg.LinAlgError)
+    assert (first.status, last.status) == ("converged", "converged")
+
+
+def test_a_failure_that_no_unit_has_alone_is_told(tmp_path, monkeypatch):
+    """Units together must not be slow for a defect that none of them shows."""
+    campaign = small_campaign(tmp_path, trials="2" + ONE_MOTION)
+    recordings = [simulate(campaign.unit(0, k)[0]).recording for k in range(2)]
+
+    def defect(*args, **stated):
+        raise ValueError("of all")
+
+    monkeypatch.setattr(estimator, "iterate_units", defect)
+    with pytest.raises(ValueError, match="of all"):
+        estimate_units(recordings, [Options()] * 2)
+
+
+def test_a_campaign_runs_in_batches(tmp_path, monkeypatch):
+    """Every trial once, the same to the bit with one worker and with two, and to rounding by itself."""
+    campaign = small_campaign(tmp_path, trials="24" + ONE_MOTION)
+    assert batch_size(campaign) == 3
+    assert batch_size(replace(campaign, trials=10_000)) == LARGEST_BATCH
+    least_squares = replace(campaign.estimators[0], name="least-squares")
+    assert batch_size(replace(campaign, trials=10_000, estimators=(least_squares,))) == 1
+    assert batch_size(replace(campaign, trials=10_000, trials_per_motion=1)) == 1
+    sizes = []
+
+    def counted(campaign, tasks):
+        sizes.append(len(tasks))
+        return run_batch(campaign, tasks)
+
+    monkeypatch.setattr(run, "run_batch", counted)
+    table = run_campaign(campaign, tmp_path / "one")
+    assert sizes == [3] * 16
+    monkeypatch.undo()
+    assert same(table, run_campaign(campaign, tmp_path / "two", engine=Engine(2)))
+    rows = {(row["point"], row["replicate"]): row for row in numbers(table)}
+    assert len(rows) == campaign.size
+    (alone,) = run_trial(campaign, (1, 7))
+    for name in NAMES:
+        assert rows[1, 7][f"error_{name}"] == pytest.approx(alone[f"error_{name}"], rel=0, abs=1e-12)
