@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.diagnosis.findings import check, finding
+from srt.diagnosis.findings import Fault, by_sensor
 from srt.diagnosis.rotation_readings import rotation_angles
 from srt.diagnosis.triad_fits import accel_fit, gyro_fit
 from srt.model.table1 import AXES
@@ -31,17 +31,6 @@ if TYPE_CHECKING:
 _EYE: Final = np.eye(3)
 
 
-@check(
-    "gyro_sign_convention",
-    "accel_sign_convention",
-    "gyro_axis_flipped",
-    "accel_axis_flipped",
-    "gyro_axes_swapped",
-    "accel_axes_swapped",
-    "left_handed",
-    "frame_turned",
-    "frames_disagree",
-)
 def axis_permutations(evidence: Evidence) -> Iterator[Finding]:
     """Find signed permutations of both triads relative to the labels, if the rotation of gravity confirms them."""
     gyro, accel = gyro_axes(evidence), accel_axes(evidence)
@@ -58,6 +47,63 @@ def axis_permutations(evidence: Evidence) -> Iterator[Finding]:
     if relation is not None and not _is(relation, np.linalg.det(accel) * accel @ gyro.T):
         return  # the rotation of gravity contradicts the permutations: the labels are wrong, not the axes
     yield _permutation_finding(gyro, accel)
+
+
+SIGN_CONVENTION: Final = by_sensor(
+    "sign_convention",
+    "[All gyro axes have the wrong sign|The accelerometers read gravity, not specific force]",
+    "[signs of the measured rotation angles; rotation|direction] of gravity in [the accelerometers against the "
+    "gyros|each static pose]",
+    "All three [gyros measure rotations with|accelerometers have] the wrong sign[| (at rest, their vector points "
+    "down)]: the unit [uses the opposite sign convention|outputs gravity instead of specific force]; map the "
+    "[gyro|accelerometer] axes as {mapping}.",
+    "exit 1",
+    axis_permutations,
+)
+AXIS_FLIPPED: Final = by_sensor(
+    "axis_flipped",
+    "One [gyro|accelerometer] axis has the wrong sign",
+    "[rotation angles by axis|direction of gravity in each static pose]",
+    "[Gyro|Accelerometer] axis {axis} [measures rotations with|has] the wrong sign, which makes the triad left-handed:"
+    " map the [gyro|accelerometer] axes as {mapping}.",
+    "exit 1",
+    axis_permutations,
+)
+AXES_SWAPPED: Final = by_sensor(
+    "axes_swapped",
+    "Two [gyro|accelerometer] axes are swapped",
+    "[rotation angles by axis|direction of gravity in each static pose]",
+    "[Gyro|Accelerometer] axes {axes} are swapped: map the [gyro|accelerometer] axes as {mapping}.",
+    "exit 1",
+    axis_permutations,
+)
+LEFT_HANDED: Final = Fault(
+    "left_handed",
+    "Gyros and accelerometers share a left-handed frame",
+    "rotation angles and static poses together",
+    "Gyros and accelerometers agree with each other, but their frame is left-handed: map the gyro axes as "
+    "{gyro_mapping} and the accelerometer axes as {accel_mapping}.",
+    "exit 1",
+    axis_permutations,
+)
+FRAME_TURNED: Final = Fault(
+    "frame_turned",
+    "The axes of the unit are rotated by multiples of 90°",
+    "rotation angles and static poses together",
+    "Gyros and accelerometers agree with each other, but not with the axes of the labels: map the axes of both as "
+    "{mapping}, or mount the unit along the axes of the table.",
+    "exit 1",
+    axis_permutations,
+)
+FRAMES_DISAGREE: Final = Fault(
+    "frames_disagree",
+    "Gyro and accelerometer frames disagree",
+    "rotation of gravity in the accelerometers against the gyros",
+    "Gyros and accelerometers use different axes: map the gyro axes as {gyro_mapping} and the accelerometer axes as "
+    "{accel_mapping}.",
+    "exit 1",
+    axis_permutations,
+)
 
 
 def _is(first: Array, second: Array) -> bool:
@@ -82,22 +128,22 @@ def _permutation_finding(gyro: Array, accel: Array) -> Finding:
         return one
     maps = {"gyro_mapping": mapping(gyro), "accel_mapping": mapping(accel)}
     if np.linalg.det(accel) < 0.0 and (_is(gyro, accel) or _is(gyro, -accel)):
-        return finding("left_handed", **maps)
+        return LEFT_HANDED.found(**maps)
     if _is(gyro, accel):
-        return finding("frame_turned", mapping=maps["gyro_mapping"])
-    return finding("frames_disagree", **maps)
+        return FRAME_TURNED.found(mapping=maps["gyro_mapping"])
+    return FRAMES_DISAGREE.found(**maps)
 
 
 def _one_sensor(sensor: str, axes: Array) -> Finding | None:
     """Fault for a signed permutation of one triad; None if the catalogue has no fault for it."""
     undo = mapping(axes)
     if _is(axes, -_EYE):
-        return finding(f"{sensor}_sign_convention", mapping=undo)
+        return SIGN_CONVENTION[sensor].found(mapping=undo)
     wrong = np.flatnonzero(np.abs(np.diag(axes) - 1.0) > 0.5)
     if len(wrong) == 1:
-        return finding(f"{sensor}_axis_flipped", axis=AXES[wrong[0]], mapping=undo)
+        return AXIS_FLIPPED[sensor].found(axis=AXES[wrong[0]], mapping=undo)
     if len(wrong) == 2 and axes[wrong[0], wrong[1]] > 0.5 and axes[wrong[1], wrong[0]] > 0.5:
-        return finding(f"{sensor}_axes_swapped", axes=f"{AXES[wrong[0]]} and {AXES[wrong[1]]}", mapping=undo)
+        return AXES_SWAPPED[sensor].found(axes=f"{AXES[wrong[0]]} and {AXES[wrong[1]]}", mapping=undo)
     return None
 
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from srt.diagnosis.findings import RunnerUp
+from srt.result.diagnostics import RunnerUp
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

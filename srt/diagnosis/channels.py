@@ -10,7 +10,7 @@ from scipy.special import gammainc
 
 from srt.constants import EARTH_RATE_RAD_S, STANDARD_GRAVITY_M_S2
 from srt.diagnosis.axes import manoeuvre_readings
-from srt.diagnosis.findings import check, finding
+from srt.diagnosis.findings import Fault, by_sensor
 from srt.diagnosis.repeated_samples import FALSE_ALARM as REPEATS_BY_CHANCE
 from srt.diagnosis.repeated_samples import repeated_runs, single_repeats
 from srt.diagnosis.sensor_synchronisation import sample_twice
@@ -58,7 +58,6 @@ def _constant(column: Array) -> bool:
     return bool(np.all(column[:100] == column[0]) and np.all(column == column[0]))
 
 
-@check("gyro_channel_dead", "accel_channel_dead")
 def dead_channels(evidence: Evidence) -> Iterator[Finding]:
     """Find constant columns, if other columns are noisy or the labels change the input of the axis."""
     for sensor, table, moved_axes in (
@@ -73,11 +72,21 @@ def dead_channels(evidence: Evidence) -> Iterator[Finding]:
         moved = moved_axes(evidence)
         named = [axis for axis in range(3) if dead[axis] and (noisy or moved[axis])]
         if named:
-            yield finding(
-                f"{sensor}_channel_dead",
+            yield CHANNEL_DEAD[sensor].found(
                 channel=", ".join(f"{sensor}_{AXES[axis]}" for axis in named),
                 value=float(table[0, named[0]]),
             )
+
+
+CHANNEL_DEAD: Final = by_sensor(
+    "channel_dead",
+    "[A gyro|An accelerometer] column never changes",
+    "range of every [gyro|accelerometer] column",
+    "Column {channel} reads {value:g} in all samples, but noise or [rotation|gravity] should change it: connect the "
+    "sensor, or name the right column.",
+    "exit 1",
+    dead_channels,
+)
 
 
 def _noisy(evidence: Evidence, column: Array) -> bool:
@@ -106,7 +115,6 @@ def _tilted_axes(evidence: Evidence) -> Mask:
     return np.asarray(np.ptp(nominal, axis=0) > 0.5 * evidence.recording.site.gravity_m_s2)
 
 
-@check("columns_repeat")
 def columns_repeat(evidence: Evidence) -> Iterator[Finding]:
     """Find two columns with the same readings, or readings that differ by a constant factor."""
     columns = _columns(evidence)
@@ -126,8 +134,19 @@ def columns_repeat(evidence: Evidence) -> Iterator[Finding]:
         factor = product / float(size[j]) ** 2
         off = columns[i] - factor * columns[j]
         if np.ptp(off) <= 1e-6 * np.ptp(columns[i]) and _may_repeat(evidence, i, j, factor):
-            yield finding("columns_repeat", channel=CHANNELS[i], other=CHANNELS[j])
+            yield COLUMNS_REPEAT.found(channel=CHANNELS[i], other=CHANNELS[j])
             return
+
+
+COLUMNS_REPEAT: Final = Fault(
+    "columns_repeat",
+    "Two columns have the same readings",
+    "correlation of every pair of columns",
+    "Columns {channel} and {other} have the same readings, except for a constant factor: one column was probably read "
+    "twice; correct the mapping of the columns.",
+    "exit 1",
+    columns_repeat,
+)
 
 
 def _may_repeat(evidence: Evidence, i: int, j: int, factor: float) -> bool:
@@ -143,7 +162,6 @@ def _may_repeat(evidence: Evidence, i: int, j: int, factor: float) -> bool:
     return abs(factor) > _POLE * earth or _noisy(evidence, _columns(evidence)[j])
 
 
-@check("sensors_exchanged")
 def sensors_exchanged(evidence: Evidence) -> Iterator[Finding]:
     """Find gyro columns that read a rotating vector of constant magnitude, while the accelerometer columns do not."""
     recording = evidence.recording
@@ -153,11 +171,21 @@ def sensors_exchanged(evidence: Evidence) -> Iterator[Finding]:
         return
     turns = manoeuvre_readings(evidence)
     rate, force = (gyro, accel) if turns is None else (turns.rate / evidence.per_rate, turns.force / evidence.per_rate)
-    yield finding(
-        "sensors_exchanged",
+    yield SENSORS_EXCHANGED.found(
         gyro=float(np.median(np.linalg.norm(rate, axis=1))) * evidence.per_rate,
         accel=float(np.median(np.linalg.norm(force, axis=1))) * evidence.per_rate,
     )
+
+
+SENSORS_EXCHANGED: Final = Fault(
+    "sensors_exchanged",
+    "Gyro and accelerometer columns are exchanged",
+    "columns that measure gravity, a vector of constant magnitude",
+    "At rest the gyro columns read {gyro:.3g} rad/s and the accelerometer columns {accel:.3g} m/s², as if they were "
+    "exchanged: correct the mapping of the columns.",
+    "exit 1",
+    sensors_exchanged,
+)
 
 
 def _range_of_size(vectors: Array) -> float:
@@ -171,7 +199,6 @@ def _holds_gravity(vectors: Array) -> bool:
     return turned and _range_of_size(vectors) < _GRAVITY
 
 
-@check("samples_stuck", "gyro_stuck", "accel_stuck", "gyro_axis_stuck", "accel_axis_stuck")
 def repeated_rows(evidence: Evidence) -> Iterator[Finding]:
     """Find the longest runs of equal samples, in both triads, one triad or one axis, that chance does not explain."""
     names = ("samples_stuck", "gyro_stuck", "accel_stuck", *CHANNELS)
@@ -180,19 +207,49 @@ def repeated_rows(evidence: Evidence) -> Iterator[Finding]:
         for name, runs in zip(names, repeated_runs(evidence), strict=True)
         if runs
     }
-    stuck = {name: (name, run) for name, run in longest.items() if name not in CHANNELS}
-    for sensor in ("gyro", "accel"):
-        axes = [(name, longest[name]) for name in CHANNELS if name in longest and name.startswith(sensor)]
-        if axes:
-            stuck[f"{sensor}_axis_stuck"] = max(axes, key=lambda item: item[1].count)
-    for fault, (name, run) in stuck.items():
-        yield finding(
-            fault,
+    stuck = [(fault, fault.name) for fault in (SAMPLES_STUCK, *STUCK.values())]
+    for sensor, fault in AXIS_STUCK.items():
+        axes = [name for name in CHANNELS if name in longest and name.startswith(sensor)]
+        stuck += [(fault, max(axes, key=lambda name: longest[name].count))] if axes else []
+    for fault, name in stuck:
+        if name not in longest:
+            continue
+        run = longest[name]
+        yield fault.found(
             channel=name,
             count=run.count + 1,
             time=float(evidence.recording.time[run.first]),
             sequence=evidence.place_title(run.first),
         )
+
+
+SAMPLES_STUCK: Final = Fault(
+    "samples_stuck",
+    "The logger repeats samples",
+    "runs of equal samples in all six channels, longer than by chance",
+    "All six channels repeat their readings for {count} samples from {time:.6g} s, as when a logger stalls: repeat "
+    "{sequence}, or omit it.",
+    "warning",
+    repeated_rows,
+)
+STUCK: Final = by_sensor(
+    "stuck",
+    "The [gyro|accelerometer] readings freeze for a while",
+    "runs of equal [gyro|accelerometer] readings while the [accelerometer|gyro] readings change",
+    "The [gyros|accelerometers] repeat one reading for {count} samples from {time:.6g} s while the "
+    "[accelerometer|gyro] readings change: repeat {sequence}, or omit it.",
+    "warning",
+    repeated_rows,
+)
+AXIS_STUCK: Final = by_sensor(
+    "axis_stuck",
+    "One [gyro|accelerometer] axis freezes for a while",
+    "runs of equal readings of one axis while the other axes of its triad change, longer than by chance",
+    "{channel} repeats one reading for {count} samples from {time:.6g} s while the other [gyro|accelerometer] axes "
+    "change: look for a bad contact, and repeat {sequence}, or omit it.",
+    "warning",
+    repeated_rows,
+)
 
 
 _TWICE: Final = 3.0
@@ -202,7 +259,6 @@ _FEWEST_TWICE: Final = 3
 """Fewest repeated samples for a finding: a single data frame may have been sent twice."""
 
 
-@check("samples_duplicated")
 def duplicated_samples(evidence: Evidence) -> Iterator[Finding]:
     """Find samples that repeat the previous one in all channels, more often than by chance or against the motion.
 
@@ -225,9 +281,22 @@ def duplicated_samples(evidence: Evidence) -> Iterator[Finding]:
         yield _duplicated(evidence, rows, 0.0)
 
 
+SAMPLES_DUPLICATED: Final = Fault(
+    "samples_duplicated",
+    "The logger writes samples twice",
+    "samples that equal the previous one in all six channels, more often than by chance; equal samples while the "
+    "readings change, or with an attitude error by the angle of one sample",
+    "{count} samples equal the previous sample in all six channels, the first at {time:.6g} s, but {expected:.2g} are "
+    "expected by chance: the logger writes samples twice, or in place of lost ones; correct the logger, and record "
+    "again.",
+    "warning",
+    duplicated_samples,
+)
+
+
 def _duplicated(evidence: Evidence, rows: Indices, expected: float) -> Finding:
     time = float(evidence.recording.time[rows[0]])
-    return finding("samples_duplicated", count=len(rows), time=time, expected=expected)
+    return SAMPLES_DUPLICATED.found(count=len(rows), time=time, expected=expected)
 
 
 _LINE: Final = 8
@@ -237,7 +306,6 @@ _SLOPES: Final = 2
 """Fewest channels that must change along the line: constant channels are frozen, or have no pulses at rest."""
 
 
-@check("samples_interpolated")
 def samples_interpolated(evidence: Evidence) -> Iterator[Finding]:
     """Find the longest run of samples on straight lines in all channels."""
     columns = _columns(evidence)
@@ -255,12 +323,23 @@ def samples_interpolated(evidence: Evidence) -> Iterator[Finding]:
     if lengths.max(initial=0) + 2 < _LINE:
         return
     first = int(edges[::2][np.argmax(lengths)])
-    yield finding(
-        "samples_interpolated",
+    yield SAMPLES_INTERPOLATED.found(
         time=float(evidence.recording.time[first]),
         count=int(lengths.max()) + 2,
         sequence=evidence.place_title(first),
     )
+
+
+SAMPLES_INTERPOLATED: Final = Fault(
+    "samples_interpolated",
+    "Lost samples were filled by interpolation",
+    "samples on straight lines in all six channels, in a recording with noise",
+    "From {time:.6g} s, {count} samples lie on straight lines in all six channels, without noise ({sequence}): the "
+    "logger or a tool interpolated lost samples; remove them, so that the stamps show the gap, and repeat the "
+    "sequence.",
+    "warning",
+    samples_interpolated,
+)
 
 
 _DEAD_SHARE: Final = 0.5
@@ -277,7 +356,6 @@ _DEAD_EDGE: Final = 0.1
 outside the band begin at its edge."""
 
 
-@check("gyro_dead_band")
 def gyro_dead_band(evidence: Evidence) -> Iterator[Finding]:
     """Find gyros that read zero at rest or as the rate changes sign, but never a value between zero and a threshold."""
     if evidence.data is None or not any(_noisy(evidence, column) for column in _columns(evidence)[3:]):
@@ -287,7 +365,18 @@ def gyro_dead_band(evidence: Evidence) -> Iterator[Finding]:
     found = suppressed_readings(evidence, "gyro") or _zero_at_rest(evidence)
     if found is not None:
         where = {"channel": CHANNELS[found.axis], "count": found.zeros}
-        yield finding("gyro_dead_band", **where, threshold=found.threshold, step=found.step)
+        yield GYRO_DEAD_BAND.found(**where, threshold=found.threshold, step=found.step)
+
+
+GYRO_DEAD_BAND: Final = Fault(
+    "gyro_dead_band",
+    "The gyros suppress small rates",
+    "zeros, but no other reading below a threshold far above the quantization step",
+    "{channel} reads zero {count} times, and otherwise at least {threshold:.3g} rad/s, but its quantization step is "
+    "{step:.2g} rad/s: the unit suppresses small rates; switch off its dead band.",
+    "warning",
+    gyro_dead_band,
+)
 
 
 def _zero_at_rest(evidence: Evidence) -> SuppressedReadings | None:
@@ -316,7 +405,6 @@ def _zero_at_rest(evidence: Evidence) -> SuppressedReadings | None:
     return None
 
 
-@check("spikes")
 def spikes(evidence: Evidence) -> Iterator[Finding]:
     """Find spikes; the message states the largest spike of the channel with the most spikes."""
     there = find_spikes(evidence)
@@ -327,11 +415,21 @@ def spikes(evidence: Evidence) -> Iterator[Finding]:
         return
     most = int(np.argmax(np.bincount(there.channel)))
     k = int(np.argmax(np.where(there.channel == most, np.abs(there.jump), -1.0)))
-    yield finding(
-        "spikes",
+    yield SPIKES.found(
         channel=CHANNELS[int(there.channel[k])],
         size=f"{abs(float(there.jump[k])) * evidence.per_rate:.3g} {'rad/s' if there.channel[k] < 3 else 'm/s²'}",
         time=float(evidence.recording.time[there.sample[k]]),
         count=int(there.sample.size),
         sequence=evidence.place_title(int(there.sample[k])),
     )
+
+
+SPIKES: Final = Fault(
+    "spikes",
+    "Spikes: single outlying readings",
+    "deviation of every reading from its neighbours, relative to the noise around it",
+    "{channel} jumps by {size} for one sample at {time:.6g} s, far more than its noise ({count} such readings in the "
+    "recording): look for a bad contact or transmission errors, and repeat {sequence}.",
+    "warning",
+    spikes,
+)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.diagnosis.findings import check, finding
+from srt.diagnosis.findings import by_sensor
 from srt.noise.allan import CHANNELS
 from srt.sequences.clipping import Clipping, clipped_samples, clipping_levels
 
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from srt.diagnosis.findings import Finding
 
 
-@check("gyro_clipped", "accel_clipped")
 def clipping(evidence: Evidence) -> Iterator[Finding]:
     """Find readings at the stated range, or runs of the same extreme reading that noise does not explain."""
     clipped = clipped_parts(evidence)
@@ -30,14 +29,24 @@ def clipping(evidence: Evidence) -> Iterator[Finding]:
         table = getattr(evidence.recording, sensor)
         others = len({number for number, _ in mine}) - 1
         where = evidence.place_title(at) if k is None else evidence.title(k)
-        yield finding(
-            f"{sensor}_clipped",
+        yield CLIPPED[sensor].found(
             channel=first.channel,
             limit=abs(float(table[at, CHANNELS.index(first.channel) % 3])) * evidence.per_rate,
             count=first.count,
             time=first.first_s,
             sequence=where + (f" (and {others} more)" if others else ""),
         )
+
+
+CLIPPED: Final = by_sensor(
+    "clipped",
+    "[A gyro|An accelerometer] saturates",
+    "readings at the stated range, or runs of the same extreme reading",
+    "{channel} is at the limit of its range ({limit:.4g} [rad/s|m/s²]) in {count} samples from {time:.6g} s: "
+    "{sequence} cannot be used; [rotate more slowly|avoid shocks, or choose a wider range], and repeat the sequence.",
+    "warning",
+    clipping,
+)
 
 
 def clipped_parts(evidence: Evidence) -> list[tuple[int | None, tuple[Clipping, ...]]]:

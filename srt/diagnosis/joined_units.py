@@ -15,7 +15,7 @@ from scipy.linalg import solve_triangular
 from scipy.special import fdtrc
 
 from srt.diagnosis.cause_comparison import Cause, compare
-from srt.diagnosis.findings import FALSE_ALARM, check, finding
+from srt.diagnosis.findings import FALSE_ALARM, Fault
 from srt.diagnosis.rotation_readings import computed_once, raw_integrals, robust_fit, rotation_angles
 from srt.diagnosis.site import BIAS, DRIFT, stationary_rates
 from srt.noise.bias_instability import flicker_covariance
@@ -42,7 +42,6 @@ _LEAST_FREEDOM: Final = 8
 """Fewest degrees of freedom for an estimate of the scatter."""
 
 
-@check("units_joined")
 def units_joined(evidence: Evidence) -> Iterator[Finding]:
     """Test gyros and accelerometers for a step between two successive sequences, against a drift."""
     rates, data = stationary_rates(evidence), evidence.data
@@ -67,12 +66,23 @@ def units_joined(evidence: Evidence) -> Iterator[Finding]:
     doubt = min(_probability(explained[0], explained[1 + best]) for explained in ranked)
     if doubt < FALSE_ALARM / (len(ranked) * len(cuts)) and score[best] - score[:drifts].max() > -np.log(FALSE_ALARM):
         at = cuts[best - drifts]
-        yield finding(
-            "units_joined",
+        yield UNITS_JOINED.found(
             before=evidence.title(int(order[at - 1])),
             after=evidence.title(int(order[at])),
             ratio=float(score[best] - score[:drifts].max()),
         )
+
+
+UNITS_JOINED: Final = Fault(
+    "units_joined",
+    "Two units, or a restart, are joined in one recording",
+    "stationary rates, magnitudes of specific force and rotation angles: a step between two sequences fits better than"
+    " a drift",
+    "The sensor errors change abruptly between {before} and {after} (log-likelihood higher by {ratio:.3g} than that of"
+    " a drift): the recording joins two units, or the unit was restarted; calibrate each part separately.",
+    "warning",
+    units_joined,
+)
 
 
 def _has_poses(evidence: Evidence) -> bool:
@@ -167,7 +177,6 @@ def _angles(evidence: Evidence, windows: Indices, shapes: list[tuple[str, Array,
     return _explained(turns.measured, turns.fixed, shapes, turns.by_axis[:, :, None] * at[:, None, :])
 
 
-@check("gyro_scale_drift")
 def gyro_scale_drift(evidence: Evidence) -> Iterator[Finding]:
     """Test the measured angles of the rotations for a drift of the scale factors that is common to the gyros."""
     data, turns = evidence.data, _rotations(evidence)
@@ -184,7 +193,18 @@ def gyro_scale_drift(evidence: Evidence) -> Iterator[Finding]:
     best = next(e for e in ranked if e.cause.fault)
     if _probability(null, best) < FALSE_ALARM / len(shapes):
         change, sigma = 1e6 * float(best.value[0]), 1e6 * float(best.sigma[0])
-        yield finding("gyro_scale_drift", change_ppm=change, sigma_ppm=sigma)
+        yield GYRO_SCALE_DRIFT.found(change_ppm=change, sigma_ppm=sigma)
+
+
+GYRO_SCALE_DRIFT: Final = Fault(
+    "gyro_scale_drift",
+    "The gyro scale factors, or the clock, drift during the test",
+    "trend of the measured rotation angles, compared with their scatter",
+    "The measured rotation angles change by {change_ppm:+.3g} ± {sigma_ppm:.2g} ppm from the beginning to the end of "
+    "the test: the gyro scale factors or the clock of the samples drift; let the unit warm up, and repeat the test.",
+    "warning",
+    gyro_scale_drift,
+)
 
 
 def _forces(evidence: Evidence, rates: StationaryRates, shapes: list[tuple[str, Array, int]]) -> list[Explanation]:

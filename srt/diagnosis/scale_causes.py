@@ -19,8 +19,8 @@ from scipy.special import logsumexp
 
 from srt.constants import EARTH_RATE_RAD_S
 from srt.diagnosis.cause_comparison import CLOSE
-from srt.diagnosis.findings import RunnerUp
 from srt.diagnosis.site import earth_rate_components
+from srt.result.diagnostics import RunnerUp
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping

@@ -17,7 +17,7 @@ from scipy.special import stdtrit
 
 from srt.diagnosis.cause_comparison import Cause, compare, with_runner_up
 from srt.diagnosis.clipping import clipped_parts
-from srt.diagnosis.findings import FALSE_ALARM, check, finding
+from srt.diagnosis.findings import FALSE_ALARM, Fault, by_sensor
 from srt.diagnosis.rotation_readings import BlockAverages, block_averages, computed_once, cross
 from srt.diagnosis.stabilised_force import StabilisedForce, stabilised_force
 from srt.model.table1 import AXES
@@ -219,16 +219,35 @@ def lag(evidence: Evidence) -> Finding | None:
     limit = -float(stdtrit(best.freedom, 0.5 * FALSE_ALARM / (len(causes) - 1)))
     if abs(late) <= max(limit * sigma, _LEAST_OFFSET * evidence.dt):
         return None
-    told = finding(best.cause.fault, offset_ms=1e3 * late, sigma_ms=1e3 * sigma, **best.cause.details)
+    fault = next(f for f in (SENSOR_TIME_OFFSET, *AXIS_DELAYED.values()) if f.name == best.cause.fault)
+    told = fault.found(offset_ms=1e3 * late, sigma_ms=1e3 * sigma, **best.cause.details)
     return with_runner_up(told, ranked)
 
 
-@check("sensor_time_offset", "gyro_axis_delayed", "accel_axis_delayed")
 def sensor_time_offset(evidence: Evidence) -> Iterator[Finding]:
     """Test for a lag between the gyros and the rotation of gravity, of a triad or of one channel."""
     told = lag(evidence)
-    if told is not None:
-        yield told
+    yield from () if told is None else (told,)
+
+
+SENSOR_TIME_OFFSET: Final = Fault(
+    "sensor_time_offset",
+    "Gyros and accelerometers are not synchronised",
+    "lag between the gyros and the rotation of gravity in the accelerometers",
+    "The accelerometer readings lag the gyro readings by {offset_ms:+.3g} ms (negative: lead): align the time stamps "
+    "of both sensors.",
+    "warning",
+    sensor_time_offset,
+)
+AXIS_DELAYED: Final = by_sensor(
+    "axis_delayed",
+    "One [gyro|accelerometer] axis has another delay than the others",
+    "lag between the gyros and the rotation of gravity in the accelerometers, by axis",
+    "{channel} lags the other axes by {offset_ms:+.3g} ms (negative: leads), as with a multiplexed converter or a "
+    "filter of another delay: align the channels in time.",
+    "warning",
+    sensor_time_offset,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -305,19 +324,28 @@ def sample_twice(evidence: Evidence) -> int | None:
     return int(again[0]) if again.size else None
 
 
-@check("samples_lost")
 def samples_lost(evidence: Evidence) -> Iterator[Finding]:
     """Report a step of the gyro-stabilised specific force that a repeated sample does not explain."""
     step, turns = attitude_step(evidence), block_averages(evidence)
     if step is None or turns is None or sample_twice(evidence) is not None:
         return
-    yield finding(
-        "samples_lost",
+    yield SAMPLES_LOST.found(
         sequence=evidence.title(int(turns.sequence[step.block])),
         time=float(evidence.recording.time[turns.first_sample[step.block]]) - evidence.dt,
         angle_deg=math.degrees(step.height),
         duration=abs(step.duration_s),
     )
+
+
+SAMPLES_LOST: Final = Fault(
+    "samples_lost",
+    "Samples were lost in a rotation, but the time stamps have no gap",
+    "a rotation of gravity between two samples that the gyros do not measure",
+    "In {sequence}, samples of about {duration:.2g} s are missing at {time:.6g} s, but the time stamps have no gap: "
+    "gravity rotated by {angle_deg:.3g}°, which the gyros did not measure; repeat the sequence.",
+    "warning",
+    samples_lost,
+)
 
 
 def _levelled(path: StabilisedForce, in_body: Array) -> Array:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.diagnosis.findings import check, finding
+from srt.diagnosis.findings import Fault
 from srt.diagnosis.rotation_readings import (
     block_averages,
     computed_once,
@@ -30,7 +30,7 @@ from srt.sequences.rest_detection import BLOCK_S
 from srt.sequences.stationary_windows import find_windows
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterator
 
     from srt.diagnosis.evidence import Evidence
     from srt.diagnosis.findings import Finding
@@ -63,12 +63,22 @@ _SHORT: Final = 0.5
 """Ratio of the length of a window to the median length, below which it is short: its mean is noisier by √2."""
 
 
-@check("labels_shifted")
 def labels_shifted(evidence: Evidence) -> Iterator[Finding]:
     """Compare the labelled windows that include rotation with the stationary windows found in the samples."""
     seen = _shift(evidence)
     if seen is not None and evidence.data is not None:
-        yield finding("labels_shifted", shift=seen[0], count=seen[1], of=len(evidence.data.windows.samples))
+        yield LABELS_SHIFTED.found(shift=seen[0], count=seen[1], of=len(evidence.data.windows.samples))
+
+
+LABELS_SHIFTED: Final = Fault(
+    "labels_shifted",
+    "The labels are shifted in time",
+    "labelled windows against the stationary windows found in the samples; rotation at the inner edges of most windows",
+    "The labels are late by {shift:+.3g} s relative to the stationary windows (negative: early; {count} of {of} "
+    "windows): correct the times of the labels, or omit the labels to have the sequences recognised.",
+    "exit 1",
+    labels_shifted,
+)
 
 
 @computed_once
@@ -131,7 +141,6 @@ def _intrusions(labelled: Array, rest: Array) -> Array:
     return np.array(out)
 
 
-@check("labels_exchanged", "wrong_direction", "wrong_angle")
 def rotations_against_labels(evidence: Evidence) -> Iterator[Finding]:
     """Compare each rotation with its label: find another sequence, the opposite sense, or another angle."""
     data = evidence.data
@@ -139,8 +148,7 @@ def rotations_against_labels(evidence: Evidence) -> Iterator[Finding]:
         return
     exchanged = _exchanged(evidence) if evidence.has_labels else {}
     if exchanged:
-        yield finding(
-            "labels_exchanged",
+        yield LABELS_EXCHANGED.found(
             labelled=", ".join(data.ids[k] for k in exchanged),
             found=", ".join(exchanged.values()),
             count=len(exchanged),
@@ -156,14 +164,42 @@ def rotations_against_labels(evidence: Evidence) -> Iterator[Finding]:
     if backwards.any():
         leg = int(np.flatnonzero(backwards)[0])
         expected = _signed(nominal[leg])
-        yield finding(
-            "wrong_direction",
+        yield WRONG_DIRECTION.found(
             title=_turn_title(evidence, leg),
             found=math.degrees(math.copysign(done[leg], -expected)),
             expected=math.degrees(expected),
         )
     known &= ~np.isin(numbers, numbers[backwards])
     yield from _wrong_angles(evidence, known, done - angle)
+
+
+LABELS_EXCHANGED: Final = Fault(
+    "labels_exchanged",
+    "Labels are those of other sequences",
+    "measured rotations and static poses against those of the labelled sequences",
+    "The sequences labelled {labelled} are {found} by their rotations and poses ({count} of {of} labels differ): the "
+    "sequences were executed in another order; correct the ids, or omit the labels.",
+    "exit 1",
+    rotations_against_labels,
+)
+WRONG_DIRECTION: Final = Fault(
+    "wrong_direction",
+    "A sequence was rotated in the wrong sense",
+    "sign of each rotation against the label",
+    "{title} was rotated in the wrong sense (by {found:+.4g}°, but {expected:+.4g}° is expected): repeat it, or "
+    "correct its label.",
+    "exit 1",
+    rotations_against_labels,
+)
+WRONG_ANGLE: Final = Fault(
+    "wrong_angle",
+    "A sequence was rotated by a wrong angle",
+    "angle of each rotation against the label, where gyros and accelerometers agree on it",
+    "{title} was rotated by {found:.5g}°, but {expected:.4g}° is expected, more than the accuracy of the fixture "
+    "allows ({count} such rotations): the calibration uses the measured angle; check the stops of the fixture.",
+    "warning",
+    rotations_against_labels,
+)
 
 
 def _exchanged(evidence: Evidence) -> dict[int, str]:
@@ -221,8 +257,7 @@ def _wrong_angles(evidence: Evidence, known: Mask, excess: Array) -> Iterator[Fi
         return
     leg = int(off[np.argmax(np.abs(excess[off]))])
     expected = _signed(nominal[leg])
-    yield finding(
-        "wrong_angle",
+    yield WRONG_ANGLE.found(
         title=_turn_title(evidence, leg),
         found=math.degrees(expected + math.copysign(1.0, expected) * excess[leg]),
         expected=math.degrees(expected),
@@ -261,7 +296,6 @@ def _turn_title(evidence: Evidence, leg: int) -> str:
     return title[0].upper() + title[1:]
 
 
-@check("sequence_missing")
 def sequence_missing(evidence: Evidence) -> Iterator[Finding]:
     """Find the parameters that the closed form cannot estimate from the sequences present."""
     ids = _catalogue_ids(evidence)
@@ -275,8 +309,7 @@ def sequence_missing(evidence: Evidence) -> Iterator[Finding]:
     several = len(missing) > 1
     data = evidence.data
     moves = data is not None and recorded_moves(data.recording, data.labels)
-    yield finding(
-        "sequence_missing",
+    yield SEQUENCE_MISSING.found(
         missing=f"Sequences {', '.join(missing)} are" if several else f"Sequence {missing[0]} is",
         found=len(SEQUENCES) - len(missing),
         parameters=", ".join(lost),
@@ -285,13 +318,33 @@ def sequence_missing(evidence: Evidence) -> Iterator[Finding]:
     )
 
 
-@check("sequence_repeated")
+SEQUENCE_MISSING: Final = Fault(
+    "sequence_missing",
+    "A sequence is missing",
+    "sequences in the recording against those that the closed form needs",
+    "{missing} missing (the recording has {found} of 17), so that the closed form cannot estimate {parameters}: record"
+    " {them}{otherwise}.",
+    "warning",
+    sequence_missing,
+)
+
+
 def sequence_repeated(evidence: Evidence) -> Iterator[Finding]:
     """Find sequences that were executed more than once."""
     often = {name: count for name, count in Counter(_catalogue_ids(evidence)).items() if count > 1}
     if often:
         listed = ", ".join(f"{name} ({count} times)" for name, count in often.items())
-        yield finding("sequence_repeated", sequences=listed)
+        yield SEQUENCE_REPEATED.found(sequences=listed)
+
+
+SEQUENCE_REPEATED: Final = Fault(
+    "sequence_repeated",
+    "A sequence was executed more than once",
+    "count of each sequence",
+    "Sequences executed more than once: {sequences}; all of them are used.",
+    "note",
+    sequence_repeated,
+)
 
 
 def _catalogue_ids(evidence: Evidence) -> list[str]:
@@ -301,8 +354,7 @@ def _catalogue_ids(evidence: Evidence) -> list[str]:
     return [name for name in evidence.data.ids if name in SEQUENCES]
 
 
-@check("window_short")
-def window_short(evidence: Evidence) -> Iterable[Finding]:
+def window_short(evidence: Evidence) -> Iterator[Finding]:
     """Compare the window lengths with their median, of Table 1 only: rests of other protocols differ as planned."""
     data = evidence.data
     if data is None or not _catalogue_ids(evidence) or _shift(evidence) is not None:
@@ -313,10 +365,20 @@ def window_short(evidence: Evidence) -> Iterable[Finding]:
     if duration[w] >= _SHORT * typical:
         return
     k = int(np.flatnonzero((data.start == w) | (data.end == w))[0])
-    yield finding(
-        "window_short",
+    yield WINDOW_SHORT.found(
         time=float(evidence.recording.time[data.windows.samples[w, 0]] - evidence.dt),
         duration=float(duration[w]),
         typical=typical,
         sequence=evidence.title(k),
     )
+
+
+WINDOW_SHORT: Final = Fault(
+    "window_short",
+    "A stationary window is much shorter than the others",
+    "lengths of the windows",
+    "The stationary window from {time:.6g} s lasts {duration:.3g} s, but the median window lasts {typical:.3g} s: the "
+    "short window limits the accuracy of {sequence}; keep the unit stationary equally long in all windows.",
+    "warning",
+    window_short,
+)

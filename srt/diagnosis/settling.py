@@ -15,7 +15,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from srt.diagnosis.cause_comparison import Cause, compare
-from srt.diagnosis.findings import FALSE_ALARM, check, finding
+from srt.diagnosis.findings import FALSE_ALARM, Fault
 from srt.diagnosis.window_averages import ACCEL, block_sigma, window_averages
 from srt.model.table1 import AXES
 
@@ -42,7 +42,6 @@ _REACH: Final = 5.0
 """Time before the window from which the lag is computed, in time constants."""
 
 
-@check("accel_settling")
 def accel_settling(evidence: Evidence) -> Iterator[Finding]:
     """Test for a common settling of all accelerometers, or of one, after the rotations."""
     averages = window_averages(evidence)
@@ -66,7 +65,18 @@ def accel_settling(evidence: Evidence) -> Iterator[Finding]:
     best = max(found, key=lambda explanation: explanation.score)
     share, sigma = float(best.value[0]), float(best.sigma[0])
     if _LARGEST > abs(share) > max(_SMALLEST, -stdtrit(best.freedom, 0.5 * FALSE_ALARM / len(found)) * sigma):
-        yield finding("accel_settling", share_ppm=1e6 * share, sigma_ppm=1e6 * sigma, **best.cause.details)
+        yield ACCEL_SETTLING.found(share_ppm=1e6 * share, sigma_ppm=1e6 * sigma, **best.cause.details)
+
+
+ACCEL_SETTLING: Final = Fault(
+    "accel_settling",
+    "The accelerometers settle after a rotation",
+    "readings after each rotation: an exponential decay in proportion to the change of specific force",
+    "{channel}: after a rotation, {share_ppm:.3g} ± {sigma_ppm:.2g} ppm of the change of specific force decays with a "
+    "time constant of about {time_s:g} s: start the windows later, or make them longer.",
+    "warning",
+    accel_settling,
+)
 
 
 def _patterns(evidence: Evidence, averages: WindowAverages, time_s: float) -> tuple[Array, Array] | None:

@@ -23,7 +23,7 @@ from scipy.linalg import solve_triangular
 from scipy.special import fdtri, ndtri, stdtrit
 
 from srt.constants import DEG, DEG_PER_H, EARTH_RATE_RAD_S, normal_gravity_m_s2
-from srt.diagnosis.findings import FALSE_ALARM, Finding, check, finding
+from srt.diagnosis.findings import FALSE_ALARM, Fault, Finding
 from srt.diagnosis.rotation_readings import computed_once
 from srt.diagnosis.triad_fits import gyro_fit
 from srt.noise.bias_instability import flicker_covariance
@@ -48,7 +48,6 @@ _GRID_DEG: Final = 0.01
 """Step of the latitudes that are tried, °: far below the resolution of gyros."""
 
 
-@check("gravity")
 def gravity(evidence: Evidence) -> Iterator[Finding]:
     """Test the stated gravity against normal gravity at the stated latitude, for all plausible heights.
 
@@ -67,7 +66,18 @@ def gravity(evidence: Evidence) -> Iterator[Finding]:
         ranges = [_gravity_range(latitude) for latitude in np.linspace(seen - sigma, seen + sigma, 9).tolist()]
         if any(bottom <= site.gravity_m_s2 <= top for bottom, top in ranges):
             return
-    yield finding("gravity", stated=site.gravity_m_s2, latitude=site.latitude_rad / DEG, low=low, high=high)
+    yield GRAVITY.found(stated=site.gravity_m_s2, latitude=site.latitude_rad / DEG, low=low, high=high)
+
+
+GRAVITY: Final = Fault(
+    "gravity",
+    "Gravity is inconsistent with the latitude",
+    "stated gravity against normal gravity at the stated latitude, for heights from -500 m to 5000 m",
+    "Gravity is stated as {stated:.6g} m/s², but at {latitude:.4g}° latitude it lies between {low:.6g} and {high:.6g} "
+    "m/s²: correct gravity_m_s2 or latitude_deg.",
+    "warning",
+    gravity,
+)
 
 
 def _gravity_range(latitude_rad: float) -> tuple[float, float]:
@@ -76,10 +86,39 @@ def _gravity_range(latitude_rad: float) -> tuple[float, float]:
     return low - ANOMALY_M_S2, high + ANOMALY_M_S2
 
 
-@check("earth_rate_absent", "latitude", "north")
 def earth_rate(evidence: Evidence) -> Iterator[Finding]:
     """Test the stated latitude and heading against the Earth rate in the stationary windows."""
     yield from _earth_rate(evidence)
+
+
+EARTH_RATE_ABSENT: Final = Fault(
+    "earth_rate_absent",
+    "The gyros do not sense the Earth rate",
+    "vertical component and horizontal magnitude of the Earth rate, from the stationary windows: zero fits better than"
+    " any latitude",
+    "The gyros measure an Earth rate of {found:.3g} ± {sigma:.2g} °/h at rest, but {expected:.3g} °/h is expected at "
+    "any latitude: the unit removes the Earth rate (auto-zero, or a dead band); record raw readings.",
+    "warning",
+    earth_rate,
+)
+LATITUDE: Final = Fault(
+    "latitude",
+    "The Earth rate is inconsistent with the latitude",
+    "vertical component and horizontal magnitude of the Earth rate, from the stationary windows",
+    "The gyros measure the Earth rate of {found:.3g}° ± {sigma:.2g}° latitude, but {stated:.4g}° is stated: correct "
+    "latitude_deg (north is positive).",
+    "warning",
+    earth_rate,
+)
+NORTH: Final = Fault(
+    "north",
+    "The Earth rate is inconsistent with the heading",
+    "direction of the horizontal component of the Earth rate, from the stationary windows",
+    "According to the Earth rate, the heading of the table's x axis is {found:.4g}° ± {sigma:.2g}°, but {stated:.4g}° "
+    "is stated: correct heading_deg (clockwise is positive).",
+    "warning",
+    earth_rate,
+)
 
 
 @computed_once
@@ -117,8 +156,7 @@ def _wrong_earth_rate(evidence: Evidence) -> Iterator[Finding]:
     latitude = site.latitude_rad
     absent = (fit.vertical / vertical_sigma) ** 2 + (size / horizontal_sigma) ** 2
     if float(by_latitude[best]) - absent > limit:
-        yield finding(
-            "earth_rate_absent",
+        yield EARTH_RATE_ABSENT.found(
             found=float(np.hypot(fit.vertical, size) / DEG_PER_H),
             sigma=float(np.hypot(vertical_sigma, horizontal_sigma) / DEG_PER_H),
             expected=float(EARTH_RATE_RAD_S / DEG_PER_H),
@@ -128,8 +166,7 @@ def _wrong_earth_rate(evidence: Evidence) -> Iterator[Finding]:
     by_clock = factor is not None and factor.misfit < by_latitude[best] - limit
     if not by_clock and float(misfit(np.array([latitude]))[0] - by_latitude[best]) > limit:
         near = latitudes[by_latitude <= by_latitude[best] + 1.0]
-        yield finding(
-            "latitude",
+        yield LATITUDE.found(
             found=float(latitudes[best] / DEG),
             sigma=float(max(0.5 * np.ptp(near) / DEG, _GRID_DEG)),
             stated=float(latitude / DEG),
@@ -142,8 +179,7 @@ def _wrong_earth_rate(evidence: Evidence) -> Iterator[Finding]:
     off = float(np.angle(np.exp(1j * (seen - fixture.heading_rad))))
     level = EARTH_RATE_RAD_S * float(np.cos(latitude))
     if 2.0 * size * level * (1.0 - np.cos(off)) / horizontal_sigma**2 > limit:
-        yield finding(
-            "north",
+        yield NORTH.found(
             found=float((fixture.heading_rad + off) / DEG),
             sigma=float(min(horizontal_sigma / size, np.pi) / DEG),
             stated=float(fixture.heading_rad / DEG),

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.diagnosis.findings import check, finding
+from srt.diagnosis.findings import Fault
 from srt.diagnosis.scale_ratios import accel_scale_ratios, gyro_scale_ratios
 from srt.diagnosis.units import TIME_UNITS, USUAL_S, scale_findings
 from srt.recording.timing import ROUNDING_FRACTION
@@ -36,16 +36,27 @@ _NO_GAP: Final = 8.0
 """Deviation of a step, in sigma of the jitter, above which it is a gap: p = 1e-15 per step."""
 
 
-@check("time_unit")
 def time_unit(evidence: Evidence) -> Iterator[Finding]:
     """Test the time unit: the interval is impossible, or all integrals over time are wrong by the same factor."""
     interval = evidence.dt
     if SHORTEST_INTERVAL_S <= interval <= LONGEST_INTERVAL_S:
-        yield from (found for found in scale_findings(evidence) if found.fault == "time_unit")
+        yield from scale_findings(evidence, {TIME_UNIT.name: TIME_UNIT})
         return
     _, unit, declared = _unit(evidence, interval)
     why = f"but {SHORTEST_INTERVAL_S:g} to {LONGEST_INTERVAL_S:g} s is expected"
-    yield finding("time_unit", interval=interval, why=why, unit=unit, declared=declared)
+    yield TIME_UNIT.found(interval=interval, why=why, unit=unit, declared=declared)
+
+
+TIME_UNIT: Final = Fault(
+    "time_unit",
+    "Wrong time unit",
+    "the sampling interval, which is 5 µs to 0.5 s for an IMU; rotation angles or gravity, if they are wrong by the "
+    "same factor",
+    "The samples are {interval:.3g} s apart, {why}: the time stamps look like {unit}, declared as {declared}; correct "
+    "time_unit in recording.toml.",
+    "exit 1",
+    time_unit,
+)
 
 
 def _unit(evidence: Evidence, interval: float) -> tuple[float, str, str]:
@@ -90,15 +101,24 @@ def _jitter(evidence: Evidence) -> tuple[float, float]:
     return float(np.sqrt(np.mean(np.diff(steps) ** 2) / 6.0)), even
 
 
-@check("stamp_jitter")
 def stamp_jitter(evidence: Evidence) -> Iterator[Finding]:
     """Find stamps that scatter by more than rounding: each stamp is used as it is, so that angles have its error."""
     sigma, interval = _jitter(evidence)
     if sigma > 0.5 * ROUNDING_FRACTION * interval:
-        yield finding("stamp_jitter", jitter=sigma / interval, interval=interval)
+        yield STAMP_JITTER.found(jitter=sigma / interval, interval=interval)
 
 
-@check("clock_drift")
+STAMP_JITTER: Final = Fault(
+    "stamp_jitter",
+    "The time stamps have jitter",
+    "scatter of the steps of the time stamps about an even rate",
+    "The time stamps have a jitter of {jitter:.2g} sampling intervals (rms; interval {interval:.4g} s), which causes "
+    "errors of all rotation angles: state sample_rate_hz if the unit samples evenly, or log the clock of the unit.",
+    "warning",
+    stamp_jitter,
+)
+
+
 def clock_drift(evidence: Evidence) -> Iterator[Finding]:
     """Find stamps whose mean interval changes steadily from the first part of the recording to the last."""
     recording = evidence.recording
@@ -113,10 +133,21 @@ def clock_drift(evidence: Evidence) -> Iterator[Finding]:
     sigma = noise / math.sqrt(float(place @ place))
     change = slope * (_PARTS - 1) / float(means.mean())
     if abs(change) > _LEAST_DRIFT and abs(slope) > _NO_GAP * sigma:
-        yield finding("clock_drift", change=100.0 * change, first=1e3 * float(means[0]), last=1e3 * float(means[-1]))
+        yield CLOCK_DRIFT.found(change=100.0 * change, first=1e3 * float(means[0]), last=1e3 * float(means[-1]))
 
 
-@check("gap_in_sequence")
+CLOCK_DRIFT: Final = Fault(
+    "clock_drift",
+    "The clock of the time stamps drifts",
+    "change of the mean step of the time stamps over ten parts of the recording",
+    "The steps of the time stamps change by {change:+.2g} % during the recording, from {first:.6g} to {last:.6g} ms, "
+    "which causes errors of all rotation angles: state sample_rate_hz if the unit samples evenly, or log the clock of "
+    "the unit.",
+    "warning",
+    clock_drift,
+)
+
+
 def gap_in_sequence(evidence: Evidence) -> Iterator[Finding]:
     """Find gaps of the time stamps between the first and the last sample of a sequence."""
     time, gaps = evidence.recording.time, evidence.recording.gaps
@@ -126,13 +157,23 @@ def gap_in_sequence(evidence: Evidence) -> Iterator[Finding]:
     gaps = gaps[time[gaps] - time[gaps - 1] - evidence.dt > _NO_GAP * sigma]
     rows, title, more = _inside_labelled(evidence, gaps) if evidence.has_labels else _inside_rotations(evidence, gaps)
     if rows.size:
-        yield finding(
-            "gap_in_sequence",
+        yield GAP_IN_SEQUENCE.found(
             title=title,
             duration=float(time[rows[0]] - time[rows[0] - 1]) - evidence.dt,
             time=float(time[rows[0]]),
             more=f" (and inside {more} other{'s' if more > 1 else ''})" if more else "",
         )
+
+
+GAP_IN_SEQUENCE: Final = Fault(
+    "gap_in_sequence",
+    "Samples are missing inside a sequence",
+    "steps of the time stamps between the first and the last sample of a sequence",
+    "{title}: samples are missing for {duration:.3g} s before {time:.6g} s, inside the sequence{more}: with a gap it "
+    "cannot be used; repeat it.",
+    "warning",
+    gap_in_sequence,
+)
 
 
 def _inside_labelled(evidence: Evidence, gaps: Indices) -> tuple[Indices, str, int]:

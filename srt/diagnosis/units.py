@@ -16,7 +16,7 @@ import numpy as np
 
 from srt.constants import DEG, DEG_PER_H, STANDARD_GRAVITY_M_S2
 from srt.diagnosis.clipping import clipped_parts
-from srt.diagnosis.findings import check, finding
+from srt.diagnosis.findings import Fault, Finding, by_sensor
 from srt.diagnosis.rotation_readings import computed_once, rotation_angles
 from srt.diagnosis.scale_causes import ScaleCause, most_likely
 from srt.diagnosis.scale_ratios import UNKNOWN, accel_scale_ratios, gyro_scale_ratios, stationary_force_scatter
@@ -26,11 +26,11 @@ from srt.sequences.plausibility import LEGAL_RATIO
 from srt.sequences.wrong_units import WRONG_UNITS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping
 
     from srt.diagnosis.evidence import Evidence
-    from srt.diagnosis.findings import Finding
     from srt.diagnosis.scale_ratios import ScaleRatios
+    from srt.result.diagnostics import RunnerUp
     from srt.sequences.wrong_units import WrongUnit
     from srt.types import Array, Sensor
 
@@ -116,39 +116,146 @@ _MOST_COUNTS: Final = 2.0**52
 """Largest range of the readings, in counts: above it, every double is a whole number."""
 
 
-@check(
-    "increments_as_rates",
-    "rates_as_increments",
-    "increments_thinned",
-    "gyro_degrees",
-    "gyro_radians",
-    "gyro_per_hour",
-    "gyro_milli",
-    "gyro_counts",
-    "accel_g",
-    "accel_mg",
-    "accel_m_s2",
-    "accel_counts",
-    "gyro_lsb",
-    "accel_lsb",
-    "sample_rate",
-    "gyro_factor",
-    "accel_factor",
-)
 def wrong_scales(evidence: Evidence) -> Iterator[Finding]:
     """Report the most likely cause of wrong scales; a wrong time unit is reported by another check."""
-    yield from (found for found in scale_findings(evidence) if found.fault != "time_unit")
+    yield from scale_findings(evidence, SCALES)
+
+
+_BY_LABELS: Final = "ratio of measured to labelled rotation angles"
+_BY_GRAVITY: Final = "ratio of stationary specific force to gravity"
+_TURNED: Final = "The measured rotation angles are {ratio:.4g} times the expected ones ({title})"
+_AT_REST: Final = "At rest the accelerometers read {found:.4g} m/s², but {expected:.4g} m/s² is expected"
+_UNIT: Final = "the {}readings look like {{unit}}, declared as {{declared}}; correct {}_unit."
+
+
+def _scale(name: str, title: str, criterion: str, message: str) -> Fault:
+    return Fault(name, title, criterion, message, "exit 1", wrong_scales)
+
+
+_KIND: Final = (
+    "At rest the accelerometers read {{accel:.4g}} m/s², and the measured rotation angles are {{turn:.3g}} times the "
+    "expected ones: both are about the expected value {} the sampling interval ({{interval:.3g}} s), as for {}s; set "
+    'kind = "{}".'
+)
+_LSB: Final = by_sensor(
+    "lsb",
+    "Wrong value of [a gyro|an accelerometer] count, or wrong [gyro|accelerometer] range",
+    f"[{_BY_LABELS}|{_BY_GRAVITY}]: a power of two on all axes or on one axis",
+    "{who} {ratio:.4g} times [the true rotation|gravity], which is near a factor of {power:g}: the value of a count is "
+    "that of another measuring range; correct [gyro|accel]_lsb.",
+    "exit 1",
+    wrong_scales,
+)
+_FACTOR: Final = by_sensor(
+    "factor",
+    "All [gyros|accelerometers] have a wrong scale by one factor",
+    "[rotation angles|stationary specific force] wrong by one factor on all axes, [while the Earth rate contradicts a "
+    "wrong sample rate|by more than gravity varies over the Earth]",
+    "All [gyro|accelerometer] axes read {ratio:.4g} times [the true rotation|gravity], with a scatter of only "
+    "{spread:.2g} between the axes, less than that of independent scale-factor errors: the value of a count or the "
+    "unit is probably wrong by this factor; check [gyro_lsb and gyro_unit|accel_lsb and accel_unit].",
+    "warning",
+    wrong_scales,
+)
+SCALES: Final = {
+    fault.name: fault
+    for fault in (
+        _scale(
+            "increments_as_rates",
+            "Increments declared as rates",
+            "gravity and rotation angles: both are the expected value times the sampling interval",
+            _KIND.format("times", "increment", "increment"),
+        ),
+        _scale(
+            "rates_as_increments",
+            "Rates declared as increments",
+            "gravity and rotation angles: both are the expected value divided by the sampling interval",
+            _KIND.format("divided by", "rate", "rate"),
+        ),
+        _scale(
+            "increments_thinned",
+            "Increments are thinned out, not summed",
+            "gravity and rotation angles: both are the expected value divided by the same whole number; without a "
+            "rotation, gravity alone, if the interval is longer than that of any IMU",
+            "The increments are {ratio:.4g} times the expected ones, which is near 1/{count}: of every {count} "
+            "increments, only one was kept; sum the increments of each interval instead, and record again.",
+        ),
+        *(
+            _scale(f"gyro_{name}", f"Gyro readings {title}", _BY_LABELS, f"{_TURNED}: {_UNIT.format('gyro ', 'gyro')}")
+            for name, title in (
+                ("degrees", "in degrees, declared in radians"),
+                ("radians", "in radians, declared in degrees"),
+                ("per_hour", "per hour, declared per second, or the reverse"),
+            )
+        ),
+        _scale(
+            "gyro_milli",
+            "Gyro readings in thousandths of the declared unit",
+            _BY_LABELS,
+            f"{_TURNED}: the gyro readings look like thousandths of the declared unit (mrad/s, mdeg/s); divide them by "
+            "1000.",
+        ),
+        _scale(
+            "gyro_counts",
+            "Raw gyro counts declared as rates or angles",
+            f"{_BY_LABELS}; readings that are whole numbers",
+            f"{_TURNED}, and the gyro readings are whole numbers: they look like raw counts; set gyro_unit = "
+            '"counts" and gyro_lsb.',
+        ),
+        *(
+            _scale(
+                f"accel_{name}",
+                f"Accelerometer readings in {title}",
+                _BY_GRAVITY,
+                f"{_AT_REST}: {_UNIT.format('', 'accel')}",
+            )
+            for name, title in (
+                ("g", "g, declared in m/s²"),
+                ("mg", "mg, declared in another unit"),
+                ("m_s2", "m/s², declared in g"),
+            )
+        ),
+        _scale(
+            "accel_counts",
+            "Raw accelerometer counts declared as m/s² or g",
+            f"{_BY_GRAVITY}; readings that are whole numbers",
+            f"{_AT_REST}, and the readings are whole numbers: they look like raw counts; set accel_unit = "
+            '"counts" and accel_lsb.',
+        ),
+        *_LSB.values(),
+        Fault(
+            "sample_rate",
+            "Wrong sample rate",
+            "rotation angles (for increments: stationary specific force) wrong by one factor on all axes, which is not "
+            "a power of two",
+            "All axes of the {sensor} read {ratio:.4g} times the expected value, with a scatter of only {spread:.2g} "
+            "between the axes: the sample rate is more likely {rate:.5g} Hz than {stated:.5g} Hz; correct "
+            "sample_rate_hz or the time stamps.",
+            "warning",
+            wrong_scales,
+        ),
+        *_FACTOR.values(),
+    )
+}
+
+
+def scale_findings(evidence: Evidence, faults: Mapping[str, Fault]) -> Iterator[Finding]:
+    """Findings of those of the faults that best explain the ratios of both triads."""
+    best, runner_up = scale_cause(evidence)
+    for place, name in enumerate(best.faults):
+        if name in faults:
+            yield Finding(faults[name], best.details[name], runner_up if place == 0 else None)
 
 
 @computed_once
-def scale_findings(evidence: Evidence) -> list[Finding]:
-    """Faults that best explain the ratios of both triads; empty for a sound unit."""
+def scale_cause(evidence: Evidence) -> tuple[ScaleCause, RunnerUp | None]:
+    """Most likely cause of the ratios of both triads, and the second most likely if it is nearly as likely."""
     gyro, accel = gyro_scale_ratios(evidence), accel_scale_ratios(evidence)
     if stationary_force_scatter(evidence) > _MATCH and not accel.axis_scatter < _POWER_SCATTER:
         accel = UNKNOWN  # the specific force differs much between the windows: they are not stationary
     odd = {"gyro": _is_odd(evidence, "gyro", gyro, accel), "accel": _is_odd(evidence, "accel", accel, gyro)}
     if not any(odd.values()):
-        return []
+        return ScaleCause(), None
     sound = [ScaleCause()]
     by_gyro = (list(_of_one_triad(evidence, "gyro", gyro)) or sound) if odd["gyro"] else sound
     by_accel = (list(_of_one_triad(evidence, "accel", accel)) or sound) if odd["accel"] else sound
@@ -158,9 +265,7 @@ def scale_findings(evidence: Evidence) -> list[Finding]:
         clock = list(_of_clock(evidence, gyro if timed == "gyro" else accel))
         beside = by_accel if timed == "gyro" else by_gyro
         causes += [one & other for one in clock for other in beside]
-    best, runner_up = most_likely(causes, evidence, gyro, accel)
-    found = [finding(fault, **best.details[fault]) for fault in best.faults]
-    return [replace(one, runner_up=runner_up) if k == 0 else one for k, one in enumerate(found)]
+    return most_likely(causes, evidence, gyro, accel)
 
 
 def _is_legal(sensor: Sensor, scales: ScaleRatios) -> bool:

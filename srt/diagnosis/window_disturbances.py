@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from scipy.special import chdtri, fdtri, ndtri
 
-from srt.diagnosis.findings import FALSE_ALARM, check, finding
+from srt.diagnosis.findings import FALSE_ALARM, Fault
 from srt.diagnosis.rotation_readings import cross, invert_readings
 from srt.diagnosis.sensor_synchronisation import lag
 from srt.diagnosis.triad_fits import raw_triads
@@ -62,7 +62,6 @@ _MAD_EFFICIENCY: Final = 0.37
 """Degrees of freedom of a median absolute deviation, per value."""
 
 
-@check("unsettled", "bump", "creep", "noisy_window")
 def disturbed_windows(evidence: Evidence) -> Iterator[Finding]:
     """Compare each window with the others for oscillation, bumps, creep and noise."""
     averages = window_averages(evidence)
@@ -82,16 +81,14 @@ def disturbed_windows(evidence: Evidence) -> Iterator[Finding]:
     rings[list(steps)] = False
     if rings.any():
         worst = int(np.argmax(np.where(rings, amplitude[:, :2].max(axis=1), 0.0)))
-        yield finding(
-            "unsettled",
+        yield UNSETTLED.found(
             count=int(rings.sum()),
             amplitude=_amplitude(averages, worst),
             **_place(evidence, averages, worst),
         )
     if steps:
         v = max(steps, key=lambda v: steps[v].size)
-        yield finding(
-            "bump",
+        yield BUMP.found(
             **_place(evidence, averages, v)
             | {"time": _time(evidence, averages, v, (steps[v].block + 0.5) * averages.step_s)},
             angle_mrad=1e3 * steps[v].size,
@@ -102,11 +99,49 @@ def disturbed_windows(evidence: Evidence) -> Iterator[Finding]:
     if creep is not None:
         v, rate = creep
         done[v] = True
-        yield finding("creep", rate_urad_s=1e6 * rate, **_place(evidence, averages, v))
+        yield CREEP.found(rate_urad_s=1e6 * rate, **_place(evidence, averages, v))
     noisy = None if lagging else _noisy(averages, done)
     if noisy is not None:
         v, ratio, sensor = noisy
-        yield finding("noisy_window", ratio=ratio, sensor=sensor, **_place(evidence, averages, v))
+        yield NOISY_WINDOW.found(ratio=ratio, sensor=sensor, **_place(evidence, averages, v))
+
+
+UNSETTLED: Final = Fault(
+    "unsettled",
+    "The fixture had not settled",
+    "oscillation at the start of windows, compared with their second half",
+    "The fixture still oscillates at the start of the stationary window from {time:.6g} s ({sequence}; amplitude "
+    "{amplitude}; {count} such windows in the recording): wait longer after a rotation, or start the windows later.",
+    "warning",
+    disturbed_windows,
+)
+BUMP: Final = Fault(
+    "bump",
+    "The unit was bumped in a stationary window",
+    "a step of attitude inside a window, on which gyros and accelerometers agree",
+    "The unit was bumped at {time:.6g} s, in a stationary window of {sequence}: it rotated by {angle_mrad:.3g} mrad; "
+    "repeat the sequence.",
+    "warning",
+    disturbed_windows,
+)
+CREEP: Final = Fault(
+    "creep",
+    "The unit creeps in a stationary window",
+    "a steady tilt inside a window, on which gyros and accelerometers agree",
+    "The unit creeps in the stationary window from {time:.6g} s ({sequence}): it tilts by {rate_urad_s:.3g} µrad/s; "
+    "clamp the unit, and repeat the sequence.",
+    "warning",
+    disturbed_windows,
+)
+NOISY_WINDOW: Final = Fault(
+    "noisy_window",
+    "A stationary window is noisier than the others",
+    "noise of each window against that of the others",
+    "In the stationary window from {time:.6g} s ({sequence}), the noise of the {sensor} is {ratio:.3g} times that in "
+    "the other windows: look for vibration, and repeat the sequence.",
+    "warning",
+    disturbed_windows,
+)
 
 
 def _time(evidence: Evidence, averages: WindowAverages, v: int, later_s: float = 0.0) -> float:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from srt.constants import MICRO_G
-from srt.diagnosis.findings import check, finding
+from srt.diagnosis.findings import Fault, by_sensor
 from srt.diagnosis.rotation_readings import computed_once
 from srt.model.table1 import AXES
 from srt.noise.noise_model import smallest_step
@@ -81,19 +81,29 @@ _HALF_TURN: Final = 0.5
 """Smallest labelled rotation, rad, and smallest gravity component of a pose, g, whose sign the readings must show."""
 
 
-@check("gyro_wrapped", "accel_wrapped")
 def wrapped_words(evidence: Evidence) -> Iterator[Finding]:
     """Find channels that jump between their two extremes, or between zero and an extreme; report the first channel."""
     for sensor, (axis, jumps) in wrapped_readings(evidence).items():
         column = (evidence.rate if sensor == "gyro" else evidence.force)[:, axis]
-        yield finding(
-            f"{sensor}_wrapped",
+        yield WRAPPED[sensor].found(
             channel=f"{sensor}_{AXES[axis]}",
             low=float(column.min()),
             high=float(column.max()),
             count=len(jumps),
             time=float(evidence.recording.time[jumps[0]]),
         )
+
+
+WRAPPED: Final = by_sensor(
+    "wrapped",
+    "[A gyro|An accelerometer] reading overflows and wraps around",
+    "jumps from one extreme to the other, or between zero and an extreme, that are no motion",
+    "{channel} jumps from one sample to the next, first at {time:.6g} s and {count} times in all (lowest reading "
+    "{low:.4g}, highest {high:.4g} [rad/s|m/s²]): the reading overflows and wraps around; choose a wider range or "
+    "format[, or rotate more slowly|].",
+    "exit 1",
+    wrapped_words,
+)
 
 
 @computed_once
@@ -210,7 +220,6 @@ def _word_range(column: Array) -> float | None:
     return size if float(np.median(np.abs(sizes - size))) < _SAME_RANGE * size and size > _WRAP_JUMP * seen else None
 
 
-@check("gyro_one_polarity", "accel_one_polarity")
 def words_of_one_polarity(evidence: Evidence) -> Iterator[Finding]:
     """Find channels that often read zero, and never a sign that some labelled rotation or pose requires."""
     data = evidence.data
@@ -232,22 +241,42 @@ def words_of_one_polarity(evidence: Evidence) -> Iterator[Finding]:
             for sign, missing in ((1.0, "negative"), (-1.0, "positive")):
                 if np.all(sign * column >= 0.0) and np.any(column != 0.0):
                     channel = f"{sensor}_{AXES[axis]}"
-                    yield finding(f"{sensor}_one_polarity", channel=channel, missing=missing, share=100.0 * share)
+                    yield ONE_POLARITY[sensor].found(channel=channel, missing=missing, share=100.0 * share)
                     return
 
 
-@check("accel_dead_band")
+ONE_POLARITY: Final = by_sensor(
+    "one_polarity",
+    "[A gyro|An accelerometer] reads values of only one sign",
+    "zeros, and no reading of a sign that some labelled [rotation|pose] requires",
+    "{channel} has no {missing} reading, and reads zero in {share:.3g} % of the samples, but the sequences require "
+    "both signs: {missing} values are cut off (by an unsigned word, or a unipolar converter); read signed words.",
+    "exit 1",
+    words_of_one_polarity,
+)
+
+
 def accel_dead_band(evidence: Evidence) -> Iterator[Finding]:
     """Find accelerometers that read zero, but nothing between zero and a threshold, although gravity passes it."""
     found = suppressed_readings(evidence, "accel")
     if found is not None:
-        yield finding(
-            "accel_dead_band",
+        yield ACCEL_DEAD_BAND.found(
             channel=f"accel_{AXES[found.axis]}",
             count=found.zeros,
             threshold_ug=found.threshold / MICRO_G,
             step_ug=found.step / MICRO_G,
         )
+
+
+ACCEL_DEAD_BAND: Final = Fault(
+    "accel_dead_band",
+    "The accelerometers suppress small readings",
+    "zeros, but no other reading below a threshold far above the quantization step",
+    "{channel} reads zero {count} times, and otherwise at least {threshold_ug:.3g} µg, but its quantization step is "
+    "{step_ug:.2g} µg: the unit suppresses small readings; switch off its dead band.",
+    "warning",
+    accel_dead_band,
+)
 
 
 class SuppressedReadings(NamedTuple):
@@ -302,7 +331,6 @@ def _grid(small: Array) -> float:
     return common if np.mean(np.abs(multiple - np.rint(multiple)) < _WHOLE) > 0.5 else 0.0
 
 
-@check("bit_stuck")
 def bit_stuck(evidence: Evidence) -> Iterator[Finding]:
     """Find a bit that is set in all words of an axis; the axes of a triad have the same count value."""
     for sensor, table in (("gyro", evidence.recording.gyro), ("accel", evidence.recording.accel)):
@@ -316,8 +344,19 @@ def bit_stuck(evidence: Evidence) -> Iterator[Finding]:
                 continue
             periods = float(np.ptp(table[:, axis])) / (lsb * 2.0**bit)
             channel = f"{sensor}_{AXES[axis]}"
-            yield finding("bit_stuck", bit=bit, channel=channel, count=len(table), periods=periods)
+            yield BIT_STUCK.found(bit=bit, channel=channel, count=len(table), periods=periods)
             return
+
+
+BIT_STUCK: Final = Fault(
+    "bit_stuck",
+    "One bit of a converter is stuck",
+    "a bit that is set in all readings of an axis, although their range is many times its value",
+    "Bit {bit} of {channel} is set in all {count} readings, although their range is {periods:.3g} times the value of "
+    "the bit: one bit of the converter or of its bus is stuck; repair it, and record again.",
+    "warning",
+    bit_stuck,
+)
 
 
 def _count_value(table: Array) -> float | None:

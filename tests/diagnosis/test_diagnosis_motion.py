@@ -12,20 +12,19 @@ from functools import cache, cached_property
 import numpy as np
 import pytest
 import recorded_sets
-from diagnosing import grades_and_faults
+from diagnosing import findings_of_stage, grades_and_faults
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import uniform_filter1d
 
 import sims.faults.execution  # noqa: F401 - registers its injections
-import srt.diagnosis.sequences  # noqa: F401 - registers its checks
 from sims.faults.injection import GRADES, INJECTIONS, Case
 from sims.physics.sequences import TABLE_1
 from sims.scenarios.scenario import scenario_from_dict
 from sims.scenarios.simulation import simulate
 from srt.diagnosis import window_disturbances
 from srt.diagnosis.evidence import Evidence
-from srt.diagnosis.findings import sort_by_cause, stage_checks
+from srt.diagnosis.faults import sort_by_cause
 from srt.diagnosis.rotation_readings import cross, robust_fit, rotation_angles
 from srt.diagnosis.sensor_synchronisation import time_offset
 from srt.diagnosis.window_averages import window_averages
@@ -68,7 +67,7 @@ def findings(recording, options=None):
     evidence = Labelled(recording, options)
     found = []
     for stage in STAGES:
-        found += [finding for registered in stage_checks(stage) for finding in registered.run(evidence)]
+        found += findings_of_stage(evidence, stage)
         if any(f.effect.startswith("exit") for f in found):
             break
     return sort_by_cause(found)

@@ -10,26 +10,23 @@ from functools import cache
 
 import numpy as np
 import pytest
-from diagnosing import WithoutRecognition, examine_stages, grades_and_faults
+from diagnosing import WithoutRecognition, examine_stages, findings_of_stage, grades_and_faults
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 import sims.faults.units_and_axes  # noqa: F401 - registers its injections
-import srt.diagnosis.axes
-import srt.diagnosis.clipping
-import srt.diagnosis.units  # noqa: F401 - register their checks
 from sims.faults.injection import GRADES, INJECTIONS, Case
 from srt.constants import DEG
+from srt.diagnosis import faults
 from srt.diagnosis.axes import gravity_relation, mapping, nearest_axes
 from srt.diagnosis.evidence import Evidence
-from srt.diagnosis.faults import FAULTS
-from srt.diagnosis.findings import sort_by_cause, stage_checks
+from srt.diagnosis.faults import sort_by_cause
 from srt.diagnosis.scale_ratios import accel_scale_ratios, gyro_scale_ratios
 from srt.recording.import_options import parse_axis_map
 
 SEED = 330_000
 STAGES = ("units", "frames")
-MINE = tuple(name for name, fault in FAULTS.items() if fault.stage in STAGES and not name.endswith("clipped"))
+MINE = tuple(f.name for stage in STAGES for f in faults.STAGES[stage].faults if not f.name.endswith("clipped"))
 
 
 def examine(recording):
@@ -172,7 +169,7 @@ def test_all_wrong_axes_are_found_and_their_mappings_set_them_right(gyro, accel)
         assert found == ()
         return
     (finding,) = found
-    assert finding.stage == "frames"
+    assert finding.cause in faults.STAGES["frames"].faults
     told = finding.details
     sensor = finding.fault.split("_")[0]
     both = told.get("mapping", "x,y,z")
@@ -226,5 +223,5 @@ def test_without_labels_recognition_takes_their_place(fault):
     unit = case("industrial-mems").changed(schedule={"moves": "recorded"})
     recording = INJECTIONS[fault].recording(unit).with_sequences(())
     evidence = Evidence(recording)
-    found = [finding for stage in STAGES for registered in stage_checks(stage) for finding in registered.run(evidence)]
+    found = [finding for stage in STAGES for finding in findings_of_stage(evidence, stage)]
     assert sort_by_cause(found)[0].fault == fault

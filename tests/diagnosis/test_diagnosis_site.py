@@ -9,7 +9,7 @@ from functools import cache, cached_property
 
 import numpy as np
 import pytest
-from diagnosing import grades_and_faults
+from diagnosing import findings_of_stage, grades_and_faults
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -18,8 +18,7 @@ from sims.faults.injection import GRADES, INJECTIONS, Case
 from sims.physics.imu import ImuModel
 from srt.constants import DEG, DEG_PER_H, EARTH_RATE_RAD_S, normal_gravity_m_s2
 from srt.diagnosis.evidence import Evidence
-from srt.diagnosis.findings import stage_checks
-from srt.diagnosis.site import ANOMALY_M_S2, HEIGHTS_M, stationary_rate_fit  # registers its checks
+from srt.diagnosis.site import ANOMALY_M_S2, HEIGHTS_M, stationary_rate_fit
 from srt.recording.recording import Fixture, Recording, SequenceLabel, Site
 from srt.sensor_errors import SensorErrors
 
@@ -38,7 +37,7 @@ class Labelled(Evidence):
 
 def findings(recording):
     evidence = Labelled(recording)
-    return [finding for registered in stage_checks("site") for finding in registered.run(evidence)]
+    return findings_of_stage(evidence, "site")
 
 
 @cache

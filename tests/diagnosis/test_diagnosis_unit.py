@@ -8,7 +8,7 @@ from functools import cache, cached_property
 
 import numpy as np
 import pytest
-from diagnosing import grades_and_faults
+from diagnosing import findings_of_stage, grades_and_faults
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -16,8 +16,7 @@ import sims.faults.site_and_drift  # noqa: F401 - registers its injections
 from sims.faults.injection import GRADES, INJECTIONS, Case
 from srt.constants import DEG_PER_H, MICRO_G
 from srt.diagnosis.evidence import Evidence
-from srt.diagnosis.findings import stage_checks
-from srt.diagnosis.imu_properties import BENCH_C, NOISE_RATIO, STEADY_C, white_noise_test  # registers its checks
+from srt.diagnosis.imu_properties import BENCH_C, NOISE_RATIO, STEADY_C, white_noise_test
 from srt.diagnosis.site import stationary_rate_fit
 from srt.estimation.options import Options
 from srt.recording.recording import ImuNoise, Recording, SequenceLabel, Site
@@ -44,7 +43,7 @@ class Labelled(Evidence):
 
 def findings(recording, options=None):
     evidence = Labelled(recording, options)
-    return [finding for registered in stage_checks("unit") for finding in registered.run(evidence)]
+    return findings_of_stage(evidence, "unit")
 
 
 @cache
@@ -299,7 +298,7 @@ def test_options_of_another_estimator_do_not_matter():
     options = Options(asymmetry=False, live=True, targets={"gyro_scale": 1e-6})
     evidence = Labelled(recording, options)
     evidence.result = result
-    named = [f.fault for registered in stage_checks("unit") for f in registered.run(evidence)]
+    named = [f.fault for f in findings_of_stage(evidence, "unit")]
     assert named == ["asymmetry_omitted"]
 
 
