@@ -9,13 +9,11 @@ import numpy as np
 from scipy.special import gammainc
 
 from srt.constants import EARTH_RATE_RAD_S, STANDARD_GRAVITY_M_S2
-from srt.diagnosis.axes import manoeuvre_readings
 from srt.diagnosis.findings import Fault, by_sensor
 from srt.diagnosis.repeated_samples import FALSE_ALARM as REPEATS_BY_CHANCE
 from srt.diagnosis.repeated_samples import repeated_runs, single_repeats
 from srt.diagnosis.sensor_synchronisation import sample_twice
-from srt.diagnosis.spikes import Spikes, find_spikes
-from srt.diagnosis.words import SuppressedReadings, suppressed_readings, wrapped_readings
+from srt.diagnosis.words import SuppressedReadings, suppressed_readings
 from srt.model.table1 import AXES
 from srt.noise.allan import CHANNELS
 from srt.noise.noise_model import smallest_step
@@ -169,7 +167,7 @@ def sensors_exchanged(evidence: Evidence) -> Iterator[Finding]:
     gyro, accel = recording.gyro[::stride], recording.accel[::stride]
     if not (_holds_gravity(gyro) and _range_of_size(accel) > _GRAVITY):
         return
-    turns = manoeuvre_readings(evidence)
+    turns = evidence.manoeuvres
     rate, force = (gyro, accel) if turns is None else (turns.rate / evidence.per_rate, turns.force / evidence.per_rate)
     yield SENSORS_EXCHANGED.found(
         gyro=float(np.median(np.linalg.norm(rate, axis=1))) * evidence.per_rate,
@@ -272,8 +270,8 @@ def duplicated_samples(evidence: Evidence) -> Iterator[Finding]:
             continue
         yield _duplicated(evidence, rows, expected)
         return
-    there = find_spikes(evidence)
-    rows = np.unique(there.sample[there.of_repeats(evidence)]) if there.sample.size else there.sample
+    there = evidence.spikes
+    rows = np.unique(there.sample[there.of_repeats(evidence.recording)]) if there.sample.size else there.sample
     if rows.size == 0:
         again = sample_twice(evidence)
         rows = rows if again is None else np.array([again])
@@ -360,7 +358,7 @@ def gyro_dead_band(evidence: Evidence) -> Iterator[Finding]:
     """Find gyros that read zero at rest or as the rate changes sign, but never a value between zero and a threshold."""
     if evidence.data is None or not any(_noisy(evidence, column) for column in _columns(evidence)[3:]):
         return
-    if "gyro" in wrapped_readings(evidence):
+    if "gyro" in evidence.wrapped_readings:
         return  # wrapped readings lie on several grids: their quantization step is not found
     found = suppressed_readings(evidence, "gyro") or _zero_at_rest(evidence)
     if found is not None:
@@ -407,10 +405,10 @@ def _zero_at_rest(evidence: Evidence) -> SuppressedReadings | None:
 
 def spikes(evidence: Evidence) -> Iterator[Finding]:
     """Find spikes; the message states the largest spike of the channel with the most spikes."""
-    there = find_spikes(evidence)
+    there = evidence.spikes
     if there.sample.size:
-        own = ~there.of_repeats(evidence)
-        there = Spikes(there.sample[own], there.channel[own], there.jump[own])
+        own = ~there.of_repeats(evidence.recording)
+        there = there[own]
     if there.sample.size == 0:
         return
     most = int(np.argmax(np.bincount(there.channel)))

@@ -8,7 +8,6 @@ import numpy as np
 
 from srt.diagnosis.findings import by_sensor
 from srt.noise.allan import CHANNELS
-from srt.sequences.clipping import Clipping, clipped_samples, clipping_levels
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -19,7 +18,7 @@ if TYPE_CHECKING:
 
 def clipping(evidence: Evidence) -> Iterator[Finding]:
     """Find readings at the stated range, or runs of the same extreme reading that noise does not explain."""
-    clipped = clipped_parts(evidence)
+    clipped = evidence.clipped_parts
     for sensor in ("gyro", "accel"):
         mine = [(k, part) for k, parts in clipped for part in parts if part.channel.startswith(sensor)]
         if not mine:
@@ -47,20 +46,3 @@ CLIPPED: Final = by_sensor(
     "warning",
     clipping,
 )
-
-
-def clipped_parts(evidence: Evidence) -> list[tuple[int | None, tuple[Clipping, ...]]]:
-    """Numbers of the sequences with saturated readings, and their channels; None for all samples without labels."""
-    recording = evidence.recording
-    levels = clipping_levels(recording)
-    if not (np.isfinite(levels.low).any() or np.isfinite(levels.high).any()):
-        return []
-    if not evidence.has_labels:
-        whole = clipped_samples(recording, slice(0, len(recording.time)), levels)
-        return [(None, whole)] if whole else []
-    data = evidence.data
-    if data is None:
-        return []
-    windows = data.windows.samples
-    parts = ((k, slice(int(windows[data.start[k], 0]), int(windows[data.end[k], 1]))) for k in range(data.K))
-    return [(k, channels) for k, part in parts if (channels := clipped_samples(recording, part, levels))]

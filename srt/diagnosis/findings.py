@@ -5,21 +5,11 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 if TYPE_CHECKING:
     from srt.diagnosis.evidence import Evidence
     from srt.result.diagnostics import RunnerUp
-
-FALSE_ALARM: Final = 3e-6
-"""False-alarm probability of each statistical test, for one recording.
-
-All checks together report a fault in at most 1e-4 of the recordings without faults. 15 tests at this probability add up
-to 4.5e-5: lost samples; lags; oscillation, bumps, creep and noise of windows; settling; joined units; drift of scale
-factors; absent Earth rate, latitude and north; drift of bias; noise of gyros and of accelerometers. The detection of a
-drift in a calibration adds 2e-5, clipping 1.4e-5, vibration and rotation in windows 8e-6, repeated samples 6e-6 and
-spikes 5e-6. The test of an omitted asymmetry, which only runs with the option that fixes it, is not included.
-"""
 
 Effect = Literal["exit 2", "exit 1", "warning", "note"]
 """Refused on reading; refused by the calibration; calibrated with a warning; reported only by ``srt inspect``."""

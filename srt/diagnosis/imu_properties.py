@@ -15,11 +15,11 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from scipy.special import chdtr, chdtrc, chdtri, stdtrit
+from scipy.special import chdtr, chdtrc, chdtri
 
 from srt.constants import DEG_PER_H, DEG_PER_SQRT_H, EARTH_RATE_RAD_S, MICRO_G
-from srt.diagnosis.findings import FALSE_ALARM, Fault, by_sensor
-from srt.diagnosis.site import StationaryRateFit, stationary_rate_fit
+from srt.diagnosis.false_alarms import FALSE_ALARM, limit
+from srt.diagnosis.findings import Fault, by_sensor
 from srt.estimation.options import Options
 from srt.exceptions import DataError
 from srt.model.table1 import AXES
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
     from srt.diagnosis.evidence import Evidence
     from srt.diagnosis.findings import Finding
+    from srt.diagnosis.stationary_rates import StationaryRateFit
     from srt.result.calibration import Calibration
     from srt.sequences.preparation import PreparedRecording
     from srt.types import Array, Indices, Mask, Sensor
@@ -65,7 +66,7 @@ def temperature(evidence: Evidence) -> Iterator[Finding]:
         return
     low, high = float(T.min()), float(T.max())
     if low < BENCH_C[0] or high > BENCH_C[1]:
-        unit = "raw counts" if low < BENCH_C[0] else next(name for limit, name in _OTHER_UNITS if high <= limit)
+        unit = "raw counts" if low < BENCH_C[0] else next(name for most, name in _OTHER_UNITS if high <= most)
         yield TEMPERATURE_UNIT.found(low=low, high=high, unit=unit)
         return
     data = evidence.data
@@ -105,12 +106,12 @@ TEMPERATURE_DRIFT: Final = Fault(
 
 def gyro_bias_drift(evidence: Evidence) -> Iterator[Finding]:
     """Test the stationary rates, after removal of g-sensitivity and Earth rate, for a trend over time."""
-    fit = stationary_rate_fit(evidence)
+    fit = evidence.stationary_rate_fit
     if fit is None:
         return
     ratio = np.abs(fit.drift) / fit.drift_sigma
     axis = int(np.argmax(ratio))
-    if ratio[axis] > -stdtrit(fit.freedom, FALSE_ALARM / 6.0):
+    if ratio[axis] > limit("t", fit.freedom, tests=3, both_sides=True):
         yield GYRO_BIAS_DRIFT.found(axis=AXES[axis], change_deg_h=float(fit.drift[axis] / DEG_PER_H))
 
 
@@ -191,7 +192,7 @@ def asymmetry_omitted(evidence: Evidence) -> Iterator[Finding]:
     if not set(_NO_ASYMMETRY) <= set(evidence.options.fixed_names) or evidence.data is None:
         return
     held = evidence.result
-    fit = stationary_rate_fit(evidence)
+    fit = evidence.stationary_rate_fit
     # A calibration that omits an asymmetry may be inconsistent for this reason.
     if held is None or held.status not in (*USABLE, "inconsistent") or fit is None:
         return
@@ -206,7 +207,7 @@ def asymmetry_omitted(evidence: Evidence) -> Iterator[Finding]:
     with np.errstate(invalid="ignore"):
         ratio = np.nan_to_num(np.abs(off) / sigma)  # the sigma of an asymmetry that is not observable is NaN
     axis = int(np.argmax(ratio))
-    if ratio[axis] > -stdtrit(fit.freedom, FALSE_ALARM / 6.0):
+    if ratio[axis] > limit("t", fit.freedom, tests=3, both_sides=True):
         yield ASYMMETRY_OMITTED.found(
             axis=AXES[axis],
             found_ppm=float(free.errors.vector[part][axis] * 1e6),

@@ -8,16 +8,17 @@ parameters.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.special import fdtrc
 
 from srt.diagnosis.cause_comparison import Cause, compare
-from srt.diagnosis.findings import FALSE_ALARM, Fault
-from srt.diagnosis.rotation_readings import computed_once, raw_integrals, robust_fit, rotation_angles
-from srt.diagnosis.site import BIAS, DRIFT, stationary_rates
+from srt.diagnosis.false_alarms import FALSE_ALARM
+from srt.diagnosis.findings import Fault
+from srt.diagnosis.stationary_rates import BIAS, DRIFT
+from srt.diagnosis.triad_fits import LEAST_FREEDOM
 from srt.noise.bias_instability import flicker_covariance
 from srt.sequences.stationary_windows import MIN_TURN_RAD
 
@@ -27,24 +28,18 @@ if TYPE_CHECKING:
     from srt.diagnosis.cause_comparison import Explanation
     from srt.diagnosis.evidence import Evidence
     from srt.diagnosis.findings import Finding
-    from srt.diagnosis.site import StationaryRates
+    from srt.diagnosis.stationary_rates import StationaryRates
     from srt.types import Array, Indices
 
 _LEAST_SEQUENCES: Final = 3
 """Fewest sequences on each side of a step: a change of a single sequence is a disturbance."""
 _SLOWNESS: Final = (0.1, 0.3)
 """Time constants of an exponential drift (warm-up), the alternative to a linear one, relative to the test duration."""
-_OUTLIER: Final = 8.0
-"""Ratio of a residual to the median residual, above which a rotation is an outlier."""
-_MOST_OUTLIERS: Final = 0.2
-"""Share of outliers from which none is excluded: so many rotations are no outliers."""
-_LEAST_FREEDOM: Final = 8
-"""Fewest degrees of freedom for an estimate of the scatter."""
 
 
 def units_joined(evidence: Evidence) -> Iterator[Finding]:
     """Test gyros and accelerometers for a step between two successive sequences, against a drift."""
-    rates, data = stationary_rates(evidence), evidence.data
+    rates, data = evidence.stationary_rates, evidence.data
     if rates is None or data is None or not evidence.has_labels or _has_poses(evidence):
         return  # static poses without a rotation are placed less accurately: their readings differ by more than noise
     order = np.argsort(data.windows.samples[data.start, 0])
@@ -87,14 +82,14 @@ UNITS_JOINED: Final = Fault(
 
 def _has_poses(evidence: Evidence) -> bool:
     """True if some sequence is a static pose without a rotation."""
-    turned = raw_integrals(evidence)
+    turned = evidence.raw_integrals
     return turned is None or bool(np.any(turned.absolute.max(axis=1) < MIN_TURN_RAD))
 
 
 def _probability(null: Explanation, step: Explanation) -> float:
     """p-value of the reduction of the residuals by a step (F test)."""
     more = null.freedom - step.freedom
-    if more <= 0 or step.freedom < _LEAST_FREEDOM:
+    if more <= 0 or step.freedom < LEAST_FREEDOM:
         return 1.0
     return float(fdtrc(more, step.freedom, (null.square - step.square) / more / (step.square / step.freedom)))
 
@@ -128,49 +123,9 @@ def _gyros(evidence: Evidence, rates: StationaryRates, shapes: list[tuple[str, A
     return _explained(whitened(rates.rate), whitened(fixed), shapes, whitened(own).reshape(3 * W, 3, W))
 
 
-class _Angles(NamedTuple):
-    """Rotations without outliers.
-
-    Attributes
-    ----------
-    sequence : ndarray of int, shape (L,)
-        Number of the sequence of each rotation.
-    measured : ndarray, shape (L,), rad
-    by_axis : ndarray, shape (L, 3), rad
-        Magnitudes of the components of the nominal rotation: columns of the scale factors.
-    fixed : ndarray, shape (L, 6), rad
-        Columns of the scale factors and asymmetries.
-    """
-
-    sequence: Indices
-    measured: Array
-    by_axis: Array
-    fixed: Array
-
-
-@computed_once
-def _rotations(evidence: Evidence) -> _Angles | None:
-    """Measured angles of the rotations; None without a fixture, or with too few rotations.
-
-    A rotation with lost samples, or by a wrong angle, is an outlier. A step of the scale factors changes many angles.
-    """
-    if evidence.data is None or evidence.recording.fixture is None:
-        return None
-    numbers, nominal, turned = rotation_angles(evidence)
-    measured = np.einsum("la,la->l", turned, nominal) / np.linalg.norm(nominal, axis=1)
-    by_axis = np.abs(nominal)
-    fixed = np.concatenate([by_axis, nominal], axis=1)
-    if len(numbers) < _LEAST_FREEDOM + fixed.shape[1]:
-        return None
-    left = np.abs(measured - (fixed @ robust_fit(fixed, np.repeat(measured[:, None], 3, axis=1)))[:, 0])
-    outlier = left > _OUTLIER * np.median(left)
-    kept = ~outlier if outlier.mean() < _MOST_OUTLIERS else np.ones(len(numbers), dtype=np.bool_)
-    return _Angles(numbers[kept], measured[kept], by_axis[kept], fixed[kept])
-
-
 def _angles(evidence: Evidence, windows: Indices, shapes: list[tuple[str, Array, int]]) -> list[Explanation]:
     """Explanations of the measured angles by scale-factor changes; empty without a fixture or with few rotations."""
-    data, turns = evidence.data, _rotations(evidence)
+    data, turns = evidence.data, evidence.measured_angles
     if data is None or turns is None:
         return []
     at = data.start[turns.sequence][:, None] == windows
@@ -179,7 +134,7 @@ def _angles(evidence: Evidence, windows: Indices, shapes: list[tuple[str, Array,
 
 def gyro_scale_drift(evidence: Evidence) -> Iterator[Finding]:
     """Test the measured angles of the rotations for a drift of the scale factors that is common to the gyros."""
-    data, turns = evidence.data, _rotations(evidence)
+    data, turns = evidence.data, evidence.measured_angles
     if data is None or turns is None:
         return
     time = evidence.recording.time[data.rotation[turns.sequence, 0]]

@@ -10,24 +10,12 @@ import numpy as np
 
 from srt.diagnosis.findings import Fault
 from srt.diagnosis.rotation_readings import (
-    block_averages,
-    computed_once,
     invert_readings,
     nominal_integrals,
-    raw_integrals,
-    rotation_angles,
-    turning_windows,
 )
-from srt.diagnosis.sensor_synchronisation import lag
-from srt.diagnosis.stabilised_force import stabilised_force
-from srt.diagnosis.triad_fits import gyro_fit, raw_triads
-from srt.diagnosis.window_edges import rotation_at_edges
-from srt.exceptions import DataError
 from srt.model import closed_form
 from srt.model.table1 import SEQUENCES
 from srt.sequences.moves import recorded_moves
-from srt.sequences.rest_detection import BLOCK_S
-from srt.sequences.stationary_windows import find_windows
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -37,16 +25,6 @@ if TYPE_CHECKING:
     from srt.types import Array, Mask
 
 
-_BESIDE_S: Final = 2.0 * BLOCK_S
-"""Largest error of the edges of the stationary windows found in the samples, s: one or two blocks."""
-_SLACK_S: Final = 0.03
-"""Stationary time per window, s, by which a smaller shift may be worse than the best shift and still be preferred."""
-_SOME_WINDOWS: Final = 40
-"""Largest number of windows for which the stationary time after a common shift is computed."""
-_FEW_WINDOWS: Final = 8
-"""Number of windows whose edges give the candidates for the common shift, which is the same for all windows."""
-_STILL: Final = 0.9
-"""Smallest share of the labelled time that is stationary after a common shift."""
 _FAR: Final = 1.0
 """Squared distance above which a manoeuvre is another sequence; rotation angles in units of 180°, verticals as unit
 vectors. The two most similar of the 17 sequences are 2 apart; a unit with errors of 10 % is within 0.1 of its own."""
@@ -65,9 +43,9 @@ _SHORT: Final = 0.5
 
 def labels_shifted(evidence: Evidence) -> Iterator[Finding]:
     """Compare the labelled windows that include rotation with the stationary windows found in the samples."""
-    seen = _shift(evidence)
+    seen = evidence.label_shift
     if seen is not None and evidence.data is not None:
-        yield LABELS_SHIFTED.found(shift=seen[0], count=seen[1], of=len(evidence.data.windows.samples))
+        yield LABELS_SHIFTED.found(shift=seen.late_s, count=seen.windows, of=len(evidence.data.windows.samples))
 
 
 LABELS_SHIFTED: Final = Fault(
@@ -81,70 +59,10 @@ LABELS_SHIFTED: Final = Fault(
 )
 
 
-@computed_once
-def _shift(evidence: Evidence) -> tuple[float, int] | None:
-    """Time by which the labels are late, s, and the number of windows affected; None if the labels are not shifted."""
-    found = _block_shift(evidence)
-    return rotation_at_edges(evidence) if found is None else found
-
-
-def _block_shift(evidence: Evidence) -> tuple[float, int] | None:
-    """Shift of the labels from block means, a coarse search; None if the labels are not shifted."""
-    data = evidence.data
-    if data is None or not evidence.has_labels:
-        return None
-    turning = turning_windows(evidence)
-    if not turning.any():
-        return None
-    try:
-        still = find_windows(evidence.recording)
-    except DataError:
-        return None
-    time, dt, samples = evidence.recording.time, evidence.dt, data.windows.samples
-    rest = np.stack([time[still[:, 0]] - dt, time[still[:, 1] - 1]], axis=1)
-    labelled = np.stack([time[samples[:, 0]] - dt, time[samples[:, 1] - 1]], axis=1)
-    shift = _common_shift(labelled, rest)
-    if shift is not None:
-        return shift, int(turning.sum())
-    single = _intrusions(labelled[turning], rest)
-    single = single[np.abs(single) > _BESIDE_S]
-    return (float(np.median(single)), int(single.size)) if single.size else None
-
-
-def _common_shift(labelled: Array, rest: Array) -> float | None:
-    """Smallest common time by which all labels are late, s, whose correction makes the windows stationary."""
-    some = labelled[np.unique(np.linspace(0, len(labelled) - 1, _SOME_WINDOWS).astype(int))]
-    # The best shift is one of those that move an edge of a label to an edge of a stationary window.
-    late = np.unique(np.append((some[:_FEW_WINDOWS, None, :, None] - rest[None, :, None, :]).ravel(), 0.0))
-    edges = rest.ravel()
-    still_until = np.repeat(np.concatenate([[0.0], np.cumsum(rest[:, 1] - rest[:, 0])]), 2)[1:-1]
-    until = np.interp(some[None] - late[:, None, None], edges, still_until)
-    at_rest = np.sum(until[:, :, 1] - until[:, :, 0], axis=1)
-    enough = late[at_rest >= at_rest.max() - _SLACK_S * len(some)]
-    best = float(enough[np.argmin(np.abs(enough))])
-    if at_rest.max() < _STILL * float(np.sum(some[:, 1] - some[:, 0])) or abs(best) <= _BESIDE_S:
-        return None
-    return best
-
-
-def _intrusions(labelled: Array, rest: Array) -> Array:
-    """Time by which each label is late (negative: early), s, relative to the stationary window it overlaps most."""
-    out = []
-    for a, b in labelled.tolist():
-        shared = np.minimum(b, rest[:, 1]) - np.maximum(a, rest[:, 0])
-        low, high = rest[int(np.argmax(shared))].tolist()
-        late, early = max(0.0, b - high), max(0.0, low - a)
-        # The label is not wrong if its window has a bump in it, or if it is too long on both sides.
-        beside = np.clip(np.minimum(b, rest[:, 1]) - np.maximum(a, rest[:, 0]), 0.0, None).sum() - shared.max()
-        if shared.max() > 0.0 and min(late, early) <= _BESIDE_S and beside < 0.5 * max(late, early):
-            out.append(late if late > early else -early)
-    return np.array(out)
-
-
 def rotations_against_labels(evidence: Evidence) -> Iterator[Finding]:
     """Compare each rotation with its label: find another sequence, the opposite sense, or another angle."""
     data = evidence.data
-    if data is None or _shift(evidence) is not None:  # with shifted labels, no rotation agrees with its label
+    if data is None or evidence.label_shift is not None:  # with shifted labels, no rotation agrees with its label
         return
     exchanged = _exchanged(evidence) if evidence.has_labels else {}
     if exchanged:
@@ -154,9 +72,9 @@ def rotations_against_labels(evidence: Evidence) -> Iterator[Finding]:
             count=len(exchanged),
             of=data.K,
         )
-    numbers, nominal, turned = rotation_angles(evidence)
+    numbers, nominal, turned = evidence.rotations
     angle = np.linalg.norm(nominal, axis=1)
-    matrix = raw_triads(evidence).gyro
+    matrix = evidence.raw_triads.gyro
     done = np.einsum("la,la->l", invert_readings(matrix, turned), nominal) / np.maximum(angle, 1e-300)
     known = ~np.isin(numbers, list(exchanged))
     # Recognised sequences have the right sense by construction.
@@ -204,7 +122,7 @@ WRONG_ANGLE: Final = Fault(
 
 def _exchanged(evidence: Evidence) -> dict[int, str]:
     """Names of the executed sequences where the label states another one, by the number of the sequence."""
-    data, seen = evidence.data, raw_integrals(evidence)
+    data, seen = evidence.data, evidence.raw_integrals
     assert data is not None
     assert seen is not None
     places = [k for k, name in enumerate(data.ids) if name in SEQUENCES]
@@ -243,12 +161,12 @@ def _wrong_angles(evidence: Evidence, known: Mask, excess: Array) -> Iterator[Fi
     fixture = evidence.recording.fixture
     if fixture is None:
         return
-    numbers, nominal, _ = rotation_angles(evidence)
+    numbers, nominal, _ = evidence.rotations
     # If the rotations do not cover all axes, the angles include uncorrected scale factors.
-    scale = 0.0 if gyro_fit(evidence).rank == 3 else _RAW_SCALE * np.linalg.norm(nominal, axis=1)
+    scale = 0.0 if evidence.gyro_fit.rank == 3 else _RAW_SCALE * np.linalg.norm(nominal, axis=1)
     allowed = _SIGMAS * np.hypot(math.hypot(fixture.rotation_sigma_rad, 2.0 * fixture.alignment_sigma_rad), scale)
     off = np.flatnonzero(known & (np.abs(excess) > allowed))
-    if off.size and lag(evidence) is not None:
+    if off.size and evidence.lag is not None:
         # A lagging gyro measures the end of a rotation during the next rotation of the sequence.
         off = off[np.bincount(numbers)[numbers[off]] == 1]
     left = _end_mismatch(evidence)
@@ -267,10 +185,10 @@ def _wrong_angles(evidence: Evidence, known: Mask, excess: Array) -> Iterator[Fi
 
 def _end_mismatch(evidence: Evidence) -> dict[int, float]:
     """Angle between the vertical propagated by the gyros and the measured one, at the end of each sequence, rad."""
-    data, path, turns = evidence.data, stabilised_force(evidence), block_averages(evidence)
+    data, path, turns = evidence.data, evidence.stabilised_force, evidence.block_averages
     if data is None or path is None or turns is None:
         return {}
-    _, accel, bias = raw_triads(evidence)
+    _, accel, bias = evidence.raw_triads
     last = turns.starts[1:] - 1
     sequences = turns.sequence[last]
     measured = invert_readings(accel, evidence.stationary_force[data.end[sequences]] - bias)
@@ -287,7 +205,7 @@ def _signed(rotation: Array) -> float:
 
 def _turn_title(evidence: Evidence, leg: int) -> str:
     """Name of a rotation, with a capital letter for the beginning of a message."""
-    numbers = rotation_angles(evidence)[0]
+    numbers = evidence.rotations[0]
     k = int(numbers[leg])
     title = evidence.title(k)
     mine = np.flatnonzero(numbers == k)
@@ -357,7 +275,7 @@ def _catalogue_ids(evidence: Evidence) -> list[str]:
 def window_short(evidence: Evidence) -> Iterator[Finding]:
     """Compare the window lengths with their median, of Table 1 only: rests of other protocols differ as planned."""
     data = evidence.data
-    if data is None or not _catalogue_ids(evidence) or _shift(evidence) is not None:
+    if data is None or not _catalogue_ids(evidence) or evidence.label_shift is not None:
         return
     duration = data.windows.duration_s
     typical = float(np.median(duration))

@@ -12,11 +12,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from scipy.special import stdtrit
 
 from srt.diagnosis.cause_comparison import Cause, compare
-from srt.diagnosis.findings import FALSE_ALARM, Fault
-from srt.diagnosis.window_averages import ACCEL, block_sigma, window_averages
+from srt.diagnosis.false_alarms import limit
+from srt.diagnosis.findings import Fault
+from srt.diagnosis.window_averages import ACCEL, block_sigma
 from srt.model.table1 import AXES
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ _REACH: Final = 5.0
 
 def accel_settling(evidence: Evidence) -> Iterator[Finding]:
     """Test for a common settling of all accelerometers, or of one, after the rotations."""
-    averages = window_averages(evidence)
+    averages = evidence.window_averages
     if averages is None:
         return
     found = []
@@ -64,7 +64,7 @@ def accel_settling(evidence: Evidence) -> Iterator[Finding]:
         found += compare(values, causes)
     best = max(found, key=lambda explanation: explanation.score)
     share, sigma = float(best.value[0]), float(best.sigma[0])
-    if _LARGEST > abs(share) > max(_SMALLEST, -stdtrit(best.freedom, 0.5 * FALSE_ALARM / len(found)) * sigma):
+    if _LARGEST > abs(share) > max(_SMALLEST, limit("t", best.freedom, tests=len(found), both_sides=True) * sigma):
         yield ACCEL_SETTLING.found(share_ppm=1e6 * share, sigma_ppm=1e6 * sigma, **best.cause.details)
 
 

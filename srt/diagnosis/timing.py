@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from srt.diagnosis.findings import Fault
-from srt.diagnosis.scale_ratios import accel_scale_ratios, gyro_scale_ratios
-from srt.diagnosis.units import TIME_UNITS, USUAL_S, scale_findings
+from srt.diagnosis.scale_candidates import TIME_UNITS, USUAL_S
+from srt.diagnosis.units import scale_findings
 from srt.recording.timing import ROUNDING_FRACTION
 from srt.sequences.plausibility import LONGEST_INTERVAL_S, SHORTEST_INTERVAL_S
 
@@ -70,7 +70,7 @@ def _unit(evidence: Evidence, interval: float) -> tuple[float, str, str]:
     if not usual:
         return min(TIME_UNITS, key=lambda row: abs(math.log(interval * row[0] / middle)))
     rates = evidence.recording.kind == "rate"
-    ratio = (gyro_scale_ratios if rates else accel_scale_ratios)(evidence).typical
+    ratio = (evidence.gyro_scales if rates else evidence.accel_scales).typical
     if len(usual) == 1 or not ratio > 0.0:
         return usual[0]
     factor = math.log(ratio) * (-1.0 if rates else 1.0)

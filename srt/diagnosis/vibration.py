@@ -8,7 +8,6 @@ import numpy as np
 
 from srt.constants import DEG_PER_H, MICRO_G
 from srt.diagnosis.findings import Fault
-from srt.diagnosis.triad_fits import raw_triads
 from srt.model.sensor_model import Triad
 
 if TYPE_CHECKING:
@@ -28,7 +27,7 @@ def vibration(evidence: Evidence) -> Iterator[Finding]:
     data = evidence.data
     if data is None or data.vibration is None:
         return
-    gyro, accel, bias = raw_triads(evidence)
+    gyro, accel, bias = evidence.raw_triads
     none = np.zeros(3)
     # The mean of the stationary rates is the bias, because the Earth rate averages out over the poses.
     triads = Triad(gyro, none, data.windows.gyro_mean.mean(axis=0)), Triad(accel, none, bias)

@@ -10,12 +10,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from scipy.special import chdtri, fdtri, ndtri
 
-from srt.diagnosis.findings import FALSE_ALARM, Fault
+from srt.diagnosis.false_alarms import FALSE_ALARM, limit
+from srt.diagnosis.findings import Fault
 from srt.diagnosis.rotation_readings import cross, invert_readings
-from srt.diagnosis.sensor_synchronisation import lag
-from srt.diagnosis.triad_fits import raw_triads
 from srt.diagnosis.window_averages import (
     ACCEL,
     GYRO,
@@ -23,7 +21,6 @@ from srt.diagnosis.window_averages import (
     WindowAverages,
     block_sigma,
     stationary_rate_residual,
-    window_averages,
 )
 
 if TYPE_CHECKING:
@@ -64,11 +61,11 @@ _MAD_EFFICIENCY: Final = 0.37
 
 def disturbed_windows(evidence: Evidence) -> Iterator[Finding]:
     """Compare each window with the others for oscillation, bumps, creep and noise."""
-    averages = window_averages(evidence)
+    averages = evidence.window_averages
     if averages is None:
         return
     # If gyros lag or lead, their readings of a rotation reach into the windows, in which the unit is at rest.
-    lagging = lag(evidence) is not None
+    lagging = evidence.lag is not None
     ringing, amplitude = _oscillation(averages, by_gyros=not lagging)
     if evidence.recording.fixture is None:
         ringing[:] = False  # a unit held by hand is never quite at rest
@@ -179,8 +176,7 @@ def _oscillation(averages: WindowAverages, by_gyros: bool) -> tuple[Mask, Array]
     ratio = averages.head_power / noise[:, None]
     by_sensor = np.stack([ratio[:, :, GYRO].mean(axis=2), ratio[:, :, ACCEL].mean(axis=2)], axis=2)
     freedom = averages.head_freedom
-    limit = np.maximum(_LEAST_POWER, chdtri(freedom, FALSE_ALARM / by_sensor.size) / freedom)
-    loud = by_sensor > limit
+    loud = by_sensor > np.maximum(_LEAST_POWER, limit("chi-square", freedom, tests=by_sensor.size) / freedom)
     told = loud.any(axis=2) if by_gyros else loud[:, :, 1]
     return np.asarray(told), np.asarray(by_sensor.max(axis=1, initial=0.0))
 
@@ -207,13 +203,13 @@ class _AttitudeStep:
 
 def _steps(evidence: Evidence, averages: WindowAverages) -> dict[int, _AttitudeStep]:
     """Windows with a step of the attitude: the gyros show a rotation in a few blocks, and the accelerometers agree."""
-    gyro, accel, bias = raw_triads(evidence)
+    gyro, accel, bias = evidence.raw_triads
     data = evidence.data
     assert data is not None
     sigma = block_sigma(averages)
     spread = _span_spread(averages, sigma)
     tests = len(_SPANS) * int(averages.blocks.sum())
-    limit, z = float(chdtri(3.0, FALSE_ALARM / tests)), -float(ndtri(0.5 * FALSE_ALARM / tests))
+    largest, z = limit("chi-square", 3.0, tests=tests), limit("normal", tests=tests, both_sides=True)
     noise = _step_noise(averages, accel)
     own = np.maximum(1.0, (sigma[:, ACCEL] / np.median(sigma[:, ACCEL], axis=0)).max(axis=1))
     out = {}
@@ -222,9 +218,9 @@ def _steps(evidence: Evidence, averages: WindowAverages) -> dict[int, _AttitudeS
         power = _turning_power(
             rate, [factor * sigma[windows, None, GYRO] for factor in spread], averages.block_doubt[GYRO]
         )
-        for i in np.flatnonzero([any((p[i] > limit).any() for p in power) for i in range(len(windows))]).tolist():
+        for i in np.flatnonzero([any((p[i] > largest).any() for p in power) for i in range(len(windows))]).tolist():
             v, count = int(windows[i]), means.shape[1]
-            span = _turning_span([p[i] for p in power], limit)
+            span = _turning_span([p[i] for p in power], largest)
             if span is None or span[0] < _EDGE_BLOCKS or span[1] > count - _EDGE_BLOCKS:
                 continue
             first, last = span
@@ -271,14 +267,14 @@ def _span_spread(averages: WindowAverages, sigma: Array) -> Array:
     return np.maximum(1.0, np.array(wide))
 
 
-def _turning_span(power: list[Array], limit: float) -> tuple[int, int] | None:
+def _turning_span(power: list[Array], largest: float) -> tuple[int, int] | None:
     """First block of the step of a window, and one past its last block; None if the window has more than one step.
 
     One block is added on each side: it may contain a part of the step that is below the threshold.
     """
     at = np.concatenate([np.arange(len(p))[:, None] + [0, span] for p, span in zip(power, _SPANS, strict=True)])
     every = np.concatenate(power)
-    loud = at[every > limit]
+    loud = at[every > largest]
     first, last = at[int(np.argmax(every))].tolist()
     elsewhere = (loud[:, 1] <= first - 1) | (loud[:, 0] >= last + 1)
     return None if elsewhere.any() else (first - 1, last + 1)
@@ -304,7 +300,9 @@ def _creep(evidence: Evidence, averages: WindowAverages, done: Mask) -> tuple[in
     shorter windows by noise. A creep must satisfy three conditions: the weighted mean of both is significant, the
     accelerometers alone show it, and both agree.
     """
-    _, accel, bias = raw_triads(evidence)
+    gyro, accel, bias = evidence.raw_triads
+    data = evidence.data
+    assert data is not None
     V = len(averages.window)
     force, slope = np.empty((V, 3)), np.empty((V, 3))
     moment = np.empty(V)
@@ -322,7 +320,7 @@ def _creep(evidence: Evidence, averages: WindowAverages, done: Mask) -> tuple[in
     across = -cross(up, invert_readings(accel, slope)) / square
     plane = _horizontal(up / np.sqrt(square))
     by_accel = np.einsum("vjc,vc->vj", plane, across)
-    by_gyro = np.einsum("vjc,vc->vj", plane, stationary_rate_residual(evidence)[averages.window])
+    by_gyro = np.einsum("vjc,vc->vj", plane, stationary_rate_residual(data, gyro)[averages.window])
     # A fit of least absolute deviations has as many zero residuals as unknowns: these do not show the scatter.
     tell = np.argsort(np.einsum("vj,vj->v", by_gyro, by_gyro))[_UNKNOWNS:]
     if len(tell) < _UNKNOWNS:
@@ -335,15 +333,15 @@ def _creep(evidence: Evidence, averages: WindowAverages, done: Mask) -> tuple[in
     both = (by_accel / a[:, None] + by_gyro / g[:, None]) / (1.0 / a + 1.0 / g)[:, None]
     size2 = np.sum(both**2, axis=1)
 
-    def limit(probability: float) -> float:
-        return 2.0 * float(fdtri(2.0, freedom, 1.0 - probability))
+    def plane_limit(probability: float, windows: int = 1) -> float:
+        return 2.0 * float(limit("F", 2.0, freedom, tests=windows, shared=probability))
 
     apart2 = np.sum((by_accel - by_gyro) ** 2, axis=1)
     creeps = (
         ~done
-        & (size2 * (1.0 / a + 1.0 / g) > limit(FALSE_ALARM / V))
-        & (np.sum(by_accel**2, axis=1) / a > limit(_PLAUSIBLE))
-        & ((apart2 < limit(_CONTRARY) * (a + g)) | (apart2 < _AGREE**2 * size2))
+        & (size2 * (1.0 / a + 1.0 / g) > plane_limit(FALSE_ALARM, V))
+        & (np.sum(by_accel**2, axis=1) / a > plane_limit(_PLAUSIBLE))
+        & ((apart2 < plane_limit(_CONTRARY) * (a + g)) | (apart2 < _AGREE**2 * size2))
     )
     if not creeps.any():
         return None
@@ -390,8 +388,8 @@ def _noisy(averages: WindowAverages, done: Mask) -> tuple[int, float, str] | Non
         for name, channels in (("gyros", GYRO), ("accelerometers", ACCEL)):
             power = ratio[:, channels].mean(axis=1)
             scatter = MAD * float(np.median(np.abs(np.log(np.maximum(power, 1e-12)))))
-            limit = np.maximum(_NOISIER, chdtri(freedom, FALSE_ALARM / (4 * len(power))) / freedom)
-            excess = np.where(done, 0.0, power / np.maximum(limit, np.exp(_NOISE_SIGMAS * scatter)))
+            least = np.maximum(_NOISIER, limit("chi-square", freedom, tests=4 * len(power)) / freedom)
+            excess = np.where(done, 0.0, power / np.maximum(least, np.exp(_NOISE_SIGMAS * scatter)))
             loudest = int(np.argmax(excess))
             if excess[loudest] > 1.0:
                 told.append((float(power[loudest]), loudest, name))

@@ -21,7 +21,6 @@ from sims.physics.imu import read_out
 from srt.diagnosis import faults
 from srt.diagnosis.channels import CHANNELS
 from srt.diagnosis.repeated_samples import repeated_runs
-from srt.diagnosis.spikes import find_spikes
 from srt.exceptions import SrtError
 from srt.recording.recording import ImuNoise, Recording, SequenceLabel, Site
 
@@ -269,7 +268,7 @@ def test_no_readings_make_a_check_raise(kind, n, scale, seed, labelled):
 def test_nothing_is_found_without_windows():
     evidence = WithoutRecognition(case("industrial-mems").recording.with_sequences(()))
     assert repeated_runs(evidence) == [[]] * 9
-    assert find_spikes(evidence).sample.size == 0
+    assert evidence.spikes.sample.size == 0
 
 
 @settings(max_examples=10, deadline=None)
@@ -286,5 +285,5 @@ def test_a_spike_is_found_where_it_is(seed, size, channel):
     columns = np.hstack([recording.gyro, recording.accel])
     sigma = np.std(np.diff(columns[first : first + 900, channel])) / np.sqrt(2.0)
     columns[row, channel] += size * sigma
-    found = find_spikes(WithoutRecognition(replace(recording, gyro=columns[:, :3], accel=columns[:, 3:])))
+    found = WithoutRecognition(replace(recording, gyro=columns[:, :3], accel=columns[:, 3:])).spikes
     assert (found.sample.tolist(), found.channel.tolist()) == ([row], [channel])

@@ -18,10 +18,9 @@ import sims.faults.units_and_axes  # noqa: F401 - registers its injections
 from sims.faults.injection import GRADES, INJECTIONS, Case
 from srt.constants import DEG
 from srt.diagnosis import faults
-from srt.diagnosis.axes import gravity_relation, mapping, nearest_axes
+from srt.diagnosis.axes import mapping, nearest_axes
 from srt.diagnosis.evidence import Evidence
 from srt.diagnosis.faults import sort_by_cause
-from srt.diagnosis.scale_ratios import accel_scale_ratios, gyro_scale_ratios
 from srt.recording.import_options import parse_axis_map
 
 SEED = 330_000
@@ -61,7 +60,7 @@ def test_scales_are_those_of_the_unit(grade):
     simulation = case(grade).simulation
     evidence = WithoutRecognition(simulation.recording)
     truth = simulation.truth.as_dict()
-    for sensor, scales in (("gyro", gyro_scale_ratios(evidence)), ("accel", accel_scale_ratios(evidence))):
+    for sensor, scales in (("gyro", evidence.gyro_scales), ("accel", evidence.accel_scales)):
         expected = [1.0 + truth[f"{sensor}_scale_{axis}"] for axis in "xyz"]
         np.testing.assert_allclose(scales.axes, expected, atol=5e-3)
 
@@ -184,10 +183,8 @@ def test_all_wrong_axes_are_found_and_their_mappings_set_them_right(gyro, accel)
 def test_the_turning_of_gravity_relates_the_axes(gyro, accel):
     """K = det(Pa) Pa Pg⁻¹, to the scale errors and misalignments of the unit: 5 % take in three sigmas."""
     sound = case("consumer-mems").recording
-    relation = gravity_relation(
-        WithoutRecognition(replace(sound, gyro=sound.gyro @ gyro.T, accel=sound.accel @ accel.T))
-    )
-    np.testing.assert_allclose(relation, np.linalg.det(accel) * accel @ gyro.T, atol=0.1)
+    turned = WithoutRecognition(replace(sound, gyro=sound.gyro @ gyro.T, accel=sound.accel @ accel.T))
+    np.testing.assert_allclose(turned.gravity_relation, np.linalg.det(accel) * accel @ gyro.T, atol=0.1)
 
 
 def test_wrong_labels_are_no_wrong_axes():
@@ -209,7 +206,7 @@ def test_few_sequences_tell_nothing():
     recording = case("industrial-mems").recording
     first = recording.with_sequences(recording.sequences[:1])
     assert examine(replace(first, gyro=-first.gyro)) == ()
-    assert gravity_relation(WithoutRecognition(first)) is None
+    assert WithoutRecognition(first).gravity_relation is None
 
 
 # --- without labels --------------------------------------------------------------------------------------------------

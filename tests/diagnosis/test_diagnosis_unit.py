@@ -17,7 +17,6 @@ from sims.faults.injection import GRADES, INJECTIONS, Case
 from srt.constants import DEG_PER_H, MICRO_G
 from srt.diagnosis.evidence import Evidence
 from srt.diagnosis.imu_properties import BENCH_C, NOISE_RATIO, STEADY_C, white_noise_test
-from srt.diagnosis.site import stationary_rate_fit
 from srt.estimation.options import Options
 from srt.recording.recording import ImuNoise, Recording, SequenceLabel, Site
 
@@ -133,7 +132,7 @@ def test_drift_is_measured():
     gyro[:, 1] -= 0.5 * DEG_PER_H * recording.nominal_interval_s * (recording.time - recording.time[0]) / span
     drifted = replace(recording, gyro=gyro)
     (finding,) = findings(drifted)
-    before, after = stationary_rate_fit(Labelled(recording)), stationary_rate_fit(Labelled(drifted))
+    before, after = Labelled(recording).stationary_rate_fit, Labelled(drifted).stationary_rate_fit
     # The same noise in both: the difference is the drift itself, from the middle of the first window to that of the
     # last, which are 5 s from the ends of 460 s.
     change = (after.drift - before.drift) / DEG_PER_H
@@ -182,7 +181,7 @@ def test_of_very_many_windows_some_serve():
     labels = tuple(SequenceLabel((0.2 * k, 0.2 * k + 0.1), (0.2 * (k + 1), 0.2 * (k + 1) + 0.1)) for k in range(899))
     noise = ImuNoise(gyro_noise=1e-4, accel_noise=1e-3, gyro_bias_instability=0.0)
     force = 9.8 * up / np.linalg.norm(up, axis=1, keepdims=True)
-    fit = stationary_rate_fit(Labelled(Recording(time, gyro, force, Site(9.8), noise=noise, sequences=labels)))
+    fit = Labelled(Recording(time, gyro, force, Site(9.8), noise=noise, sequences=labels)).stationary_rate_fit
     assert fit.freedom == 3 * 400 - 15
     # White noise of 1e-3 per sample, ten in a window, and the unknown Earth's rate of 7e-5 beside it: a slope over
     # 400 points evenly spread has √12 times the sigma of their mean.
