@@ -12,11 +12,10 @@ from srt.constants import EARTH_RATE_RAD_S, STANDARD_GRAVITY_M_S2
 from srt.diagnosis.findings import Fault, by_sensor
 from srt.diagnosis.repeated_samples import FALSE_ALARM as REPEATS_BY_CHANCE
 from srt.diagnosis.repeated_samples import repeated_runs, single_repeats
+from srt.diagnosis.rotation_readings import ROUNDING
 from srt.diagnosis.sensor_synchronisation import sample_twice
-from srt.diagnosis.words import SuppressedReadings, suppressed_readings
 from srt.model.table1 import AXES
 from srt.noise.allan import CHANNELS
-from srt.noise.noise_model import smallest_step
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -26,12 +25,10 @@ if TYPE_CHECKING:
     from srt.types import Array, Indices, Mask
 
 
-_SAMPLES: Final = 20_000
+SAMPLES: Final = 20_000
 """Number of samples that suffices for the tests of whole columns: more would only take longer."""
 _PIECES: Final = 8
 """Number of pieces, evenly spaced over the recording, from which these samples are taken."""
-_SAME: Final = 1e-9
-"""Largest difference from 1 of the correlation of identical columns: the rounding of a unit conversion makes 1e-16."""
 _MANY: Final = 50
 """Fewest changes of a column for a useful correlation."""
 _SCALES: Final = 10.0
@@ -44,11 +41,6 @@ _GRAVITY: Final = 4.0
 scale-factor errors and biases of 50 % make 3.2. Gyros exceed it, as they read far more in rotations than at rest."""
 _TURNED: Final = 0.95
 """Ratio of the magnitude of the mean vector to the mean magnitude, above which the direction hardly changed."""
-
-
-def _columns(evidence: Evidence) -> list[Array]:
-    recording = evidence.recording
-    return [table[:, axis] for table in (recording.gyro, recording.accel) for axis in range(3)]
 
 
 def _constant(column: Array) -> bool:
@@ -66,9 +58,8 @@ def dead_channels(evidence: Evidence) -> Iterator[Finding]:
         if not dead.any():
             continue
         # Noise-free readings can be constant. Such a column is dead only if the labels change the input of its axis.
-        noisy = any(_noisy(evidence, column) for column in _columns(evidence))
         moved = moved_axes(evidence)
-        named = [axis for axis in range(3) if dead[axis] and (noisy or moved[axis])]
+        named = [axis for axis in range(3) if dead[axis] and (evidence.noisy_channels.any() or moved[axis])]
         if named:
             yield CHANNEL_DEAD[sensor].found(
                 channel=", ".join(f"{sensor}_{AXES[axis]}" for axis in named),
@@ -85,14 +76,6 @@ CHANNEL_DEAD: Final = by_sensor(
     "exit 1",
     dead_channels,
 )
-
-
-def _noisy(evidence: Evidence, column: Array) -> bool:
-    """True if the stationary readings of a column scatter by more than rounding."""
-    if evidence.data is None:
-        return False
-    a, b = evidence.data.windows.samples[0].tolist()
-    return bool(np.std(np.diff(column[a:b])) > 1e-9 * np.abs(column[a:b]).max(initial=0.0) > 0.0)
 
 
 def _turned_axes(evidence: Evidence) -> Mask:
@@ -115,9 +98,9 @@ def _tilted_axes(evidence: Evidence) -> Mask:
 
 def columns_repeat(evidence: Evidence) -> Iterator[Finding]:
     """Find two columns with the same readings, or readings that differ by a constant factor."""
-    columns = _columns(evidence)
+    columns = evidence.columns
     n = len(columns[0])
-    length = max(2, min(n, _SAMPLES // _PIECES))
+    length = max(2, min(n, SAMPLES // _PIECES))
     starts = np.unique(np.linspace(0, n - length, _PIECES).astype(np.intp))
     # Differences of successive readings contain the noise, which differs from column to column, but no bias.
     steps = np.array([np.concatenate([np.diff(c[a : a + length]) for a in starts.tolist()]) for c in columns])
@@ -127,7 +110,7 @@ def columns_repeat(evidence: Evidence) -> Iterator[Finding]:
         if min(changes[i], changes[j]) < _MANY:
             continue
         product = float(steps[i] @ steps[j])
-        if abs(product) < (1.0 - _SAME) * size[i] * size[j]:
+        if abs(product) < (1.0 - ROUNDING) * size[i] * size[j]:
             continue
         factor = product / float(size[j]) ** 2
         off = columns[i] - factor * columns[j]
@@ -157,13 +140,13 @@ def _may_repeat(evidence: Evidence, i: int, j: int, factor: float) -> bool:
     if i // 3 == j // 3:
         return 1.0 / _SCALES < abs(factor) < _SCALES
     earth = EARTH_RATE_RAD_S / STANDARD_GRAVITY_M_S2
-    return abs(factor) > _POLE * earth or _noisy(evidence, _columns(evidence)[j])
+    return abs(factor) > _POLE * earth or bool(evidence.noisy_channels[j])
 
 
 def sensors_exchanged(evidence: Evidence) -> Iterator[Finding]:
     """Find gyro columns that read a rotating vector of constant magnitude, while the accelerometer columns do not."""
     recording = evidence.recording
-    stride = max(1, len(recording.time) // _SAMPLES)
+    stride = max(1, len(recording.time) // SAMPLES)
     gyro, accel = recording.gyro[::stride], recording.accel[::stride]
     if not (_holds_gravity(gyro) and _range_of_size(accel) > _GRAVITY):
         return
@@ -262,7 +245,7 @@ def duplicated_samples(evidence: Evidence) -> Iterator[Finding]:
 
     Where the rate changes, a repeated sample deviates from its neighbours like a spike. Where the rate is steady, an
     additional sample makes an attitude error by its angle. Both show also in readings whose pulses often repeat by
-    chance.
+    chance. Statistic: number of repeated samples. Distribution: Poisson.
     """
     for rows, expected in single_repeats(evidence):
         count = len(rows)
@@ -306,13 +289,13 @@ _SLOPES: Final = 2
 
 def samples_interpolated(evidence: Evidence) -> Iterator[Finding]:
     """Find the longest run of samples on straight lines in all channels."""
-    columns = _columns(evidence)
-    if not all(any(_noisy(evidence, column) for column in part) for part in (columns[:3], columns[3:])):
+    columns = evidence.columns
+    if not evidence.noisy_channels.reshape(2, 3).any(axis=1).all():
         return
     straight = np.ones(len(columns[0]) - 2, dtype=np.bool_)
     slopes = np.zeros(len(straight), dtype=np.intp)
     for column in columns:
-        rounding = _SAME * float(np.abs(column).max())
+        rounding = ROUNDING * float(np.abs(column).max())
         step = np.diff(column)
         straight &= np.abs(np.diff(step)) <= rounding
         slopes += np.abs(step[1:]) > rounding
@@ -338,69 +321,6 @@ SAMPLES_INTERPOLATED: Final = Fault(
     "warning",
     samples_interpolated,
 )
-
-
-_DEAD_SHARE: Final = 0.5
-"""Smallest share of zeros in the stationary readings of a channel with a dead band."""
-_DEAD_STEPS: Final = 2.5
-"""Smallest ratio of the smallest nonzero reading to the quantization step for a dead band; without one, it is 1."""
-
-_DEAD_PULSES: Final = 1.5
-"""Smallest such ratio if the pulse size is stated, so that the step is known."""
-_SAME_GRID: Final = 1e-3
-"""Largest distance of a reading from a multiple of the step, in steps: rounding leaves less."""
-_DEAD_EDGE: Final = 0.1
-"""Smallest ratio of the smallest to the median size of the nonzero stationary readings for a dead band: the readings
-outside the band begin at its edge."""
-
-
-def gyro_dead_band(evidence: Evidence) -> Iterator[Finding]:
-    """Find gyros that read zero at rest or as the rate changes sign, but never a value between zero and a threshold."""
-    if evidence.data is None or not any(_noisy(evidence, column) for column in _columns(evidence)[3:]):
-        return
-    if "gyro" in evidence.wrapped_readings:
-        return  # wrapped readings lie on several grids: their quantization step is not found
-    found = suppressed_readings(evidence, "gyro") or _zero_at_rest(evidence)
-    if found is not None:
-        where = {"channel": CHANNELS[found.axis], "count": found.zeros}
-        yield GYRO_DEAD_BAND.found(**where, threshold=found.threshold, step=found.step)
-
-
-GYRO_DEAD_BAND: Final = Fault(
-    "gyro_dead_band",
-    "The gyros suppress small rates",
-    "zeros, but no other reading below a threshold far above the quantization step",
-    "{channel} reads zero {count} times, and otherwise at least {threshold:.3g} rad/s, but its quantization step is "
-    "{step:.2g} rad/s: the unit suppresses small rates; switch off its dead band.",
-    "warning",
-    gyro_dead_band,
-)
-
-
-def _zero_at_rest(evidence: Evidence) -> SuppressedReadings | None:
-    """First gyro that reads zero in most stationary samples, and otherwise far more than its quantization step."""
-    assert evidence.data is not None
-    windows = evidence.data.windows.samples.tolist()
-    stationary = np.concatenate([evidence.rate[a:b] for a, b in windows])
-    share = np.mean(stationary == 0.0, axis=0)
-    for axis in np.flatnonzero(share > _DEAD_SHARE).tolist():
-        size = np.abs(evidence.rate[:, axis])
-        # Readings at the largest size are left out: a saturation limit is not a multiple of the quantization step.
-        moving = evidence.rate[(size > 0.0) & (size < size.max())]
-        if len(moving) < _MANY:
-            continue
-        threshold = float(size[size > 0.0].min())
-        shown = np.abs(stationary[stationary[:, axis] != 0.0, axis])
-        if shown.size and threshold < _DEAD_EDGE * float(np.median(shown)):
-            continue  # the nonzero readings reach down to zero: pulses, with noise in some window
-        if shown.size and np.all(np.abs(shown / threshold - np.rint(shown / threshold)) < _SAME_GRID):
-            continue  # all readings are multiples of the smallest one: pulses
-        # In corrected samples, which mix the pulses of several axes, readings differ by less than a pulse.
-        pulse = (evidence.recording.noise.gyro_quantization or 0.0) / evidence.dt
-        step = max(pulse, float(smallest_step(moving[-_SAMPLES:])[axis]))
-        if threshold > (_DEAD_PULSES if pulse else _DEAD_STEPS) * step:
-            return SuppressedReadings(axis, int(np.count_nonzero(size == 0.0)), threshold, step)
-    return None
 
 
 def spikes(evidence: Evidence) -> Iterator[Finding]:

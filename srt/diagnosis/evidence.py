@@ -13,7 +13,14 @@ import numpy as np
 
 from srt.diagnosis.gravity_rotation import gravity_relation, labelled_manoeuvres, recognised_manoeuvres
 from srt.diagnosis.label_shift import label_shift
-from srt.diagnosis.rotation_readings import block_averages, find_rotations, rates_factor, raw_integrals, turning_windows
+from srt.diagnosis.rotation_readings import (
+    ROUNDING,
+    block_averages,
+    find_rotations,
+    rates_factor,
+    raw_integrals,
+    turning_windows,
+)
 from srt.diagnosis.scale_ratios import accel_ratios, gyro_ratios_to_gravity, gyro_ratios_to_labels
 from srt.diagnosis.spikes import MISPLACED, NO_SPIKES, find_spikes
 from srt.diagnosis.stabilised_force import stabilised_force
@@ -89,6 +96,20 @@ class Evidence:
     def force(self) -> Array:
         """Accelerometer readings, shape (n, 3), m/s²."""
         return self.recording.accel if self.per_rate == 1.0 else self.recording.accel * self.per_rate
+
+    @property
+    def columns(self) -> list[Array]:
+        """Stored values of the six channels, gyros first, shape (n,) each."""
+        return [table[:, axis] for table in (self.recording.gyro, self.recording.accel) for axis in range(3)]
+
+    @cached_property
+    def noisy_channels(self) -> Mask:
+        """True for each channel whose readings in the first window scatter by more than rounding, shape (6,)."""
+        if self.data is None:
+            return np.zeros(6, dtype=np.bool_)
+        a, b = self.data.windows.samples[0].tolist()
+        parts = [column[a:b] for column in self.columns]
+        return np.array([np.std(np.diff(part)) > ROUNDING * np.abs(part).max(initial=0.0) > 0.0 for part in parts])
 
     # --- recognised and labelled sequences ---------------------------------------------------------------------------
 

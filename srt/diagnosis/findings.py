@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal
 
+from srt.diagnosis.cause_comparison import CLOSE
+from srt.result.diagnostics import RunnerUp
+
 if TYPE_CHECKING:
+    from srt.diagnosis.cause_comparison import Explanation
     from srt.diagnosis.evidence import Evidence
-    from srt.result.diagnostics import RunnerUp
 
 Effect = Literal["exit 2", "exit 1", "warning", "note"]
 """Refused on reading; refused by the calibration; calibrated with a warning; reported only by ``srt inspect``."""
@@ -93,3 +96,12 @@ class Finding:
     def effect(self) -> Effect:
         """Effect of the fault on the calibration."""
         return self.cause.effect
+
+
+def with_runner_up(finding: Finding, ranked: list[Explanation]) -> Finding:
+    """Finding with the most likely other fault added, if that fault is nearly as likely."""
+    own = next(e.score for e in ranked if e.cause.fault == finding.fault)
+    for other in ranked:
+        if other.cause.fault not in ("", finding.fault) and own - other.score < CLOSE:
+            return replace(finding, runner_up=RunnerUp(other.cause.fault, own - other.score))
+    return finding

@@ -80,7 +80,7 @@ def _time_constant(evidence: Evidence, sensor: str) -> float | None:
         count = (b - a) // size
         if count < 3:
             continue
-        mean = table[a : a + count * size].reshape(count, size, 3).mean(axis=1)
+        mean = np.einsum("bsc->bc", table[a : a + count * size].reshape(count, size, 3)) / size
         integral = size * evidence.dt * (np.cumsum(mean, axis=0) - 0.5 * mean)
         readings.append(mean - mean.mean(axis=0))
         integrals.append(integral - integral.mean(axis=0))

@@ -105,7 +105,11 @@ TEMPERATURE_DRIFT: Final = Fault(
 
 
 def gyro_bias_drift(evidence: Evidence) -> Iterator[Finding]:
-    """Test the stationary rates, after removal of g-sensitivity and Earth rate, for a trend over time."""
+    """Test the stationary rates, after removal of g-sensitivity and Earth rate, for a trend over time.
+
+    Statistic: change of the bias of an axis over its standard deviation. Distribution: t, with the degrees of freedom
+    of the stationary rates.
+    """
     fit = evidence.stationary_rate_fit
     if fit is None:
         return
@@ -151,7 +155,11 @@ ACCEL_BIAS_DRIFT: Final = Fault(
 
 
 def white_noise(evidence: Evidence) -> Iterator[Finding]:
-    """Test the noise of the stationary windows against its stated value: of each channel, or of the triad."""
+    """Test the noise of the stationary windows against its stated value: of each channel, or of the triad.
+
+    Statistic: weighted mean of the Allan variances over the stated one. Distribution: chi-square, with the degrees of
+    freedom of :func:`white_noise_test`.
+    """
     rows: tuple[tuple[Sensor, float, str, str], ...] = (
         ("gyro", DEG_PER_SQRT_H, "Gyro {} shows", "The gyros show"),
         ("accel", MICRO_G, "Accelerometer {} shows", "The accelerometers show"),
@@ -188,7 +196,11 @@ NOISE: Final = by_sensor(
 
 
 def asymmetry_omitted(evidence: Evidence) -> Iterator[Finding]:
-    """Test the gyro asymmetry that a second calibration estimates, if the options of the calibration fix it."""
+    """Test the gyro asymmetry that a second calibration estimates, if the options of the calibration fix it.
+
+    Statistic: difference of the asymmetry over its standard deviation. Distribution: t, with the degrees of freedom of
+    the stationary rates.
+    """
     if not set(_NO_ASYMMETRY) <= set(evidence.options.fixed_names) or evidence.data is None:
         return
     held = evidence.result
@@ -373,16 +385,17 @@ def _powers(evidence: Evidence, data: PreparedRecording, sensor: Sensor) -> tupl
     if octaves < 1:
         return None
     power, pairs = np.zeros((len(samples), octaves, 3)), np.zeros((len(samples), octaves), dtype=np.intp)
-    for w, (a, b) in enumerate(samples.tolist()):
-        n = (b - a) // block
-        x = table[a : a + n * block].reshape(n, block, 3).mean(axis=1) * evidence.per_rate
+    for n in np.unique(lengths // block).tolist():
+        alike = np.flatnonzero(lengths // block == n)
+        parts = np.stack([table[a : a + n * block] for a in samples[alike, 0].tolist()])
+        x = np.einsum("wnbc->wnc", parts.reshape(-1, n, block, 3)) * (evidence.per_rate / block)
         for octave in range(octaves):
-            m = len(x) // 2
+            m = x.shape[1] // 2
             if m == 0:
                 break
-            even, odd = x[0 : 2 * m : 2], x[1 : 2 * m : 2]
-            power[w, octave] = 0.5 * np.sum((odd - even) ** 2, axis=0)
-            pairs[w, octave] = m
+            even, odd = x[:, 0 : 2 * m : 2], x[:, 1 : 2 * m : 2]
+            power[alike, octave] = 0.5 * np.einsum("wnc,wnc->wc", odd - even, odd - even)
+            pairs[alike, octave] = m
             x = 0.5 * (even + odd)
     tau = block * evidence.dt * np.exp2(np.arange(octaves, dtype=np.float64))
     return tau, power, pairs
@@ -391,11 +404,12 @@ def _powers(evidence: Evidence, data: PreparedRecording, sensor: Sensor) -> tupl
 def _noisy(power: Array, pairs: Indices) -> Mask:
     """True for windows whose power in some octave exceeds the chi-square limit, scaled by the median window, (W,)."""
     freedom = np.maximum(3.0 * pairs, 1.0)
+    largest = limit("chi-square", freedom, tests=pairs.size, shared=_OUTLIER_PROBABILITY)
     summed = power.sum(axis=2)
     out = np.zeros(len(power), dtype=np.bool_)
     for octave in range(power.shape[1]):
         has = pairs[:, octave] > 0
         # chdtri(freedom, 1/2) is the median.
         scale = np.median(summed[has, octave] / chdtri(freedom[has, octave], 0.5))
-        out |= has & (summed[:, octave] > scale * chdtri(freedom[:, octave], _OUTLIER_PROBABILITY / pairs.size))
+        out |= has & (summed[:, octave] > scale * largest[:, octave])
     return out if out.mean() <= _MOST_OUTLIERS else np.zeros(len(out), dtype=np.bool_)

@@ -19,7 +19,6 @@ from srt.diagnosis.false_alarms import FALSE_ALARM
 from srt.diagnosis.findings import Fault
 from srt.diagnosis.stationary_rates import BIAS, DRIFT
 from srt.diagnosis.triad_fits import LEAST_FREEDOM
-from srt.noise.bias_instability import flicker_covariance
 from srt.sequences.stationary_windows import MIN_TURN_RAD
 
 if TYPE_CHECKING:
@@ -38,7 +37,11 @@ _SLOWNESS: Final = (0.1, 0.3)
 
 
 def units_joined(evidence: Evidence) -> Iterator[Finding]:
-    """Test gyros and accelerometers for a step between two successive sequences, against a drift."""
+    """Test gyros and accelerometers for a step between two successive sequences, against a drift.
+
+    Statistic: reduction of the squared residuals by a step, of rates, of specific forces or of angles. Distribution: F,
+    with the number of stepping parameters and the degrees of freedom of the residuals.
+    """
     rates, data = evidence.stationary_rates, evidence.data
     if rates is None or data is None or not evidence.has_labels or _has_poses(evidence):
         return  # static poses without a rotation are placed less accurately: their readings differ by more than noise
@@ -133,7 +136,11 @@ def _angles(evidence: Evidence, windows: Indices, shapes: list[tuple[str, Array,
 
 
 def gyro_scale_drift(evidence: Evidence) -> Iterator[Finding]:
-    """Test the measured angles of the rotations for a drift of the scale factors that is common to the gyros."""
+    """Test the measured angles of the rotations for a drift of the scale factors that is common to the gyros.
+
+    Statistic: reduction of the squared residuals by a drift. Distribution: F, one degree of freedom and those of the
+    residuals.
+    """
     data, turns = evidence.data, evidence.measured_angles
     if data is None or turns is None:
         return
@@ -178,7 +185,7 @@ def _forces(evidence: Evidence, rates: StationaryRates, shapes: list[tuple[str, 
     dummies = np.eye(len(faces))[which]
     white = float(np.mean(data.noise.accel_white**2)) / (rates.end - rates.start)
     edge = 2.0 * (float(np.mean(data.noise.accel_edge)) / (rates.end - rates.start)) ** 2
-    covariance = instability**2 * (up @ up.T) * flicker_covariance(rates.start, rates.end) + np.diag(white + edge)
+    covariance = instability**2 * (up @ up.T) * rates.flicker + np.diag(white + edge)
     # Attitude errors of the fixture act only through the misalignments: a relative sigma of 1e-8 allows for them.
     L = np.linalg.cholesky(covariance + np.diag(1e-16 * size**2))
     own = dummies[:, :, None] * np.eye(len(up))[:, None, :]

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from srt.diagnosis.rotation_readings import cross, rates_factor
-from srt.diagnosis.window_averages import MAD
+from srt.diagnosis.rotation_readings import MAD, cross, median, rates_factor
 from srt.exceptions import DataError
 from srt.sequences.rest_detection import BLOCK_S
 from srt.sequences.stationary_windows import find_windows
@@ -170,10 +169,12 @@ def _edge(data: PreparedRecording, sequence: int, sense: int) -> tuple[float, Ar
     if most <= _FEWEST or stop <= first:
         return nothing
     rate = recording.gyro[a:b] * factor
-    middle = np.median(rate, axis=0)
+    middle = median(rate.T)
     off = (rate[-most:][::-1] if sense > 0 else rate[:most]) - middle  # from the rotation into the window
-    sigma = MAD * np.median(np.abs(rate - middle), axis=0)
     fastest = float(np.quantile(np.abs(recording.gyro[first:stop] * factor).max(axis=1), 0.9))
+    if not np.all(np.abs(off[:_FEWEST]).max(axis=1) > _SHARE_OF_TURN * fastest):
+        return nothing
+    sigma = MAD * median(np.abs(rate - middle).T)
     loud = np.any(np.abs(off) > np.maximum(_SIGMAS * sigma, _SHARE_OF_TURN * fastest), axis=1)
     count = most if loud.all() else int(np.argmin(loud))
     turned = off[:count].sum(axis=0) * dt
@@ -182,6 +183,6 @@ def _edge(data: PreparedRecording, sequence: int, sense: int) -> tuple[float, Ar
     if count < _FEWEST or size < _LEAST_RAD or size < _ONE_SENSE * path:
         return nothing
     force = recording.accel[a:b] * factor
-    rest = np.median(force, axis=0)
+    rest = median(force.T)
     at_edge = force[-1] if sense > 0 else force[0]
     return count * dt, -sense * cross(turned, rest), at_edge - rest

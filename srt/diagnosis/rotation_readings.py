@@ -8,8 +8,8 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
-from scipy.special import ndtri
 
+from srt.diagnosis.false_alarms import limit
 from srt.sequences.manoeuvres import MOVING, end_attitude, leg_borders
 from srt.sequences.preparation import nominal_attitude
 from srt.sequences.rest_detection import BLOCK_S
@@ -34,7 +34,9 @@ _ROTATING: Final = 0.05
 and creep are slower."""
 _BY_NOISE: Final = 4e-6
 """False-alarm probability, for one recording, that noise alone classifies a window as rotating."""
-_MAD: Final = 1.4826
+ROUNDING: Final = 1e-9
+"""Largest rounding of readings, relative to the largest reading: a unit conversion makes 1e-16, a file 1e-10."""
+MAD: Final = 1.4826
 """Ratio of the standard deviation to the median absolute deviation of a normal distribution."""
 _SLOWEST_RAD_S: Final = 0.05
 """Slowest rotation of a manoeuvre, rad/s: 180° in a minute."""
@@ -47,6 +49,12 @@ _MANY_WINDOWS: Final = 12
 def rates_factor(recording: Recording) -> float:
     """Factor from stored values to rates: 1, or one over the interval for increments."""
     return 1.0 if recording.kind == "rate" else 1.0 / recording.nominal_interval_s
+
+
+def median(rows: Array) -> Array:
+    """Median along the last axis. For short rows, ``numpy.median`` takes several times as long."""
+    middle = [(rows.shape[-1] - 1) // 2, rows.shape[-1] // 2]
+    return np.asarray(np.partition(np.ascontiguousarray(rows), middle, axis=-1)[..., middle].mean(axis=-1))
 
 
 def cross(a: Array, b: Array) -> Array:
@@ -185,7 +193,8 @@ def block_averages(data: PreparedRecording, contiguous: Mask) -> BlockAverages |
 def turning_windows(data: PreparedRecording) -> Mask:
     """True for windows in which the unit rotates as in a manoeuvre, shape (W,): their labels are wrong.
 
-    Slower motion has other causes, see :mod:`srt.diagnosis.window_disturbances`.
+    Slower motion has other causes, see :mod:`srt.diagnosis.window_disturbances`. Statistic: half the range of the rates
+    of a window over the noise of a block. Distribution: normal, six times as many tests as blocks.
     """
     recording = data.recording
     size = max(1, round(BLOCK_S / recording.nominal_interval_s))
@@ -196,18 +205,20 @@ def turning_windows(data: PreparedRecording) -> Mask:
         first, last = int(samples[s, 0]), int(samples[e, 1])
         count = (last - first) // size
         blocks = recording.gyro[first : first + count * size].reshape(count, size, 3)
-        means = np.median(blocks, axis=1)  # the median, so that a spike is not taken for a rotation
+        # The median, so that a spike is not taken for a rotation.
+        means = median(np.moveaxis(blocks, 1, 2))
         in_turns[k] = _rate_range(means).max()
         for w in (s, e):
             inside = slice(-(-(int(samples[w, 0]) - first) // size), (int(samples[w, 1]) - first) // size)
             in_windows[w] = _rate_range(means[inside])
             if len(means[inside]):
-                scatter[w] = _MAD * np.median(np.abs(means[inside] - np.median(means[inside], axis=0)), axis=0)
+                rows = means[inside].T
+                scatter[w] = MAD * median(np.abs(rows - median(rows)[:, None]))
             blocks_in_windows += len(means[inside])
     # Without rotations (static poses only) the median is noise: the slowest rotation is its lower limit.
     slowest = _SLOWEST_RAD_S / rates_factor(recording)
     slowest = _ROTATING * max(float(np.median(in_turns)), slowest)
-    noise = -2.0 * float(ndtri(_BY_NOISE / max(1, 6 * blocks_in_windows))) * np.median(scatter, axis=0)
+    noise = 2.0 * limit("normal", tests=max(1, 6 * blocks_in_windows), shared=_BY_NOISE) * np.median(scatter, axis=0)
     return np.asarray(np.any(in_windows > np.maximum(slowest, noise), axis=1))
 
 

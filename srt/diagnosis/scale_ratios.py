@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.diagnosis.rotation_readings import rates_factor
+from srt.diagnosis.rotation_readings import MAD, rates_factor
 
 if TYPE_CHECKING:
     from srt.diagnosis.gravity_rotation import ManoeuvreReadings
@@ -16,10 +16,6 @@ if TYPE_CHECKING:
     from srt.diagnosis.triad_fits import LinearFit
     from srt.recording.recording import Fixture, Recording
     from srt.types import Array
-
-
-_MAD: Final = 1.4826
-"""Ratio of the standard deviation to the median absolute deviation of a normal distribution."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -146,10 +142,10 @@ def accel_ratios(recording: Recording, turns: ManoeuvreReadings | None, fit: Lin
         by_magnitude = _by_magnitude(turns.force / gravity)
         if by_magnitude is not None:
             return by_magnitude
-        return ScaleRatios(typical, _UNSEEN, _MAD * float(np.median(np.abs(np.log(ratio / typical)))))
+        return ScaleRatios(typical, _UNSEEN, MAD * float(np.median(np.abs(np.log(ratio / typical)))))
     axes = np.linalg.norm(fit.matrix, axis=1)
     off = np.median(np.abs(fit.residual), axis=0) / (gravity * typical)
-    return ScaleRatios(typical, axes, _MAD * float(off.max()))
+    return ScaleRatios(typical, axes, MAD * float(off.max()))
 
 
 def _by_magnitude(force: Array) -> ScaleRatios | None:
@@ -170,7 +166,7 @@ def _by_magnitude(force: Array) -> ScaleRatios | None:
     level = 1.0 + 0.25 * float(np.sum(slope**2 / square))
     off = 0.5 * (design @ np.concatenate([square, slope]) - 1.0) / level
     axes = size * np.sqrt(level / square)
-    return ScaleRatios(float(np.median(axes)), axes, _MAD * float(np.median(np.abs(off))))
+    return ScaleRatios(float(np.median(axes)), axes, MAD * float(np.median(np.abs(off))))
 
 
 def stationary_force_scatter(turns: ManoeuvreReadings | None) -> float:

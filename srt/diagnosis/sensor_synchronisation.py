@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.diagnosis.cause_comparison import with_runner_up
-from srt.diagnosis.findings import Fault, by_sensor
+from srt.diagnosis.findings import Fault, by_sensor, with_runner_up
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -43,7 +43,11 @@ _REACH: Final = 5.0
 
 
 def accel_settling(evidence: Evidence) -> Iterator[Finding]:
-    """Test for a common settling of all accelerometers, or of one, after the rotations."""
+    """Test for a common settling of all accelerometers, or of one, after the rotations.
+
+    Statistic: share that settles over its standard deviation. Distribution: t, with the degrees of freedom of the
+    projections of windows and channels on the decay.
+    """
     averages = evidence.window_averages
     if averages is None:
         return
@@ -117,11 +121,12 @@ def _lags(evidence: Evidence, sequences: Array, time_s: float) -> Array:
     assert data is not None
     samples, dt = data.windows.samples, evidence.dt
     out = np.empty((len(sequences), 3))
+    # Weights of a first-order lag. Earlier readings are taken as the mean of the first window.
+    weights = -np.expm1(-dt / time_s) * np.exp(-dt / time_s * np.arange(round(_REACH * time_s / dt))[::-1])
     for row, k in enumerate(sequences.tolist()):
         first, stop = int(samples[data.start[k], 0]), int(samples[data.end[k], 0])
-        begin = max(first, stop - round(_REACH * time_s / dt))
-        # Weights of a first-order lag. Earlier readings are taken as the mean of the first window.
-        weight = -np.expm1(-dt / time_s) * np.exp(-dt / time_s * np.arange(stop - begin)[::-1])
+        weight = weights[-(stop - first) :]
+        begin = stop - len(weight)
         before = evidence.stationary_force[data.start[k]]
         out[row] = weight @ evidence.force[begin:stop] + (1.0 - weight.sum()) * before
         out[row] -= evidence.stationary_force[data.end[k]]

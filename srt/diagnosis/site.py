@@ -72,6 +72,9 @@ def earth_rate(evidence: Evidence) -> Iterator[Finding]:
     component and the horizontal magnitude significantly better. The stated heading is wrong if the direction of the
     horizontal component differs significantly. If an Earth rate of zero explains the readings significantly better than
     any latitude, the unit removes the Earth rate.
+
+    Statistic: difference of the squared deviations of the components over their variances. Distribution: F, with one
+    degree of freedom and those of the stationary rates.
     """
     site, fixture = evidence.recording.site, evidence.recording.fixture
     if site.latitude_rad is None or fixture is None:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.diagnosis.rotation_readings import rates_factor
+from srt.diagnosis.rotation_readings import ROUNDING, rates_factor
 from srt.noise.quantization import quantization_step
 
 if TYPE_CHECKING:
@@ -37,8 +37,6 @@ _FEW: Final = 8
 """Number of windows from which the quantization step is taken."""
 _FOR_STEP: Final = 4000
 """Number of readings of the whole recording from which the step is taken if the windows do not show it."""
-_ROUNDING: Final = 1e-9
-"""Rounding of the readings, relative to the largest reading."""
 MISPLACED: Final = 2
 """Fewest windows with rotation from which the labels are wrong, and not the unit disturbed."""
 _MEAN_S: Final = 4.0
@@ -98,6 +96,8 @@ def _least_noise(data: PreparedRecording) -> Array:
     windows = [(a, min(b, a + _FOR_NOISE)) for a, b in data.windows.samples.tolist() if b - a > 8]
     if not windows:
         return np.full(6, np.inf)
+    lengths = sorted({b - a for a, b in windows})
+    groups = [[(a, b) for a, b in windows if b - a == length] for length in lengths]
     out = []
     recording, stated = data.recording, data.recording.noise
     per_pulse = 1.0 if recording.kind == "increment" else 1.0 / recording.nominal_interval_s
@@ -106,12 +106,18 @@ def _least_noise(data: PreparedRecording) -> Array:
         (recording.accel, stated.accel_quantization),
     ):
         # The median excludes disturbed windows.
-        noise = np.median([_noise(np.abs(_off(table[a:b]))) for a, b in windows], axis=0)
+        noise = np.median(np.concatenate([_noise_of_windows(table, alike) for alike in groups]), axis=0)
         some = table[:: max(1, len(table) // _FOR_STEP)]
         # Corrected readings have finer steps, as the correction mixes the pulses of the axes: a stated pulse is used.
         step = np.maximum(_step(table, windows, some), (pulse or 0.0) * per_pulse)
-        out.append(np.maximum(np.maximum(noise, step), _ROUNDING * np.abs(some).max()))
+        out.append(np.maximum(np.maximum(noise, step), ROUNDING * np.abs(some).max()))
     return np.concatenate(out)
+
+
+def _noise_of_windows(table: Array, windows: list[tuple[int, int]]) -> Array:
+    """Standard deviation of the readings in g windows of one length, shape (g, 3)."""
+    together = np.stack([table[a:b] for a, b in windows], axis=1)
+    return _noise(np.abs(_off(together.reshape(len(together), -1)))).reshape(-1, 3)
 
 
 def _step(table: Array, windows: list[tuple[int, int]], some: Array) -> Array:
@@ -124,7 +130,12 @@ def _step(table: Array, windows: list[tuple[int, int]], some: Array) -> Array:
 
 def _off(x: Array) -> Array:
     """Readings less their predictions, without the first two and the last two readings, shape (n - 4, 3)."""
-    return np.asarray(x[2:-2] - (4.0 * (x[1:-3] + x[3:-1]) - x[:-4] - x[4:]) / 6.0)
+    beside = x[1:-3] + x[3:-1]
+    beside *= 4.0
+    beside -= x[:-4]
+    beside -= x[4:]
+    beside /= 6.0
+    return np.asarray(x[2:-2] - beside)
 
 
 def _noise(size: Array) -> Array:

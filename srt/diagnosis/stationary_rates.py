@@ -23,6 +23,7 @@ from scipy.linalg import solve_triangular
 
 from srt.constants import EARTH_RATE_RAD_S
 from srt.diagnosis.false_alarms import limit
+from srt.diagnosis.triad_fits import MOST_OUTLIERS, OUTLIER
 from srt.noise.bias_instability import flicker_covariance
 from srt.sequences.manoeuvres import end_attitude
 from srt.sequences.preparation import nominal_attitude
@@ -37,10 +38,6 @@ LEAST_FREEDOM: Final = 12
 """Fewest degrees of freedom for an estimate of the scatter."""
 _RANK: Final = 1e-3
 """Smallest over largest singular value of the scaled design matrix, below which some component is not observable."""
-_OUTLIER: Final = 8.0
-"""Ratio of a residual to the median residual, above which a window is an outlier, for instance after a bump."""
-_MOST_OUTLIERS: Final = 0.2
-"""Share of outliers above which none is down-weighted: so many windows are no outliers."""
 _MOST_WINDOWS: Final = 400
 """Largest number of windows used, evenly spaced: the computing time grows with the third power of the number."""
 
@@ -114,6 +111,8 @@ class StationaryRates:
         Columns of bias, drift, g-sensitivity and vertical rate; with known attitudes also of the horizontal Earth rate.
     covariance : ndarray, shape (3, W, W), (rad/s)²
         Covariance of the rates of each axis over the windows.
+    flicker : ndarray, shape (W, W)
+        Covariance of the means of flicker noise over the windows, for a bias instability of one.
     """
 
     window: Indices
@@ -122,6 +121,7 @@ class StationaryRates:
     rate: Array
     columns: Array
     covariance: Array
+    flicker: Array
 
     @property
     def known(self) -> bool:
@@ -162,7 +162,9 @@ def stationary_rates(data: PreparedRecording, gyro: LinearFit) -> StationaryRate
     X[:, :, _V] = turned[:, 2] if known else down
     if known:
         X[:, :, _H] = np.swapaxes(turned[:, :2], 1, 2)
-    return StationaryRates(chosen, start, end, rate, X, _covariance(data, start, end, known=known))
+    flicker = flicker_covariance(start, end)
+    covariance = _covariance(data, end - start, flicker, known=known)
+    return StationaryRates(chosen, start, end, rate, X, covariance, flicker)
 
 
 def stationary_rate_fit(rates: StationaryRates, instability: float | None) -> StationaryRateFit | None:
@@ -177,7 +179,7 @@ def stationary_rate_fit(rates: StationaryRates, instability: float | None) -> St
         return None
     value, P, chi_square = solved
     if instability is None:
-        solved = _with_flicker(X, rate, covariance, flicker_covariance(rates.start, rates.end), freedom)
+        solved = _with_flicker(X, rate, covariance, rates.flicker, freedom)
         value, P, chi_square = solved
     sigma = np.sqrt(np.diag(P) * max(1.0, chi_square / freedom))
     return StationaryRateFit(
@@ -205,16 +207,16 @@ def _poses(data: PreparedRecording) -> Array | None:
     return out
 
 
-def _covariance(data: PreparedRecording, start: Array, end: Array, *, known: bool) -> Array:
+def _covariance(data: PreparedRecording, T: Array, flicker: Array, *, known: bool) -> Array:
     """Covariance of the mean rates of the windows, by axis, shape (3, W, W), (rad/s)²."""
-    noise, T = data.noise, end - start
+    noise = data.noise
     instability = data.recording.noise.gyro_bias_instability or 0.0
     fixture = data.recording.fixture
     # Each pose differs from its nominal attitude, which rotates the Earth rate in sensor axes by the same angle.
     doubt = fixture.rotation_sigma_rad if known and fixture is not None else 1.0
     white = noise.gyro_white[:, None] ** 2 / T + 2.0 * (noise.gyro_edge[:, None] / T) ** 2
     white = white + (doubt * EARTH_RATE_RAD_S) ** 2
-    out: Array = instability**2 * flicker_covariance(start, end) + white[:, :, None] * np.eye(len(T))
+    out: Array = instability**2 * flicker + white[:, :, None] * np.eye(len(T))
     return out
 
 
@@ -241,8 +243,8 @@ def _solve(X: Array, rate: Array, covariance: Array) -> tuple[Array, Array, floa
         value = (Vt.T @ ((U.T @ y) / s)) / scale
         left = y - A @ value
         off = np.abs(left).reshape(3, W).max(axis=0)
-        outlier = ~weak & (off > _OUTLIER * np.median(off))
-        if weak.any() or not outlier.any() or outlier.sum() > _MOST_OUTLIERS * W:
+        outlier = ~weak & (off > OUTLIER * np.median(off))
+        if weak.any() or not outlier.any() or outlier.sum() > MOST_OUTLIERS * W:
             root = (Vt.T / s) / scale[:, None]
             return value, root @ root.T, float(left @ left)
         weak |= outlier

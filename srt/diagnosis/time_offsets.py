@@ -98,9 +98,8 @@ def time_offset(path: StabilisedForce, turns: BlockAverages) -> TimeOffset | Non
         projected.append(rest - own @ (own.T @ rest))
     stacked = np.concatenate(projected)
     seen, wanted = stacked[:, :-4], stacked[:, -4:]
-    common, spread = _solution(seen, wanted[:, 0], freedom=len(stacked) - 3 * n)
     # Lags of single accelerometers are put through the same estimation: the accelerometer errors absorb a part of them.
-    every = np.column_stack([common, np.linalg.lstsq(seen, wanted[:, 1:], rcond=_OBSERVED)[0]])
+    every, spread = _solution(seen, wanted, freedom=len(stacked) - 3 * n)
     lags = np.array(
         [
             np.linalg.lstsq(columns[:, :3], angles - columns[:, 3:] @ every, rcond=_OBSERVED)[0][0]
@@ -109,16 +108,16 @@ def time_offset(path: StabilisedForce, turns: BlockAverages) -> TimeOffset | Non
     )
     late, axes = lags[:, 0], np.array([axis for _, _, axis in chosen])
     sigma = float(late.std(ddof=1)) / math.sqrt(n)
-    return TimeOffset(float(late.mean()), sigma, float(np.median(late)), late, axes, lags[:, 1:], common, spread)
+    return TimeOffset(float(late.mean()), sigma, float(np.median(late)), late, axes, lags[:, 1:], every[:, 0], spread)
 
 
 def _solution(columns: Array, values: Array, *, freedom: int) -> tuple[Array, Array]:
-    """Least-squares solution of smallest norm, and the square root of its covariance from the scatter of residuals."""
+    """Least-squares solutions of smallest norm, and the root of the covariance of the first, from its residuals."""
     U, size, Vt = np.linalg.svd(columns, full_matrices=False)
     seen = size > _OBSERVED * size[0]
     root = Vt[seen] / size[seen, None]
-    solution = (U[:, seen].T @ values) @ root
-    left = values - columns @ solution
+    solution = root.T @ (U[:, seen].T @ values)
+    left = values[:, 0] - columns @ solution[:, 0]
     return np.asarray(solution), np.asarray(root * math.sqrt(float(left @ left) / max(1, freedom - int(seen.sum()))))
 
 

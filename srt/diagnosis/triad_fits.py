@@ -26,10 +26,10 @@ _RANK: Final = 0.1
 """Smallest singular value of the unit vectors for full rank: below it, they lie within 6° of a plane."""
 _SOUND: Final = 10.0
 """Condition number of a triad's matrix above which its fit has failed."""
-_OUTLIER: Final = 8.0
-"""Ratio of a residual to the median residual, above which a rotation is an outlier."""
-_MOST_OUTLIERS: Final = 0.2
-"""Share of outliers from which none is excluded: so many rotations are no outliers."""
+OUTLIER: Final = 8.0
+"""Ratio of a residual to the median residual, above which a rotation or a window is an outlier, as after a bump."""
+MOST_OUTLIERS: Final = 0.2
+"""Share of outliers from which none is excluded: so many are no outliers."""
 LEAST_FREEDOM: Final = 8
 """Fewest degrees of freedom for an estimate of the scatter."""
 
@@ -146,6 +146,6 @@ def measured_angles(rotations: Rotations) -> MeasuredAngles | None:
     if len(numbers) < LEAST_FREEDOM + fixed.shape[1]:
         return None
     left = np.abs(measured - (fixed @ robust_fit(fixed, np.repeat(measured[:, None], 3, axis=1)))[:, 0])
-    outlier = left > _OUTLIER * np.median(left)
-    kept = ~outlier if outlier.mean() < _MOST_OUTLIERS else np.ones(len(numbers), dtype=np.bool_)
+    outlier = left > OUTLIER * np.median(left)
+    kept = ~outlier if outlier.mean() < MOST_OUTLIERS else np.ones(len(numbers), dtype=np.bool_)
     return MeasuredAngles(numbers[kept], measured[kept], by_axis[kept], fixed[kept])

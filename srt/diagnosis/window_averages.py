@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.diagnosis.rotation_readings import invert_readings, nominal_end_attitude, rates_factor, robust_fit
+from srt.diagnosis.rotation_readings import MAD, invert_readings, nominal_end_attitude, rates_factor, robust_fit
 from srt.noise.noise_model import ACCEL_FLOOR, GYRO_FLOOR
 from srt.noise.quantization import quantization_step
 
@@ -30,8 +30,6 @@ HEADS_S: Final = (0.25, 0.5, 1.0, 2.0)
 GYRO: Final = slice(0, 3)
 ACCEL: Final = slice(3, 6)
 """Columns of the gyros and of the accelerometers."""
-MAD: Final = 1.4826
-"""Ratio of the standard deviation to the median absolute deviation of a normal distribution."""
 _SOME_WINDOWS: Final = 6
 """Number of windows from which quantization step and autocorrelation are taken."""
 _ENOUGH_HEADS: Final = 4

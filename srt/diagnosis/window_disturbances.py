@@ -13,11 +13,10 @@ import numpy as np
 
 from srt.diagnosis.false_alarms import FALSE_ALARM, limit
 from srt.diagnosis.findings import Fault
-from srt.diagnosis.rotation_readings import cross, invert_readings
+from srt.diagnosis.rotation_readings import MAD, cross, invert_readings
 from srt.diagnosis.window_averages import (
     ACCEL,
     GYRO,
-    MAD,
     WindowAverages,
     block_sigma,
     stationary_rate_residual,
@@ -163,6 +162,9 @@ def _place(evidence: Evidence, averages: WindowAverages, v: int) -> dict[str, ob
 def _oscillation(averages: WindowAverages, by_gyros: bool) -> tuple[Mask, Array]:
     """Windows that oscillate at the start: their variance is far larger there than in the second half.
 
+    Statistic: variance at the start over that of the noise, averaged over three axes. Distribution: chi-square over its
+    degrees of freedom, which follow from the autocorrelation.
+
     Returns
     -------
     oscillating : ndarray of bool, shape (V, H)
@@ -202,7 +204,11 @@ class _AttitudeStep:
 
 
 def _steps(evidence: Evidence, averages: WindowAverages) -> dict[int, _AttitudeStep]:
-    """Windows with a step of the attitude: the gyros show a rotation in a few blocks, and the accelerometers agree."""
+    """Windows with a step of the attitude: the gyros show a rotation in a few blocks, and the accelerometers agree.
+
+    Statistic: squared rotation angle in a span of blocks over its variance. Distribution: chi-square, three degrees of
+    freedom.
+    """
     gyro, accel, bias = evidence.raw_triads
     data = evidence.data
     assert data is not None
@@ -299,6 +305,9 @@ def _creep(evidence: Evidence, averages: WindowAverages, done: Mask) -> tuple[in
     g-sensitivity and Earth rate. Both measurements scatter over the windows: equally by bias instability, and more in
     shorter windows by noise. A creep must satisfy three conditions: the weighted mean of both is significant, the
     accelerometers alone show it, and both agree.
+
+    Statistic: squared tilt rate over its variance, half of it for each of two components. Distribution: F with two
+    degrees of freedom and those of the robust estimate of the variance.
     """
     gyro, accel, bias = evidence.raw_triads
     data = evidence.data
@@ -373,7 +382,8 @@ def _horizontal(up: Array) -> Array:
 def _noisy(averages: WindowAverages, done: Mask) -> tuple[int, float, str] | None:
     """Find the noisiest window: its number, its noise relative to the others, and the sensor; None if none is noisy.
 
-    The noise of single samples is tested first, then that of blocks.
+    The noise of single samples is tested first, then that of blocks. Statistic: variance from first differences,
+    averaged over three axes, over its median. Distribution: chi-square over its degrees of freedom, two for each value.
     """
     blocks = np.empty((len(averages.window), 6))
     for v, means in averages.groups:

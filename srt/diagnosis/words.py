@@ -1,13 +1,14 @@
-"""Binary words of a logger: readings that wrap around, misread signs, missing signs, dead bands and stuck bits."""
+"""Binary words of a logger: readings that wrap around, misread signs, missing signs and stuck bits."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.constants import MICRO_G
+from srt.diagnosis.channels import SAMPLES
 from srt.diagnosis.findings import Fault, by_sensor
+from srt.diagnosis.rotation_readings import ROUNDING
 from srt.model.table1 import AXES
 from srt.noise.noise_model import smallest_step
 
@@ -21,25 +22,8 @@ if TYPE_CHECKING:
 
 _ONE_POLARITY: Final = 0.05
 """Smallest share of zeros in the readings of a channel without one of the signs."""
-_MANY: Final = 30
-"""Fewest readings just outside a dead band: without a dead band, as many are expected inside it, and the probability of
-none is 1e-13."""
-_ZEROS: Final = 0.3
-"""Smallest ratio of zeros to the readings just outside a dead band: the motion may be faster inside the band."""
-_BESIDE: Final = 1.5
-"""Largest median size of the readings after zeros, relative to the threshold, if a slow motion passes the dead band."""
-_BAND_STEPS: Final = 2.5
-"""Smallest ratio of the smallest nonzero reading to the quantization step for a dead band; without one, it is 1."""
-_FREQUENT: Final = 0.3
-"""Smallest count of a frequent value, relative to that of the most frequent value."""
-_NEAR: Final = 10.0
-"""Largest reading, relative to the smallest nonzero one, in the search for a grid of pulses."""
-_SAMPLES: Final = 20_000
-"""Number of readings from which the quantization step is taken, and in which a stuck bit is searched first."""
-_WHOLE: Final = 1e-3
+WHOLE: Final = 1e-3
 """Largest distance of a reading from a multiple of the step, in steps: rounding leaves less."""
-_ROUNDING: Final = 1e-9
-"""Smallest difference between two readings that is not rounding, relative to the largest reading."""
 _BITS: Final = 16
 """Number of bits of a word."""
 _PASSED: Final = 20
@@ -110,85 +94,10 @@ ONE_POLARITY: Final = by_sensor(
 )
 
 
-def accel_dead_band(evidence: Evidence) -> Iterator[Finding]:
-    """Find accelerometers that read zero, but nothing between zero and a threshold, although gravity passes it."""
-    found = suppressed_readings(evidence, "accel")
-    if found is not None:
-        yield ACCEL_DEAD_BAND.found(
-            channel=f"accel_{AXES[found.axis]}",
-            count=found.zeros,
-            threshold_ug=found.threshold / MICRO_G,
-            step_ug=found.step / MICRO_G,
-        )
-
-
-ACCEL_DEAD_BAND: Final = Fault(
-    "accel_dead_band",
-    "The accelerometers suppress small readings",
-    "zeros, but no other reading below a threshold far above the quantization step",
-    "{channel} reads zero {count} times, and otherwise at least {threshold_ug:.3g} µg, but its quantization step is "
-    "{step_ug:.2g} µg: the unit suppresses small readings; switch off its dead band.",
-    "warning",
-    accel_dead_band,
-)
-
-
-class SuppressedReadings(NamedTuple):
-    """Axis without readings between zero and a threshold.
-
-    Attributes
-    ----------
-    axis, zeros : int
-        Number of the axis, and number of its readings that are zero.
-    threshold, step : float
-        Magnitude of the smallest nonzero reading, and quantization step, rad/s or m/s².
-    """
-
-    axis: int
-    zeros: int
-    threshold: float
-    step: float
-
-
-def suppressed_readings(evidence: Evidence, sensor: str) -> SuppressedReadings | None:
-    """First axis of a triad ("gyro" or "accel") whose readings pass through zero, but are never small and nonzero."""
-    if sensor in evidence.wrapped_readings:
-        return None
-    table = evidence.rate if sensor == "gyro" else evidence.force
-    step = smallest_step(table[:: max(1, len(table) // _SAMPLES)])
-    noise = evidence.recording.noise
-    pulse = (noise.gyro_quantization if sensor == "gyro" else noise.accel_quantization) or 0.0
-    for axis in range(3):
-        size = np.abs(table[:, axis])
-        zeros = int(np.count_nonzero(size == 0.0))
-        if zeros < _ZEROS * _MANY or zeros == len(size):
-            continue
-        threshold = float(size[size > 0.0].min())
-        beyond = int(np.count_nonzero((size > 0.0) & (size < 2.0 * threshold)))
-        multiple = size[size > 0.0] / threshold
-        if np.mean(np.abs(multiple - np.rint(multiple)) < _WHOLE) > 0.5:
-            continue  # the threshold is the step of most readings; the others were interpolated
-        grid = max(float(step[axis]), pulse / evidence.dt, _grid(size[(size > 0.0) & (size < _NEAR * threshold)]))
-        # Zeros that stand for lost samples have neighbours of any size.
-        beside = size[np.minimum(np.flatnonzero(size == 0.0) + 1, len(size) - 1)]
-        passing = zeros >= _ZEROS * beyond or float(np.median(beside)) < _BESIDE * threshold
-        if beyond >= _MANY and passing and threshold > _BAND_STEPS * grid:
-            return SuppressedReadings(axis, zeros, threshold, grid)
-    return None
-
-
-def _grid(small: Array) -> float:
-    """Smallest of the frequent values of small readings; 0 if most readings are not multiples of it."""
-    values, counts = np.unique(small, return_counts=True)
-    common = float(values[np.argmax(counts >= _FREQUENT * counts.max())])
-    multiple = small / common
-    return common if np.mean(np.abs(multiple - np.rint(multiple)) < _WHOLE) > 0.5 else 0.0
-
-
 def bit_stuck(evidence: Evidence) -> Iterator[Finding]:
     """Find a bit that is set in all words of an axis; the axes of a triad have the same count value."""
     for sensor, table in (("gyro", evidence.recording.gyro), ("accel", evidence.recording.accel)):
-        some = table[:: max(1, len(table) // _SAMPLES)]
+        some = table[:: max(1, len(table) // SAMPLES)]
         lsb = _count_value(some)
         if lsb is None:
             continue
@@ -222,9 +131,9 @@ def _count_value(table: Array) -> float | None:
     for axis in np.flatnonzero(smallest_step(table) > 0.0).tolist():
         column = np.unique(table[:, axis])
         gaps = np.diff(column)
-        gaps = np.unique(gaps[gaps > _ROUNDING * np.abs(column).max()])
+        gaps = np.unique(gaps[gaps > ROUNDING * np.abs(column).max()])
         finer = np.diff(gaps)
-        finer = finer[finer > _ROUNDING * np.abs(column).max()]
+        finer = finer[finer > ROUNDING * np.abs(column).max()]
         least.append(float(np.concatenate([gaps, finer]).min()))
     return min(least) if least else None
 
@@ -232,7 +141,7 @@ def _count_value(table: Array) -> float | None:
 def _stuck_bit(counts: Array) -> int | None:
     """Lowest bit that is set in all words; None if there is none, or if the readings are not whole numbers."""
     words = np.rint(counts)
-    if float(np.abs(counts - words).max()) > _WHOLE or float(np.abs(words).max()) >= 2.0**_BITS:
+    if float(np.abs(counts - words).max()) > WHOLE or float(np.abs(words).max()) >= 2.0**_BITS:
         return None
     whole = words.astype(np.int64)
     common = int(np.bitwise_and.reduce(whole))

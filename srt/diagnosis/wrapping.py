@@ -70,8 +70,7 @@ def wrapped_readings(
     dt = recording.nominal_interval_s
     found: dict[str, tuple[int, Indices]] = {}
     for sensor, table in tables.items():
-        for axis in range(3):
-            column = table[:, axis]
+        for axis, column in enumerate(np.ascontiguousarray(table.T)):
             low, high = float(column.min()), float(column.max())
             jumps = np.zeros(0, dtype=np.intp)
             if (high - low) / dt > _WRAP_MOTION[sensor]:

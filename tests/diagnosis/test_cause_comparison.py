@@ -6,8 +6,9 @@ from dataclasses import asdict
 import numpy as np
 import pytest
 
-from srt.diagnosis.cause_comparison import CLOSE, Cause, compare, with_runner_up
+from srt.diagnosis.cause_comparison import CLOSE, Cause, compare
 from srt.diagnosis.faults import FAULTS
+from srt.diagnosis.findings import with_runner_up
 from srt.diagnosis.staged_diagnosis import Diagnosis
 from srt.reports.text.inspection import runner_up_sentence
 from srt.result.diagnostics import RunnerUp
