@@ -26,8 +26,6 @@ smartquotes = False  # would make one dash of the two of an option
 nitpicky = True
 nitpick_ignore = [  # cross-references of docstrings to names that have no page
     ("py:data", "NAMES"),
-    ("py:data", "STAGES"),
-    ("py:data", "srt.diagnosis.faults.FAULTS"),
     ("py:func", "find_importer"),
     ("py:func", "run_schedule"),
     ("py:mod", "srt.model.sensor_model"),

@@ -8,7 +8,7 @@ import pytest
 
 from sims.faults.injection import GRADES
 from srt.diagnosis.evidence import Evidence
-from srt.diagnosis.findings import sort_by_cause, stage_checks
+from srt.diagnosis.faults import STAGES, sort_by_cause
 
 
 class WithoutRecognition(Evidence):
@@ -19,12 +19,17 @@ class WithoutRecognition(Evidence):
         return None
 
 
+def findings_of_stage(evidence, stage):
+    """Findings of all checks of a stage."""
+    checks = [check for of_result in (False, True) for check in STAGES[stage].checks(of_result=of_result)]
+    return [finding for check in checks for finding in check(evidence)]
+
+
 def examine_stages(recording, stages):
     """Findings of some stages, the first cause first."""
     evidence, out = WithoutRecognition(recording), []
     for stage in stages:
-        for registered in stage_checks(stage):
-            out += registered.run(evidence)
+        out += findings_of_stage(evidence, stage)
         if any(finding.effect.startswith("exit") for finding in out):
             break
     return sort_by_cause(out)

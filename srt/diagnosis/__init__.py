@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from srt.diagnosis.faults import FAULTS, Fault
-from srt.diagnosis.findings import Finding
+from srt.diagnosis.faults import FAULTS
+from srt.diagnosis.findings import Fault, Finding
 from srt.diagnosis.staged_diagnosis import Diagnosis, diagnose
 
 __all__ = ["FAULTS", "Diagnosis", "Fault", "Finding", "diagnose"]

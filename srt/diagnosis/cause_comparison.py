@@ -9,17 +9,14 @@ among m possible places by ``log m``.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from srt.diagnosis.findings import RunnerUp
-
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from srt.diagnosis.findings import Finding
     from srt.types import Array
 
 CLOSE: Final = math.log(20.0)
@@ -102,19 +99,12 @@ def _basis(columns: Array) -> Array:
 def _explanation(left: Array, cause: Cause, columns: Array, basis: Array) -> Explanation:
     n, k = columns.shape
     freedom = n - basis.shape[1] - k
-    value = np.linalg.lstsq(columns, left, rcond=None)[0] if k else np.zeros(0)
+    # Directions that the nuisance columns explain as well are left out.
+    inverse = np.linalg.pinv(columns, rcond=np.finfo(float).eps * n) if k else np.zeros((0, n))
+    value = inverse @ left
     rest = left - columns @ value
     square = max(float(rest @ rest), 1e-300)
-    variance = np.einsum("kn,kn->k", *[np.linalg.pinv(columns)] * 2) if k else np.zeros(0)
+    variance = np.einsum("kn,kn->k", inverse, inverse)
     sigma = np.sqrt(variance * square / max(1, freedom))
     score = -0.5 * n * math.log(square / n) - 0.5 * k * math.log(n) - math.log(cause.choices)
-    return Explanation(cause, score, np.asarray(value), np.asarray(sigma), square, freedom)
-
-
-def with_runner_up(finding: Finding, ranked: list[Explanation]) -> Finding:
-    """Finding with the most likely other fault added, if that fault is nearly as likely."""
-    own = next(e.score for e in ranked if e.cause.fault == finding.fault)
-    for other in ranked:
-        if other.cause.fault not in ("", finding.fault) and own - other.score < CLOSE:
-            return replace(finding, runner_up=RunnerUp(other.cause.fault, own - other.score))
-    return finding
+    return Explanation(cause, score, value, np.asarray(sigma), square, freedom)

@@ -9,16 +9,13 @@ import numpy as np
 from scipy.special import gammainc
 
 from srt.constants import EARTH_RATE_RAD_S, STANDARD_GRAVITY_M_S2
-from srt.diagnosis.axes import manoeuvre_readings
-from srt.diagnosis.findings import check, finding
+from srt.diagnosis.findings import Fault, by_sensor
 from srt.diagnosis.repeated_samples import FALSE_ALARM as REPEATS_BY_CHANCE
 from srt.diagnosis.repeated_samples import repeated_runs, single_repeats
+from srt.diagnosis.rotation_readings import ROUNDING
 from srt.diagnosis.sensor_synchronisation import sample_twice
-from srt.diagnosis.spikes import Spikes, find_spikes
-from srt.diagnosis.words import SuppressedReadings, suppressed_readings, wrapped_readings
 from srt.model.table1 import AXES
 from srt.noise.allan import CHANNELS
-from srt.noise.noise_model import smallest_step
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -28,12 +25,10 @@ if TYPE_CHECKING:
     from srt.types import Array, Indices, Mask
 
 
-_SAMPLES: Final = 20_000
+SAMPLES: Final = 20_000
 """Number of samples that suffices for the tests of whole columns: more would only take longer."""
 _PIECES: Final = 8
 """Number of pieces, evenly spaced over the recording, from which these samples are taken."""
-_SAME: Final = 1e-9
-"""Largest difference from 1 of the correlation of identical columns: the rounding of a unit conversion makes 1e-16."""
 _MANY: Final = 50
 """Fewest changes of a column for a useful correlation."""
 _SCALES: Final = 10.0
@@ -48,17 +43,11 @@ _TURNED: Final = 0.95
 """Ratio of the magnitude of the mean vector to the mean magnitude, above which the direction hardly changed."""
 
 
-def _columns(evidence: Evidence) -> list[Array]:
-    recording = evidence.recording
-    return [table[:, axis] for table in (recording.gyro, recording.accel) for axis in range(3)]
-
-
 def _constant(column: Array) -> bool:
     # The first 100 readings exclude nearly every column; only the others are compared in full.
     return bool(np.all(column[:100] == column[0]) and np.all(column == column[0]))
 
 
-@check("gyro_channel_dead", "accel_channel_dead")
 def dead_channels(evidence: Evidence) -> Iterator[Finding]:
     """Find constant columns, if other columns are noisy or the labels change the input of the axis."""
     for sensor, table, moved_axes in (
@@ -69,23 +58,24 @@ def dead_channels(evidence: Evidence) -> Iterator[Finding]:
         if not dead.any():
             continue
         # Noise-free readings can be constant. Such a column is dead only if the labels change the input of its axis.
-        noisy = any(_noisy(evidence, column) for column in _columns(evidence))
         moved = moved_axes(evidence)
-        named = [axis for axis in range(3) if dead[axis] and (noisy or moved[axis])]
+        named = [axis for axis in range(3) if dead[axis] and (evidence.noisy_channels.any() or moved[axis])]
         if named:
-            yield finding(
-                f"{sensor}_channel_dead",
+            yield CHANNEL_DEAD[sensor].found(
                 channel=", ".join(f"{sensor}_{AXES[axis]}" for axis in named),
                 value=float(table[0, named[0]]),
             )
 
 
-def _noisy(evidence: Evidence, column: Array) -> bool:
-    """True if the stationary readings of a column scatter by more than rounding."""
-    if evidence.data is None:
-        return False
-    a, b = evidence.data.windows.samples[0].tolist()
-    return bool(np.std(np.diff(column[a:b])) > 1e-9 * np.abs(column[a:b]).max(initial=0.0) > 0.0)
+CHANNEL_DEAD: Final = by_sensor(
+    "channel_dead",
+    "[A gyro|An accelerometer] column never changes",
+    "range of every [gyro|accelerometer] column",
+    "Column {channel} reads {value:g} in all samples, but noise or [rotation|gravity] should change it: connect the "
+    "sensor, or name the right column.",
+    "exit 1",
+    dead_channels,
+)
 
 
 def _turned_axes(evidence: Evidence) -> Mask:
@@ -106,12 +96,11 @@ def _tilted_axes(evidence: Evidence) -> Mask:
     return np.asarray(np.ptp(nominal, axis=0) > 0.5 * evidence.recording.site.gravity_m_s2)
 
 
-@check("columns_repeat")
 def columns_repeat(evidence: Evidence) -> Iterator[Finding]:
     """Find two columns with the same readings, or readings that differ by a constant factor."""
-    columns = _columns(evidence)
+    columns = evidence.columns
     n = len(columns[0])
-    length = max(2, min(n, _SAMPLES // _PIECES))
+    length = max(2, min(n, SAMPLES // _PIECES))
     starts = np.unique(np.linspace(0, n - length, _PIECES).astype(np.intp))
     # Differences of successive readings contain the noise, which differs from column to column, but no bias.
     steps = np.array([np.concatenate([np.diff(c[a : a + length]) for a in starts.tolist()]) for c in columns])
@@ -121,13 +110,24 @@ def columns_repeat(evidence: Evidence) -> Iterator[Finding]:
         if min(changes[i], changes[j]) < _MANY:
             continue
         product = float(steps[i] @ steps[j])
-        if abs(product) < (1.0 - _SAME) * size[i] * size[j]:
+        if abs(product) < (1.0 - ROUNDING) * size[i] * size[j]:
             continue
         factor = product / float(size[j]) ** 2
         off = columns[i] - factor * columns[j]
         if np.ptp(off) <= 1e-6 * np.ptp(columns[i]) and _may_repeat(evidence, i, j, factor):
-            yield finding("columns_repeat", channel=CHANNELS[i], other=CHANNELS[j])
+            yield COLUMNS_REPEAT.found(channel=CHANNELS[i], other=CHANNELS[j])
             return
+
+
+COLUMNS_REPEAT: Final = Fault(
+    "columns_repeat",
+    "Two columns have the same readings",
+    "correlation of every pair of columns",
+    "Columns {channel} and {other} have the same readings, except for a constant factor: one column was probably read "
+    "twice; correct the mapping of the columns.",
+    "exit 1",
+    columns_repeat,
+)
 
 
 def _may_repeat(evidence: Evidence, i: int, j: int, factor: float) -> bool:
@@ -140,24 +140,33 @@ def _may_repeat(evidence: Evidence, i: int, j: int, factor: float) -> bool:
     if i // 3 == j // 3:
         return 1.0 / _SCALES < abs(factor) < _SCALES
     earth = EARTH_RATE_RAD_S / STANDARD_GRAVITY_M_S2
-    return abs(factor) > _POLE * earth or _noisy(evidence, _columns(evidence)[j])
+    return abs(factor) > _POLE * earth or bool(evidence.noisy_channels[j])
 
 
-@check("sensors_exchanged")
 def sensors_exchanged(evidence: Evidence) -> Iterator[Finding]:
     """Find gyro columns that read a rotating vector of constant magnitude, while the accelerometer columns do not."""
     recording = evidence.recording
-    stride = max(1, len(recording.time) // _SAMPLES)
+    stride = max(1, len(recording.time) // SAMPLES)
     gyro, accel = recording.gyro[::stride], recording.accel[::stride]
     if not (_holds_gravity(gyro) and _range_of_size(accel) > _GRAVITY):
         return
-    turns = manoeuvre_readings(evidence)
+    turns = evidence.manoeuvres
     rate, force = (gyro, accel) if turns is None else (turns.rate / evidence.per_rate, turns.force / evidence.per_rate)
-    yield finding(
-        "sensors_exchanged",
+    yield SENSORS_EXCHANGED.found(
         gyro=float(np.median(np.linalg.norm(rate, axis=1))) * evidence.per_rate,
         accel=float(np.median(np.linalg.norm(force, axis=1))) * evidence.per_rate,
     )
+
+
+SENSORS_EXCHANGED: Final = Fault(
+    "sensors_exchanged",
+    "Gyro and accelerometer columns are exchanged",
+    "columns that measure gravity, a vector of constant magnitude",
+    "At rest the gyro columns read {gyro:.3g} rad/s and the accelerometer columns {accel:.3g} m/s², as if they were "
+    "exchanged: correct the mapping of the columns.",
+    "exit 1",
+    sensors_exchanged,
+)
 
 
 def _range_of_size(vectors: Array) -> float:
@@ -171,7 +180,6 @@ def _holds_gravity(vectors: Array) -> bool:
     return turned and _range_of_size(vectors) < _GRAVITY
 
 
-@check("samples_stuck", "gyro_stuck", "accel_stuck", "gyro_axis_stuck", "accel_axis_stuck")
 def repeated_rows(evidence: Evidence) -> Iterator[Finding]:
     """Find the longest runs of equal samples, in both triads, one triad or one axis, that chance does not explain."""
     names = ("samples_stuck", "gyro_stuck", "accel_stuck", *CHANNELS)
@@ -180,19 +188,49 @@ def repeated_rows(evidence: Evidence) -> Iterator[Finding]:
         for name, runs in zip(names, repeated_runs(evidence), strict=True)
         if runs
     }
-    stuck = {name: (name, run) for name, run in longest.items() if name not in CHANNELS}
-    for sensor in ("gyro", "accel"):
-        axes = [(name, longest[name]) for name in CHANNELS if name in longest and name.startswith(sensor)]
-        if axes:
-            stuck[f"{sensor}_axis_stuck"] = max(axes, key=lambda item: item[1].count)
-    for fault, (name, run) in stuck.items():
-        yield finding(
-            fault,
+    stuck = [(fault, fault.name) for fault in (SAMPLES_STUCK, *STUCK.values())]
+    for sensor, fault in AXIS_STUCK.items():
+        axes = [name for name in CHANNELS if name in longest and name.startswith(sensor)]
+        stuck += [(fault, max(axes, key=lambda name: longest[name].count))] if axes else []
+    for fault, name in stuck:
+        if name not in longest:
+            continue
+        run = longest[name]
+        yield fault.found(
             channel=name,
             count=run.count + 1,
             time=float(evidence.recording.time[run.first]),
             sequence=evidence.place_title(run.first),
         )
+
+
+SAMPLES_STUCK: Final = Fault(
+    "samples_stuck",
+    "The logger repeats samples",
+    "runs of equal samples in all six channels, longer than by chance",
+    "All six channels repeat their readings for {count} samples from {time:.6g} s, as when a logger stalls: repeat "
+    "{sequence}, or omit it.",
+    "warning",
+    repeated_rows,
+)
+STUCK: Final = by_sensor(
+    "stuck",
+    "The [gyro|accelerometer] readings freeze for a while",
+    "runs of equal [gyro|accelerometer] readings while the [accelerometer|gyro] readings change",
+    "The [gyros|accelerometers] repeat one reading for {count} samples from {time:.6g} s while the "
+    "[accelerometer|gyro] readings change: repeat {sequence}, or omit it.",
+    "warning",
+    repeated_rows,
+)
+AXIS_STUCK: Final = by_sensor(
+    "axis_stuck",
+    "One [gyro|accelerometer] axis freezes for a while",
+    "runs of equal readings of one axis while the other axes of its triad change, longer than by chance",
+    "{channel} repeats one reading for {count} samples from {time:.6g} s while the other [gyro|accelerometer] axes "
+    "change: look for a bad contact, and repeat {sequence}, or omit it.",
+    "warning",
+    repeated_rows,
+)
 
 
 _TWICE: Final = 3.0
@@ -202,13 +240,12 @@ _FEWEST_TWICE: Final = 3
 """Fewest repeated samples for a finding: a single data frame may have been sent twice."""
 
 
-@check("samples_duplicated")
 def duplicated_samples(evidence: Evidence) -> Iterator[Finding]:
     """Find samples that repeat the previous one in all channels, more often than by chance or against the motion.
 
     Where the rate changes, a repeated sample deviates from its neighbours like a spike. Where the rate is steady, an
     additional sample makes an attitude error by its angle. Both show also in readings whose pulses often repeat by
-    chance.
+    chance. Statistic: number of repeated samples. Distribution: Poisson.
     """
     for rows, expected in single_repeats(evidence):
         count = len(rows)
@@ -216,8 +253,8 @@ def duplicated_samples(evidence: Evidence) -> Iterator[Finding]:
             continue
         yield _duplicated(evidence, rows, expected)
         return
-    there = find_spikes(evidence)
-    rows = np.unique(there.sample[there.of_repeats(evidence)]) if there.sample.size else there.sample
+    there = evidence.spikes
+    rows = np.unique(there.sample[there.of_repeats(evidence.recording)]) if there.sample.size else there.sample
     if rows.size == 0:
         again = sample_twice(evidence)
         rows = rows if again is None else np.array([again])
@@ -225,9 +262,22 @@ def duplicated_samples(evidence: Evidence) -> Iterator[Finding]:
         yield _duplicated(evidence, rows, 0.0)
 
 
+SAMPLES_DUPLICATED: Final = Fault(
+    "samples_duplicated",
+    "The logger writes samples twice",
+    "samples that equal the previous one in all six channels, more often than by chance; equal samples while the "
+    "readings change, or with an attitude error by the angle of one sample",
+    "{count} samples equal the previous sample in all six channels, the first at {time:.6g} s, but {expected:.2g} are "
+    "expected by chance: the logger writes samples twice, or in place of lost ones; correct the logger, and record "
+    "again.",
+    "warning",
+    duplicated_samples,
+)
+
+
 def _duplicated(evidence: Evidence, rows: Indices, expected: float) -> Finding:
     time = float(evidence.recording.time[rows[0]])
-    return finding("samples_duplicated", count=len(rows), time=time, expected=expected)
+    return SAMPLES_DUPLICATED.found(count=len(rows), time=time, expected=expected)
 
 
 _LINE: Final = 8
@@ -237,16 +287,15 @@ _SLOPES: Final = 2
 """Fewest channels that must change along the line: constant channels are frozen, or have no pulses at rest."""
 
 
-@check("samples_interpolated")
 def samples_interpolated(evidence: Evidence) -> Iterator[Finding]:
     """Find the longest run of samples on straight lines in all channels."""
-    columns = _columns(evidence)
-    if not all(any(_noisy(evidence, column) for column in part) for part in (columns[:3], columns[3:])):
+    columns = evidence.columns
+    if not evidence.noisy_channels.reshape(2, 3).any(axis=1).all():
         return
     straight = np.ones(len(columns[0]) - 2, dtype=np.bool_)
     slopes = np.zeros(len(straight), dtype=np.intp)
     for column in columns:
-        rounding = _SAME * float(np.abs(column).max())
+        rounding = ROUNDING * float(np.abs(column).max())
         step = np.diff(column)
         straight &= np.abs(np.diff(step)) <= rounding
         slopes += np.abs(step[1:]) > rounding
@@ -255,83 +304,50 @@ def samples_interpolated(evidence: Evidence) -> Iterator[Finding]:
     if lengths.max(initial=0) + 2 < _LINE:
         return
     first = int(edges[::2][np.argmax(lengths)])
-    yield finding(
-        "samples_interpolated",
+    yield SAMPLES_INTERPOLATED.found(
         time=float(evidence.recording.time[first]),
         count=int(lengths.max()) + 2,
         sequence=evidence.place_title(first),
     )
 
 
-_DEAD_SHARE: Final = 0.5
-"""Smallest share of zeros in the stationary readings of a channel with a dead band."""
-_DEAD_STEPS: Final = 2.5
-"""Smallest ratio of the smallest nonzero reading to the quantization step for a dead band; without one, it is 1."""
-
-_DEAD_PULSES: Final = 1.5
-"""Smallest such ratio if the pulse size is stated, so that the step is known."""
-_SAME_GRID: Final = 1e-3
-"""Largest distance of a reading from a multiple of the step, in steps: rounding leaves less."""
-_DEAD_EDGE: Final = 0.1
-"""Smallest ratio of the smallest to the median size of the nonzero stationary readings for a dead band: the readings
-outside the band begin at its edge."""
+SAMPLES_INTERPOLATED: Final = Fault(
+    "samples_interpolated",
+    "Lost samples were filled by interpolation",
+    "samples on straight lines in all six channels, in a recording with noise",
+    "From {time:.6g} s, {count} samples lie on straight lines in all six channels, without noise ({sequence}): the "
+    "logger or a tool interpolated lost samples; remove them, so that the stamps show the gap, and repeat the "
+    "sequence.",
+    "warning",
+    samples_interpolated,
+)
 
 
-@check("gyro_dead_band")
-def gyro_dead_band(evidence: Evidence) -> Iterator[Finding]:
-    """Find gyros that read zero at rest or as the rate changes sign, but never a value between zero and a threshold."""
-    if evidence.data is None or not any(_noisy(evidence, column) for column in _columns(evidence)[3:]):
-        return
-    if "gyro" in wrapped_readings(evidence):
-        return  # wrapped readings lie on several grids: their quantization step is not found
-    found = suppressed_readings(evidence, "gyro") or _zero_at_rest(evidence)
-    if found is not None:
-        where = {"channel": CHANNELS[found.axis], "count": found.zeros}
-        yield finding("gyro_dead_band", **where, threshold=found.threshold, step=found.step)
-
-
-def _zero_at_rest(evidence: Evidence) -> SuppressedReadings | None:
-    """First gyro that reads zero in most stationary samples, and otherwise far more than its quantization step."""
-    assert evidence.data is not None
-    windows = evidence.data.windows.samples.tolist()
-    stationary = np.concatenate([evidence.rate[a:b] for a, b in windows])
-    share = np.mean(stationary == 0.0, axis=0)
-    for axis in np.flatnonzero(share > _DEAD_SHARE).tolist():
-        size = np.abs(evidence.rate[:, axis])
-        # Readings at the largest size are left out: a saturation limit is not a multiple of the quantization step.
-        moving = evidence.rate[(size > 0.0) & (size < size.max())]
-        if len(moving) < _MANY:
-            continue
-        threshold = float(size[size > 0.0].min())
-        shown = np.abs(stationary[stationary[:, axis] != 0.0, axis])
-        if shown.size and threshold < _DEAD_EDGE * float(np.median(shown)):
-            continue  # the nonzero readings reach down to zero: pulses, with noise in some window
-        if shown.size and np.all(np.abs(shown / threshold - np.rint(shown / threshold)) < _SAME_GRID):
-            continue  # all readings are multiples of the smallest one: pulses
-        # In corrected samples, which mix the pulses of several axes, readings differ by less than a pulse.
-        pulse = (evidence.recording.noise.gyro_quantization or 0.0) / evidence.dt
-        step = max(pulse, float(smallest_step(moving[-_SAMPLES:])[axis]))
-        if threshold > (_DEAD_PULSES if pulse else _DEAD_STEPS) * step:
-            return SuppressedReadings(axis, int(np.count_nonzero(size == 0.0)), threshold, step)
-    return None
-
-
-@check("spikes")
 def spikes(evidence: Evidence) -> Iterator[Finding]:
     """Find spikes; the message states the largest spike of the channel with the most spikes."""
-    there = find_spikes(evidence)
+    there = evidence.spikes
     if there.sample.size:
-        own = ~there.of_repeats(evidence)
-        there = Spikes(there.sample[own], there.channel[own], there.jump[own])
+        own = ~there.of_repeats(evidence.recording)
+        there = there[own]
     if there.sample.size == 0:
         return
     most = int(np.argmax(np.bincount(there.channel)))
     k = int(np.argmax(np.where(there.channel == most, np.abs(there.jump), -1.0)))
-    yield finding(
-        "spikes",
+    yield SPIKES.found(
         channel=CHANNELS[int(there.channel[k])],
         size=f"{abs(float(there.jump[k])) * evidence.per_rate:.3g} {'rad/s' if there.channel[k] < 3 else 'm/s²'}",
         time=float(evidence.recording.time[there.sample[k]]),
         count=int(there.sample.size),
         sequence=evidence.place_title(int(there.sample[k])),
     )
+
+
+SPIKES: Final = Fault(
+    "spikes",
+    "Spikes: single outlying readings",
+    "deviation of every reading from its neighbours, relative to the noise around it",
+    "{channel} jumps by {size} for one sample at {time:.6g} s, far more than its noise ({count} such readings in the "
+    "recording): look for a bad contact or transmission errors, and repeat {sequence}.",
+    "warning",
+    spikes,
+)

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.diagnosis.findings import check, finding
+from srt.diagnosis.findings import by_sensor
 from srt.noise.allan import CHANNELS
-from srt.sequences.clipping import Clipping, clipped_samples, clipping_levels
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -17,10 +16,9 @@ if TYPE_CHECKING:
     from srt.diagnosis.findings import Finding
 
 
-@check("gyro_clipped", "accel_clipped")
 def clipping(evidence: Evidence) -> Iterator[Finding]:
     """Find readings at the stated range, or runs of the same extreme reading that noise does not explain."""
-    clipped = clipped_parts(evidence)
+    clipped = evidence.clipped_parts
     for sensor in ("gyro", "accel"):
         mine = [(k, part) for k, parts in clipped for part in parts if part.channel.startswith(sensor)]
         if not mine:
@@ -30,8 +28,7 @@ def clipping(evidence: Evidence) -> Iterator[Finding]:
         table = getattr(evidence.recording, sensor)
         others = len({number for number, _ in mine}) - 1
         where = evidence.place_title(at) if k is None else evidence.title(k)
-        yield finding(
-            f"{sensor}_clipped",
+        yield CLIPPED[sensor].found(
             channel=first.channel,
             limit=abs(float(table[at, CHANNELS.index(first.channel) % 3])) * evidence.per_rate,
             count=first.count,
@@ -40,18 +37,12 @@ def clipping(evidence: Evidence) -> Iterator[Finding]:
         )
 
 
-def clipped_parts(evidence: Evidence) -> list[tuple[int | None, tuple[Clipping, ...]]]:
-    """Numbers of the sequences with saturated readings, and their channels; None for all samples without labels."""
-    recording = evidence.recording
-    levels = clipping_levels(recording)
-    if not (np.isfinite(levels.low).any() or np.isfinite(levels.high).any()):
-        return []
-    if not evidence.has_labels:
-        whole = clipped_samples(recording, slice(0, len(recording.time)), levels)
-        return [(None, whole)] if whole else []
-    data = evidence.data
-    if data is None:
-        return []
-    windows = data.windows.samples
-    parts = ((k, slice(int(windows[data.start[k], 0]), int(windows[data.end[k], 1]))) for k in range(data.K))
-    return [(k, channels) for k, part in parts if (channels := clipped_samples(recording, part, levels))]
+CLIPPED: Final = by_sensor(
+    "clipped",
+    "[A gyro|An accelerometer] saturates",
+    "readings at the stated range, or runs of the same extreme reading",
+    "{channel} is at the limit of its range ({limit:.4g} [rad/s|m/s²]) in {count} samples from {time:.6g} s: "
+    "{sequence} cannot be used; [rotate more slowly|avoid shocks, or choose a wider range], and repeat the sequence.",
+    "warning",
+    clipping,
+)

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import re
 import sys
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
-from srt.diagnosis.faults import FAULTS, STAGES, Fault
+from srt.diagnosis.faults import STAGES
 from srt.recording.atomic_file import atomic_write_text
+
+if TYPE_CHECKING:
+    from srt.diagnosis.findings import Fault
 
 _INTRODUCTION: Final = """# Faults of a recording
 
@@ -18,23 +21,23 @@ recording. [fault-detection.md](fault-detection.md) has the detection rate of ea
 Effects: **exit 2**, the recording is refused on reading; **exit 1**, it is read, but not calibrated; **warning**, it is
 calibrated with a warning; **note**, only `srt inspect` reports the fault.
 
-`python -m srt.diagnosis.document` writes this page from `srt/diagnosis/faults.toml`.
+`python -m srt.diagnosis.document` writes this page from the catalogue in `srt/diagnosis/faults.py`.
 """
 
 
 def document() -> str:
     """Catalogue as a page in Markdown, with one table for each stage."""
     parts = [_INTRODUCTION]
-    for stage, title in STAGES.items():
-        rows = [_row(fault) for fault in FAULTS.values() if fault.stage == stage]
+    for stage in STAGES.values():
+        rows = [_row(fault) for fault in stage.faults]
         head = ["| fault | name | criterion | message | effect |", "|---|---|---|---|---|"]
-        parts.append("\n".join([f"## {title}", "", *head, *rows, ""]))
+        parts.append("\n".join([f"## {stage.title}", "", *head, *rows, ""]))
     return "\n".join(parts)
 
 
 def _row(fault: Fault) -> str:
-    own = re.sub(r"\{(\w+):[^}]*\}", r"{\1}", fault.sentence)
-    message = "the reader's message" if fault.sentence == "{message}" else own
+    own = re.sub(r"\{(\w+):[^}]*\}", r"{\1}", fault.message)
+    message = "the reader's message" if fault.message == "{message}" else own
     cells = (fault.title, f"`{fault.name}`", fault.criterion, message, fault.effect)
     return "| " + " | ".join(cell.replace("|", r"\|") for cell in cells) + " |"
 

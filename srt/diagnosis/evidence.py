@@ -11,19 +11,50 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from srt.diagnosis.gravity_rotation import gravity_relation, labelled_manoeuvres, recognised_manoeuvres
+from srt.diagnosis.label_shift import label_shift
+from srt.diagnosis.rotation_readings import (
+    ROUNDING,
+    block_averages,
+    find_rotations,
+    rates_factor,
+    raw_integrals,
+    turning_windows,
+)
+from srt.diagnosis.scale_ratios import accel_ratios, gyro_ratios_to_gravity, gyro_ratios_to_labels
+from srt.diagnosis.spikes import MISPLACED, NO_SPIKES, find_spikes
+from srt.diagnosis.stabilised_force import stabilised_force
+from srt.diagnosis.stationary_rates import earth_rate, stationary_rate_fit, stationary_rates
+from srt.diagnosis.time_offsets import attitude_step, lag, time_offset
+from srt.diagnosis.triad_fits import accel_fit, gyro_fit, measured_angles, raw_triads
+from srt.diagnosis.window_averages import window_averages
+from srt.diagnosis.wrapping import wrapped_readings
 from srt.estimation.options import Options
 from srt.exceptions import DataError
+from srt.sequences.clipping import clipped_samples, clipping_levels
 from srt.sequences.manoeuvres import end_attitude
 from srt.sequences.preparation import nominal_attitude, prepare
 from srt.sequences.recognition import labelled, recognise
 from srt.sequences.stationary_windows import find_turns
 
 if TYPE_CHECKING:
+    from srt.diagnosis.cause_comparison import Explanation
+    from srt.diagnosis.gravity_rotation import ManoeuvreReadings
+    from srt.diagnosis.label_shift import LabelShift
+    from srt.diagnosis.rotation_readings import BlockAverages, RawIntegrals, Rotations
+    from srt.diagnosis.scale_ratios import ScaleRatios
+    from srt.diagnosis.spikes import Spikes
+    from srt.diagnosis.stabilised_force import StabilisedForce
+    from srt.diagnosis.stationary_rates import EarthRate, StationaryRateFit, StationaryRates
+    from srt.diagnosis.time_offsets import AttitudeStep, TimeOffset
+    from srt.diagnosis.triad_fits import LinearFit, MeasuredAngles, RawTriads
+    from srt.diagnosis.window_averages import WindowAverages
     from srt.recording.recording import Recording, SequenceLabel
     from srt.result.calibration import Calibration
+    from srt.sequences.clipping import Clipping
     from srt.sequences.preparation import PreparedRecording
     from srt.sequences.recognition import Recognition
-    from srt.types import Array, Mask
+    from srt.types import Array, Indices, Mask
 
 
 class Evidence:
@@ -54,7 +85,7 @@ class Evidence:
     @cached_property
     def per_rate(self) -> float:
         """Factor from stored values to rates: 1, or one over the interval for increments."""
-        return 1.0 if self.recording.kind == "rate" else 1.0 / self.dt
+        return rates_factor(self.recording)
 
     @cached_property
     def rate(self) -> Array:
@@ -65,6 +96,20 @@ class Evidence:
     def force(self) -> Array:
         """Accelerometer readings, shape (n, 3), m/s²."""
         return self.recording.accel if self.per_rate == 1.0 else self.recording.accel * self.per_rate
+
+    @property
+    def columns(self) -> list[Array]:
+        """Stored values of the six channels, gyros first, shape (n,) each."""
+        return [table[:, axis] for table in (self.recording.gyro, self.recording.accel) for axis in range(3)]
+
+    @cached_property
+    def noisy_channels(self) -> Mask:
+        """True for each channel whose readings in the first window scatter by more than rounding, shape (6,)."""
+        if self.data is None:
+            return np.zeros(6, dtype=np.bool_)
+        a, b = self.data.windows.samples[0].tolist()
+        parts = [column[a:b] for column in self.columns]
+        return np.array([np.std(np.diff(part)) > ROUNDING * np.abs(part).max(initial=0.0) > 0.0 for part in parts])
 
     # --- recognised and labelled sequences ---------------------------------------------------------------------------
 
@@ -166,6 +211,167 @@ class Evidence:
             nominal += [-data.gravity * down, -data.gravity * (end_attitude(sequence).T @ down)]
             reading += [self.stationary_force[data.start[k]], self.stationary_force[data.end[k]]]
         return np.array(nominal).reshape(-1, 3), np.array(reading).reshape(-1, 3)
+
+    @property
+    def _poses(self) -> tuple[Array, Array]:
+        return (np.zeros((0, 3)), np.zeros((0, 3))) if self.data is None else self.poses
+
+    @cached_property
+    def window_averages(self) -> WindowAverages | None:
+        """Averages inside the windows; None if fewer than four are long enough to be compared."""
+        return None if self.data is None else window_averages(self.data)
+
+    @cached_property
+    def stationary_rates(self) -> StationaryRates | None:
+        """Stationary rates and the design matrix of their model; None if there are too few windows."""
+        return None if self.data is None else stationary_rates(self.data, self.gyro_fit)
+
+    @cached_property
+    def stationary_rate_fit(self) -> StationaryRateFit | None:
+        """Bias, drift, g-sensitivity and Earth rate of the stationary rates; None if they are not observable."""
+        rates, instability = self.stationary_rates, self.recording.noise.gyro_bias_instability
+        return None if rates is None else stationary_rate_fit(rates, instability)
+
+    @cached_property
+    def earth_rate(self) -> EarthRate | None:
+        """Earth rate in the windows; None if it is not observable."""
+        return earth_rate(self.stationary_rate_fit, self.recording)
+
+    @cached_property
+    def turning_windows(self) -> Mask:
+        """True for each window in which the unit rotates as in a manoeuvre, shape (W,): its label is wrong."""
+        return turning_windows(self._data)
+
+    @cached_property
+    def label_shift(self) -> LabelShift | None:
+        """Shift of the labels in time; None if they are not shifted."""
+        if self.data is None or not self.has_labels:
+            return None
+        return label_shift(self.data, self.contiguous, self.turning_windows)
+
+    # --- rotations ---------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def raw_integrals(self) -> RawIntegrals | None:
+        """Integrals of the readings over each sequence; None if there are none."""
+        return None if self.data is None else raw_integrals(self.data)
+
+    @cached_property
+    def block_averages(self) -> BlockAverages | None:
+        """Block averages of all manoeuvres without a gap; None if there are none."""
+        return None if self.data is None else block_averages(self.data, self.contiguous)
+
+    @cached_property
+    def rotations(self) -> Rotations:
+        """Measured and nominal rotations of the sequences."""
+        return find_rotations(self.data, self.block_averages)
+
+    @cached_property
+    def measured_angles(self) -> MeasuredAngles | None:
+        """Angles of the rotations on a fixture, without outliers; None with too few."""
+        return None if self.recording.fixture is None else measured_angles(self.rotations)
+
+    @cached_property
+    def gyro_fit(self) -> LinearFit:
+        """Fit of measured to nominal rotations."""
+        return gyro_fit(self.rotations)
+
+    @cached_property
+    def accel_fit(self) -> LinearFit:
+        """Fit of measured to nominal specific force of the poses."""
+        return accel_fit(self._poses)
+
+    @cached_property
+    def raw_triads(self) -> RawTriads:
+        """Raw gyro matrix, and raw accelerometer matrix and bias, in the nominal frame."""
+        gravity = self.recording.site.gravity_m_s2 if self.data is None else self.data.gravity
+        return raw_triads(self.rotations, self._poses, gravity)
+
+    @cached_property
+    def manoeuvres(self) -> ManoeuvreReadings | None:
+        """Readings of the labelled manoeuvres, or of the recognised ones without labels; None if there are none."""
+        if self.has_labels:
+            return None if self.data is None else labelled_manoeuvres(self.data, self.contiguous)
+        return None if self.recognition is None else recognised_manoeuvres(self.recording, self.recognition)
+
+    @cached_property
+    def gravity_relation(self) -> Array | None:
+        """Matrix K of the rotation of gravity against the gyros, shape (3, 3); None if it is not determined."""
+        return None if self.manoeuvres is None else gravity_relation(self.recording, self.manoeuvres)
+
+    @cached_property
+    def stabilised_force(self) -> StabilisedForce | None:
+        """Gyro-stabilised specific force of all rotations; None if there are none."""
+        path = self.block_averages
+        return None if self.data is None or path is None else stabilised_force(self.data, path, self.raw_triads)
+
+    @cached_property
+    def time_offset(self) -> TimeOffset | None:
+        """Time offset between the sensors; None with fewer than four suitable rotations."""
+        path, turns = self.stabilised_force, self.block_averages
+        return None if path is None or turns is None else time_offset(path, turns)
+
+    @cached_property
+    def lag(self) -> list[Explanation] | None:
+        """Possible causes of a lag of a triad or of one channel, most likely first; None if there is no lag."""
+        return None if self.time_offset is None else lag(self.time_offset, self.dt)
+
+    @cached_property
+    def attitude_step(self) -> AttitudeStep | None:
+        """Largest step of the stabilised specific force on a fixture: the acceleration by hand has steps."""
+        path, turns = self.stabilised_force, self.block_averages
+        if path is None or turns is None or self.recording.fixture is None:
+            return None
+        void = [k for k, _ in self.clipped_parts if k is not None]
+        return attitude_step(path, turns, self.time_offset, self.dt, void)
+
+    # --- single readings and scales ----------------------------------------------------------------------------------
+
+    @cached_property
+    def clipped_parts(self) -> list[tuple[int | None, tuple[Clipping, ...]]]:
+        """Numbers of the sequences with saturated readings, and their channels; None for all samples without labels."""
+        recording, data = self.recording, self.data
+        levels = clipping_levels(recording)
+        if not (np.isfinite(levels.low).any() or np.isfinite(levels.high).any()):
+            return []
+        if not self.has_labels:
+            whole = clipped_samples(recording, slice(0, len(recording.time)), levels)
+            return [(None, whole)] if whole else []
+        if data is None:
+            return []
+        windows = data.windows.samples
+        parts = ((k, slice(int(windows[data.start[k], 0]), int(windows[data.end[k], 1]))) for k in range(data.K))
+        return [(k, channels) for k, part in parts if (channels := clipped_samples(recording, part, levels))]
+
+    @cached_property
+    def wrapped_readings(self) -> dict[str, tuple[int, Indices]]:
+        """First axis of a triad that wraps, and the numbers of the samples after its jumps, by sensor."""
+        contiguous = np.zeros(0, dtype=np.bool_) if self.data is None else self.contiguous
+        tables = {"gyro": self.rate, "accel": self.force}
+        return wrapped_readings(tables, self.recording, self.data, contiguous, self.sequence_at)
+
+    @cached_property
+    def spikes(self) -> Spikes:
+        """Spikes inside the sequences, also those of samples that repeat."""
+        if self.data is None:
+            return NO_SPIKES
+        found = find_spikes(self.data, self.contiguous)
+        # Shifted labels include fast moves of the fixture, which look like spikes of the gyros.
+        moves = np.any(found.channel < 3) and self.turning_windows.sum() >= MISPLACED
+        return found[found.channel >= 3] if moves else found
+
+    @cached_property
+    def gyro_scales(self) -> ScaleRatios:
+        """Ratios of measured to labelled angles; for free rotations, of the gyros to the rotation of gravity."""
+        by_labels = gyro_ratios_to_labels(self.rotations, self.recording.fixture)
+        if self.has_labels and by_labels.known:
+            return by_labels
+        return gyro_ratios_to_gravity(by_labels, self.gravity_relation)
+
+    @cached_property
+    def accel_scales(self) -> ScaleRatios:
+        """Ratios of the stationary specific force to gravity."""
+        return accel_ratios(self.recording, self.manoeuvres, None if self.data is None else self.accel_fit)
 
     # --- calibration -------------------------------------------------------------------------------------------------
 

@@ -1,38 +1,68 @@
-"""Findings, and the registry of checks. Each check declares the faults that it can find."""
+"""Faults, and the findings of a recording. A check is a function of the evidence that yields findings."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Literal
 
-from srt.diagnosis.faults import FAULTS, RANK, STAGES, Effect
-from srt.result import diagnostics
+from srt.diagnosis.cause_comparison import CLOSE
+from srt.result.diagnostics import RunnerUp
 
 if TYPE_CHECKING:
+    from srt.diagnosis.cause_comparison import Explanation
     from srt.diagnosis.evidence import Evidence
 
-FALSE_ALARM: Final = 3e-6
-"""False-alarm probability of each statistical test, for one recording.
+Effect = Literal["exit 2", "exit 1", "warning", "note"]
+"""Refused on reading; refused by the calibration; calibrated with a warning; reported only by ``srt inspect``."""
 
-All checks together report a fault in at most 1e-4 of the recordings without faults. 15 tests at this probability add up
-to 4.5e-5: lost samples; lags; oscillation, bumps, creep and noise of windows; settling; joined units; drift of scale
-factors; absent Earth rate, latitude and north; drift of bias; noise of gyros and of accelerometers. The detection of a
-drift in a calibration adds 2e-5, clipping 1.4e-5, vibration and rotation in windows 8e-6, repeated samples 6e-6 and
-spikes 5e-6. The test of an omitted asymmetry, which only runs with the option that fixes it, is not included.
-"""
+Check = Callable[["Evidence"], Iterator["Finding"]]
+"""Search for one fault or for several related ones, with at most one finding for each cause."""
 
 
-class RunnerUp(diagnostics.RunnerUp):
-    """Fault that explains the same data nearly as well, with its sentence."""
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """One fault that a recording can have.
 
-    __slots__ = ()
+    Attributes
+    ----------
+    name : str
+        Key for scripts and files.
+    title : str
+        The fault in a few words.
+    criterion : str
+        Data that show the fault.
+    message : str
+        What was found, where, what is expected, and what to do. The finding fills the fields in braces.
+    effect : Effect
+        Effect on reading and calibration.
+    check : callable or None
+        Check that finds the fault; None if the reader refuses it.
+    needs_result : bool
+        True if the check uses a calibration of the recording.
+    """
 
-    @property
-    def sentence(self) -> str:
-        """Sentence that names the fault and the difference."""
-        title = FAULTS[self.fault].title
-        return f"Nearly as likely (log-likelihood lower by {max(0.0, self.log_likelihood_lower):.2g}): {title}."
+    name: str
+    title: str
+    criterion: str
+    message: str
+    effect: Effect
+    check: Check | None = None
+    needs_result: bool = False
+
+    def found(self, **details: Any) -> Finding:
+        """Finding of the fault; ``details`` are the fields of its message."""
+        return Finding(self, details)
+
+
+def by_sensor(name: str, title: str, criterion: str, message: str, effect: Effect, check: Check) -> dict[str, Fault]:
+    """Fault of the gyros and fault of the accelerometers; a text in brackets is ``[of gyros|of accelerometers]``."""
+    out = {}
+    for n, sensor in enumerate(("gyro", "accel"), 1):
+        own = [re.sub(r"\[(.*?)\|(.*?)\]", rf"\{n}", text) for text in (title, criterion, message)]
+        out[sensor] = Fault(f"{sensor}_{name}", own[0], own[1], own[2], effect, check)
+    return out
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,85 +71,37 @@ class Finding:
 
     Attributes
     ----------
-    fault : str
-        Key of :data:`srt.diagnosis.faults.FAULTS`.
-    sentence : str
+    cause : Fault
     details : dict
         Values in the sentence, in SI units unless the key ends in another unit.
     runner_up : RunnerUp or None
         Second most likely fault, if it explains the data nearly as well.
     """
 
-    fault: str
-    sentence: str
+    cause: Fault
     details: dict[str, Any]
     runner_up: RunnerUp | None = None
 
     @property
-    def effect(self) -> Effect:
-        """Effect of the fault on the calibration."""
-        return FAULTS[self.fault].effect
+    def fault(self) -> str:
+        """Name of the fault."""
+        return self.cause.name
 
     @property
-    def stage(self) -> str:
-        """Stage of the checks that find the fault."""
-        return FAULTS[self.fault].stage
+    def sentence(self) -> str:
+        """Message of the fault with the values of this recording."""
+        return self.cause.message.format(**self.details)
+
+    @property
+    def effect(self) -> Effect:
+        """Effect of the fault on the calibration."""
+        return self.cause.effect
 
 
-def finding(fault: str, **details: Any) -> Finding:
-    """Make the finding of a fault; ``details`` are the fields of its sentence."""
-    return Finding(fault, FAULTS[fault].sentence.format(**details), details)
-
-
-CheckFunction = Callable[["Evidence"], Iterable[Finding]]
-
-
-@dataclass(frozen=True, slots=True)
-class Check:
-    """One check and the faults that it can find.
-
-    Attributes
-    ----------
-    run : callable
-        Function that yields the findings of one recording.
-    faults : tuple of str
-    stage : str
-    needs_result : bool
-        True if the check uses a calibration of the recording.
-    """
-
-    run: CheckFunction
-    faults: tuple[str, ...]
-    stage: str
-    needs_result: bool
-
-
-CHECKS: Final[list[Check]] = []
-"""All checks; a module registers its checks on import."""
-
-
-def check(*faults: str, needs_result: bool = False) -> Callable[[CheckFunction], CheckFunction]:
-    """Register a check that can find these faults, which must be of one stage.
-
-    A check yields at most one finding for each cause, also if the cause affects several sequences.
-    """
-    stages = {FAULTS[name].stage for name in faults}
-    assert len(stages) == 1, "the faults of a check must be of one stage"
-    stage = stages.pop()
-
-    def register(run: CheckFunction) -> CheckFunction:
-        CHECKS.append(Check(run, faults, stage, needs_result))
-        return run
-
-    return register
-
-
-def sort_by_cause(findings: Iterable[Finding]) -> tuple[Finding, ...]:
-    """Sort findings in the order of the catalogue: each fault before the faults that it causes."""
-    return tuple(sorted(findings, key=lambda finding: RANK[finding.fault]))
-
-
-def stage_checks(stage: str) -> list[Check]:
-    """Checks of one stage."""
-    assert stage in STAGES
-    return [check for check in CHECKS if check.stage == stage]
+def with_runner_up(finding: Finding, ranked: list[Explanation]) -> Finding:
+    """Finding with the most likely other fault added, if that fault is nearly as likely."""
+    own = next(e.score for e in ranked if e.cause.fault == finding.fault)
+    for other in ranked:
+        if other.cause.fault not in ("", finding.fault) and own - other.score < CLOSE:
+            return replace(finding, runner_up=RunnerUp(other.cause.fault, own - other.score))
+    return finding

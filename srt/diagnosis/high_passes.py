@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.diagnosis.findings import check, finding
+from srt.diagnosis.findings import Fault
 from srt.sequences.rest_detection import BLOCK_S
 
 if TYPE_CHECKING:
@@ -36,13 +36,35 @@ _LEAST: Final = {"gyro": 1e-3, "accel": 0.1}
 """Smallest rms deviation of the readings from their mean in a window, rad/s and m/s², for a decay after rotations."""
 
 
-@check("gyro_high_passed", "gravity_removed")
 def high_passed(evidence: Evidence) -> Iterator[Finding]:
     """Test the readings in the windows for a decrease in proportion to their own time integral."""
-    for sensor, fault in (("gyro", "gyro_high_passed"), ("accel", "gravity_removed")):
+    for sensor, fault in (("gyro", GYRO_HIGH_PASSED), ("accel", GRAVITY_REMOVED)):
         time_s = _time_constant(evidence, sensor)
         if time_s is not None:
-            yield finding(fault, time_s=time_s)
+            yield fault.found(time_s=time_s)
+
+
+GYRO_HIGH_PASSED: Final = Fault(
+    "gyro_high_passed",
+    "The gyros have a high-pass filter",
+    "readings in the stationary windows: a decrease in proportion to their own time integral, with one time constant "
+    "in all windows",
+    "After rotations the gyro readings decay in the stationary windows, with a time constant of {time_s:.3g} s, as "
+    "behind a high-pass filter: the unit tracks the offset of its gyros during rotations; switch this off, and record "
+    "raw readings.",
+    "exit 1",
+    high_passed,
+)
+GRAVITY_REMOVED: Final = Fault(
+    "gravity_removed",
+    "Gravity is removed from the accelerometer readings",
+    "readings in the stationary windows: a decrease in proportion to their own time integral, with one time constant "
+    "in all windows",
+    "The accelerometer readings decay to zero in the stationary windows, with a time constant of {time_s:.3g} s: the "
+    "unit outputs linear acceleration, without gravity; record the raw specific force.",
+    "exit 1",
+    high_passed,
+)
 
 
 def _time_constant(evidence: Evidence, sensor: str) -> float | None:
@@ -58,7 +80,7 @@ def _time_constant(evidence: Evidence, sensor: str) -> float | None:
         count = (b - a) // size
         if count < 3:
             continue
-        mean = table[a : a + count * size].reshape(count, size, 3).mean(axis=1)
+        mean = np.einsum("bsc->bc", table[a : a + count * size].reshape(count, size, 3)) / size
         integral = size * evidence.dt * (np.cumsum(mean, axis=0) - 0.5 * mean)
         readings.append(mean - mean.mean(axis=0))
         integrals.append(integral - integral.mean(axis=0))

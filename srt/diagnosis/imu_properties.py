@@ -15,11 +15,11 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from scipy.special import chdtr, chdtrc, chdtri, stdtrit
+from scipy.special import chdtr, chdtrc, chdtri
 
 from srt.constants import DEG_PER_H, DEG_PER_SQRT_H, EARTH_RATE_RAD_S, MICRO_G
-from srt.diagnosis.findings import FALSE_ALARM, Finding, check, finding
-from srt.diagnosis.site import StationaryRateFit, stationary_rate_fit
+from srt.diagnosis.false_alarms import FALSE_ALARM, limit
+from srt.diagnosis.findings import Fault, by_sensor
 from srt.estimation.options import Options
 from srt.exceptions import DataError
 from srt.model.table1 import AXES
@@ -31,6 +31,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from srt.diagnosis.evidence import Evidence
+    from srt.diagnosis.findings import Finding
+    from srt.diagnosis.stationary_rates import StationaryRateFit
     from srt.result.calibration import Calibration
     from srt.sequences.preparation import PreparedRecording
     from srt.types import Array, Indices, Mask, Sensor
@@ -57,7 +59,6 @@ _NO_ASYMMETRY: Final = NAMES[GROUP_SLICES["gyro_asymmetry"]]
 """Gyro parameters that ``--no-asymmetry`` fixes."""
 
 
-@check("temperature_unit", "temperature_drift")
 def temperature(evidence: Evidence) -> Iterator[Finding]:
     """Test the range of the temperature column, and the mean temperatures of the sequences."""
     T = evidence.recording.temperature
@@ -65,8 +66,8 @@ def temperature(evidence: Evidence) -> Iterator[Finding]:
         return
     low, high = float(T.min()), float(T.max())
     if low < BENCH_C[0] or high > BENCH_C[1]:
-        unit = "raw counts" if low < BENCH_C[0] else next(name for limit, name in _OTHER_UNITS if high <= limit)
-        yield finding("temperature_unit", low=low, high=high, unit=unit)
+        unit = "raw counts" if low < BENCH_C[0] else next(name for most, name in _OTHER_UNITS if high <= most)
+        yield TEMPERATURE_UNIT.found(low=low, high=high, unit=unit)
         return
     data = evidence.data
     if data is None:
@@ -75,8 +76,7 @@ def temperature(evidence: Evidence) -> Iterator[Finding]:
     first, last = samples[data.start, 0], samples[data.end, 1]
     by_sequence = np.array([T[a:b].mean() for a, b in zip(first.tolist(), last.tolist(), strict=True)])
     if np.ptp(by_sequence) > STEADY_C:
-        yield finding(
-            "temperature_drift",
+        yield TEMPERATURE_DRIFT.found(
             first=float(by_sequence[np.argmin(first)]),
             last=float(by_sequence[np.argmax(last)]),
             range=float(np.ptp(by_sequence)),
@@ -84,69 +84,127 @@ def temperature(evidence: Evidence) -> Iterator[Finding]:
         )
 
 
-@check("gyro_bias_drift")
+TEMPERATURE_UNIT: Final = Fault(
+    "temperature_unit",
+    "Temperature is not in °C",
+    "range of the temperature column",
+    "The temperature runs from {low:.4g} to {high:.4g}, which looks like {unit}, but °C is expected: convert the "
+    "column.",
+    "warning",
+    temperature,
+)
+TEMPERATURE_DRIFT: Final = Fault(
+    "temperature_drift",
+    "The temperature changed during the test",
+    "mean temperature of each sequence",
+    "The temperature changed from {first:.4g} to {last:.4g} °C during the test (range {range:.3g} °C): let the unit "
+    "warm up before the test; the calibration holds for the mean temperature of {mean:.4g} °C.",
+    "warning",
+    temperature,
+)
+
+
 def gyro_bias_drift(evidence: Evidence) -> Iterator[Finding]:
-    """Test the stationary rates, after removal of g-sensitivity and Earth rate, for a trend over time."""
-    fit = stationary_rate_fit(evidence)
+    """Test the stationary rates, after removal of g-sensitivity and Earth rate, for a trend over time.
+
+    Statistic: change of the bias of an axis over its standard deviation. Distribution: t, with the degrees of freedom
+    of the stationary rates.
+    """
+    fit = evidence.stationary_rate_fit
     if fit is None:
         return
     ratio = np.abs(fit.drift) / fit.drift_sigma
     axis = int(np.argmax(ratio))
-    if ratio[axis] > -stdtrit(fit.freedom, FALSE_ALARM / 6.0):
-        yield finding("gyro_bias_drift", axis=AXES[axis], change_deg_h=float(fit.drift[axis] / DEG_PER_H))
+    if ratio[axis] > limit("t", fit.freedom, tests=3, both_sides=True):
+        yield GYRO_BIAS_DRIFT.found(axis=AXES[axis], change_deg_h=float(fit.drift[axis] / DEG_PER_H))
 
 
-@check("accel_bias_drift", needs_result=True)
+GYRO_BIAS_DRIFT: Final = Fault(
+    "gyro_bias_drift",
+    "The gyro bias drifts during the test",
+    "trend of the stationary rates, compared with their noise and the stated bias instability",
+    "The bias of gyro {axis} changed by {change_deg_h:+.3g} °/h during the test, more than its noise and bias "
+    "instability allow: let the unit warm up, or state gyro_bias_instability_deg_per_h.",
+    "warning",
+    gyro_bias_drift,
+)
+
+
 def accel_bias_drift(evidence: Evidence) -> Iterator[Finding]:
     """Report the drift of the accelerometer biases that a calibration estimates from its residuals."""
     result = evidence.result
     for drift in () if result is None else result.diagnostics.drift or ():
         if drift.change_m_s2 is not None:
             x, y, z = (drift.change_m_s2 / (1e3 * MICRO_G)).tolist()
-            yield finding("accel_bias_drift", form=drift.form, x_mg=x, y_mg=y, z_mg=z)
+            yield ACCEL_BIAS_DRIFT.found(form=drift.form, x_mg=x, y_mg=y, z_mg=z)
             return
 
 
-@check("gyro_noise")
-def gyro_noise(evidence: Evidence) -> Iterator[Finding]:
-    """Test the angle random walk of the stationary windows against its stated value."""
-    yield from _noise(evidence, "gyro", DEG_PER_SQRT_H, ("Gyro {} shows", "The gyros show"))
+ACCEL_BIAS_DRIFT: Final = Fault(
+    "accel_bias_drift",
+    "The accelerometer bias drifts during the test",
+    "residuals of a calibration: a drift that is linear in time or temperature, exponential (warm-up), a random "
+    "walk or a step, against no drift",
+    "The accelerometer biases changed by {x_mg:+.3g}, {y_mg:+.3g}, {z_mg:+.3g} mg (x, y, z; {form}) during the test, "
+    "more than their noise and bias instability allow: let the unit warm up, and calibrate with least-squares, ekf or "
+    "graph, which model the drift.",
+    "warning",
+    accel_bias_drift,
+    needs_result=True,
+)
 
 
-@check("accel_noise")
-def accel_noise(evidence: Evidence) -> Iterator[Finding]:
-    """Test the velocity random walk of the stationary windows against its stated value."""
-    yield from _noise(evidence, "accel", MICRO_G, ("Accelerometer {} shows", "The accelerometers show"))
+def white_noise(evidence: Evidence) -> Iterator[Finding]:
+    """Test the noise of the stationary windows against its stated value: of each channel, or of the triad.
 
-
-def _noise(evidence: Evidence, sensor: Sensor, unit: float, subjects: tuple[str, str]) -> Iterator[Finding]:
-    shown = white_noise_test(evidence, sensor)
-    if shown is None:
-        return
-    ratio = shown.found / shown.stated
-    # Eight tests: too much and too little noise, of three channels and of the triad.
-    odd = np.where(ratio > 1.0, shown.more, shown.less) < FALSE_ALARM / 8.0
-    odd &= (ratio > NOISE_RATIO) | (ratio < 1.0 / NOISE_RATIO)
-    if not odd.any():
-        return
-    # If the test of the triad fails, the triad is reported, else the channel whose ratio differs most from 1.
-    distance = np.abs(np.log(np.maximum(ratio, 1e-9)))
-    which = 3 if odd[3] else int(np.argmax(np.where(odd, distance, -1.0)))
-    yield finding(
-        f"{sensor}_noise",
-        who=subjects[1] if which == 3 else subjects[0].format(AXES[which]),
-        found=float(shown.found[which] / unit),
-        stated=shown.stated / unit,
+    Statistic: weighted mean of the Allan variances over the stated one. Distribution: chi-square, with the degrees of
+    freedom of :func:`white_noise_test`.
+    """
+    rows: tuple[tuple[Sensor, float, str, str], ...] = (
+        ("gyro", DEG_PER_SQRT_H, "Gyro {} shows", "The gyros show"),
+        ("accel", MICRO_G, "Accelerometer {} shows", "The accelerometers show"),
     )
+    for sensor, unit, one, triad in rows:
+        shown = white_noise_test(evidence, sensor)
+        if shown is None:
+            continue
+        ratio = shown.found / shown.stated
+        # Eight tests: too much and too little noise, of three channels and of the triad.
+        odd = np.where(ratio > 1.0, shown.more, shown.less) < FALSE_ALARM / 8.0
+        odd &= (ratio > NOISE_RATIO) | (ratio < 1.0 / NOISE_RATIO)
+        if not odd.any():
+            continue
+        # If the test of the triad fails, the triad is reported, else the channel whose ratio differs most from 1.
+        distance = np.abs(np.log(np.maximum(ratio, 1e-9)))
+        which = 3 if odd[3] else int(np.argmax(np.where(odd, distance, -1.0)))
+        yield NOISE[sensor].found(
+            who=triad if which == 3 else one.format(AXES[which]),
+            found=float(shown.found[which] / unit),
+            stated=shown.stated / unit,
+        )
 
 
-@check("asymmetry_omitted", needs_result=True)
+NOISE: Final = by_sensor(
+    "noise",
+    "The [gyro|accelerometer] noise differs from the stated value",
+    "noise in the stationary windows against the stated value",
+    "{who} [an angle random walk|a noise] of {found:.3g} [°/√h|µg/√Hz] at rest, but {stated:.3g} [°/√h|µg/√Hz] is "
+    "stated: correct [gyro_noise_deg_per_sqrt_h|accel_noise_ug_per_sqrt_hz], or look for vibration.",
+    "warning",
+    white_noise,
+)
+
+
 def asymmetry_omitted(evidence: Evidence) -> Iterator[Finding]:
-    """Test the gyro asymmetry that a second calibration estimates, if the options of the calibration fix it."""
+    """Test the gyro asymmetry that a second calibration estimates, if the options of the calibration fix it.
+
+    Statistic: difference of the asymmetry over its standard deviation. Distribution: t, with the degrees of freedom of
+    the stationary rates.
+    """
     if not set(_NO_ASYMMETRY) <= set(evidence.options.fixed_names) or evidence.data is None:
         return
     held = evidence.result
-    fit = stationary_rate_fit(evidence)
+    fit = evidence.stationary_rate_fit
     # A calibration that omits an asymmetry may be inconsistent for this reason.
     if held is None or held.status not in (*USABLE, "inconsistent") or fit is None:
         return
@@ -161,14 +219,25 @@ def asymmetry_omitted(evidence: Evidence) -> Iterator[Finding]:
     with np.errstate(invalid="ignore"):
         ratio = np.nan_to_num(np.abs(off) / sigma)  # the sigma of an asymmetry that is not observable is NaN
     axis = int(np.argmax(ratio))
-    if ratio[axis] > -stdtrit(fit.freedom, FALSE_ALARM / 6.0):
-        yield finding(
-            "asymmetry_omitted",
+    if ratio[axis] > limit("t", fit.freedom, tests=3, both_sides=True):
+        yield ASYMMETRY_OMITTED.found(
             axis=AXES[axis],
             found_ppm=float(free.errors.vector[part][axis] * 1e6),
             sigma_ppm=float(sigma[axis] * 1e6),
             held_ppm=float(held.errors.vector[part][axis] * 1e6),
         )
+
+
+ASYMMETRY_OMITTED: Final = Fault(
+    "asymmetry_omitted",
+    "Scale-factor asymmetry was fixed, but the data show it",
+    "gyro asymmetry of a second calibration that estimates it",
+    "Gyro {axis} has a scale-factor asymmetry of {found_ppm:.3g} ± {sigma_ppm:.2g} ppm, but it is fixed at "
+    "{held_ppm:.3g} ppm: omit --no-asymmetry.",
+    "warning",
+    asymmetry_omitted,
+    needs_result=True,
+)
 
 
 def _with_asymmetry(evidence: Evidence, fit: StationaryRateFit) -> Calibration | None:
@@ -316,16 +385,17 @@ def _powers(evidence: Evidence, data: PreparedRecording, sensor: Sensor) -> tupl
     if octaves < 1:
         return None
     power, pairs = np.zeros((len(samples), octaves, 3)), np.zeros((len(samples), octaves), dtype=np.intp)
-    for w, (a, b) in enumerate(samples.tolist()):
-        n = (b - a) // block
-        x = table[a : a + n * block].reshape(n, block, 3).mean(axis=1) * evidence.per_rate
+    for n in np.unique(lengths // block).tolist():
+        alike = np.flatnonzero(lengths // block == n)
+        parts = np.stack([table[a : a + n * block] for a in samples[alike, 0].tolist()])
+        x = np.einsum("wnbc->wnc", parts.reshape(-1, n, block, 3)) * (evidence.per_rate / block)
         for octave in range(octaves):
-            m = len(x) // 2
+            m = x.shape[1] // 2
             if m == 0:
                 break
-            even, odd = x[0 : 2 * m : 2], x[1 : 2 * m : 2]
-            power[w, octave] = 0.5 * np.sum((odd - even) ** 2, axis=0)
-            pairs[w, octave] = m
+            even, odd = x[:, 0 : 2 * m : 2], x[:, 1 : 2 * m : 2]
+            power[alike, octave] = 0.5 * np.einsum("wnc,wnc->wc", odd - even, odd - even)
+            pairs[alike, octave] = m
             x = 0.5 * (even + odd)
     tau = block * evidence.dt * np.exp2(np.arange(octaves, dtype=np.float64))
     return tau, power, pairs
@@ -334,11 +404,12 @@ def _powers(evidence: Evidence, data: PreparedRecording, sensor: Sensor) -> tupl
 def _noisy(power: Array, pairs: Indices) -> Mask:
     """True for windows whose power in some octave exceeds the chi-square limit, scaled by the median window, (W,)."""
     freedom = np.maximum(3.0 * pairs, 1.0)
+    largest = limit("chi-square", freedom, tests=pairs.size, shared=_OUTLIER_PROBABILITY)
     summed = power.sum(axis=2)
     out = np.zeros(len(power), dtype=np.bool_)
     for octave in range(power.shape[1]):
         has = pairs[:, octave] > 0
         # chdtri(freedom, 1/2) is the median.
         scale = np.median(summed[has, octave] / chdtri(freedom[has, octave], 0.5))
-        out |= has & (summed[:, octave] > scale * chdtri(freedom[:, octave], _OUTLIER_PROBABILITY / pairs.size))
+        out |= has & (summed[:, octave] > scale * largest[:, octave])
     return out if out.mean() <= _MOST_OUTLIERS else np.zeros(len(out), dtype=np.bool_)

@@ -13,7 +13,6 @@ import numpy as np
 from srt.constants import DEG, DEG_PER_H, STANDARD_GRAVITY_M_S2
 from srt.diagnosis import diagnose
 from srt.diagnosis.faults import FAULTS
-from srt.diagnosis.findings import CHECKS
 from srt.exceptions import DataError, MissingExtraError
 from srt.model.rotations import from_rotation_vector, prefix_product, rotation_vector, to_matrix
 from srt.model.table1 import AXES
@@ -468,8 +467,7 @@ class Inspection(Presented):
     @property
     def not_looked_for(self) -> tuple[str, ...]:
         """Names of the faults that were not checked because their checks need a calibration."""
-        needing = {fault for check in CHECKS if check.needs_result for fault in check.faults}
-        return () if self.calibrated else tuple(fault for fault in FAULTS if fault in needing)
+        return () if self.calibrated else tuple(fault.name for fault in FAULTS.values() if fault.needs_result)
 
     def as_dict(self) -> dict[str, Any]:
         """Content as JSON values."""

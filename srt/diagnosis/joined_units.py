@@ -8,17 +8,17 @@ parameters.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.special import fdtrc
 
 from srt.diagnosis.cause_comparison import Cause, compare
-from srt.diagnosis.findings import FALSE_ALARM, check, finding
-from srt.diagnosis.rotation_readings import computed_once, raw_integrals, robust_fit, rotation_angles
-from srt.diagnosis.site import BIAS, DRIFT, stationary_rates
-from srt.noise.bias_instability import flicker_covariance
+from srt.diagnosis.false_alarms import FALSE_ALARM
+from srt.diagnosis.findings import Fault
+from srt.diagnosis.stationary_rates import BIAS, DRIFT
+from srt.diagnosis.triad_fits import LEAST_FREEDOM
 from srt.sequences.stationary_windows import MIN_TURN_RAD
 
 if TYPE_CHECKING:
@@ -27,25 +27,22 @@ if TYPE_CHECKING:
     from srt.diagnosis.cause_comparison import Explanation
     from srt.diagnosis.evidence import Evidence
     from srt.diagnosis.findings import Finding
-    from srt.diagnosis.site import StationaryRates
+    from srt.diagnosis.stationary_rates import StationaryRates
     from srt.types import Array, Indices
 
 _LEAST_SEQUENCES: Final = 3
 """Fewest sequences on each side of a step: a change of a single sequence is a disturbance."""
 _SLOWNESS: Final = (0.1, 0.3)
 """Time constants of an exponential drift (warm-up), the alternative to a linear one, relative to the test duration."""
-_OUTLIER: Final = 8.0
-"""Ratio of a residual to the median residual, above which a rotation is an outlier."""
-_MOST_OUTLIERS: Final = 0.2
-"""Share of outliers from which none is excluded: so many rotations are no outliers."""
-_LEAST_FREEDOM: Final = 8
-"""Fewest degrees of freedom for an estimate of the scatter."""
 
 
-@check("units_joined")
 def units_joined(evidence: Evidence) -> Iterator[Finding]:
-    """Test gyros and accelerometers for a step between two successive sequences, against a drift."""
-    rates, data = stationary_rates(evidence), evidence.data
+    """Test gyros and accelerometers for a step between two successive sequences, against a drift.
+
+    Statistic: reduction of the squared residuals by a step, of rates, of specific forces or of angles. Distribution: F,
+    with the number of stepping parameters and the degrees of freedom of the residuals.
+    """
+    rates, data = evidence.stationary_rates, evidence.data
     if rates is None or data is None or not evidence.has_labels or _has_poses(evidence):
         return  # static poses without a rotation are placed less accurately: their readings differ by more than noise
     order = np.argsort(data.windows.samples[data.start, 0])
@@ -67,24 +64,35 @@ def units_joined(evidence: Evidence) -> Iterator[Finding]:
     doubt = min(_probability(explained[0], explained[1 + best]) for explained in ranked)
     if doubt < FALSE_ALARM / (len(ranked) * len(cuts)) and score[best] - score[:drifts].max() > -np.log(FALSE_ALARM):
         at = cuts[best - drifts]
-        yield finding(
-            "units_joined",
+        yield UNITS_JOINED.found(
             before=evidence.title(int(order[at - 1])),
             after=evidence.title(int(order[at])),
             ratio=float(score[best] - score[:drifts].max()),
         )
 
 
+UNITS_JOINED: Final = Fault(
+    "units_joined",
+    "Two units, or a restart, are joined in one recording",
+    "stationary rates, magnitudes of specific force and rotation angles: a step between two sequences fits better than"
+    " a drift",
+    "The sensor errors change abruptly between {before} and {after} (log-likelihood higher by {ratio:.3g} than that of"
+    " a drift): the recording joins two units, or the unit was restarted; calibrate each part separately.",
+    "warning",
+    units_joined,
+)
+
+
 def _has_poses(evidence: Evidence) -> bool:
     """True if some sequence is a static pose without a rotation."""
-    turned = raw_integrals(evidence)
+    turned = evidence.raw_integrals
     return turned is None or bool(np.any(turned.absolute.max(axis=1) < MIN_TURN_RAD))
 
 
 def _probability(null: Explanation, step: Explanation) -> float:
     """p-value of the reduction of the residuals by a step (F test)."""
     more = null.freedom - step.freedom
-    if more <= 0 or step.freedom < _LEAST_FREEDOM:
+    if more <= 0 or step.freedom < LEAST_FREEDOM:
         return 1.0
     return float(fdtrc(more, step.freedom, (null.square - step.square) / more / (step.square / step.freedom)))
 
@@ -118,59 +126,22 @@ def _gyros(evidence: Evidence, rates: StationaryRates, shapes: list[tuple[str, A
     return _explained(whitened(rates.rate), whitened(fixed), shapes, whitened(own).reshape(3 * W, 3, W))
 
 
-class _Angles(NamedTuple):
-    """Rotations without outliers.
-
-    Attributes
-    ----------
-    sequence : ndarray of int, shape (L,)
-        Number of the sequence of each rotation.
-    measured : ndarray, shape (L,), rad
-    by_axis : ndarray, shape (L, 3), rad
-        Magnitudes of the components of the nominal rotation: columns of the scale factors.
-    fixed : ndarray, shape (L, 6), rad
-        Columns of the scale factors and asymmetries.
-    """
-
-    sequence: Indices
-    measured: Array
-    by_axis: Array
-    fixed: Array
-
-
-@computed_once
-def _rotations(evidence: Evidence) -> _Angles | None:
-    """Measured angles of the rotations; None without a fixture, or with too few rotations.
-
-    A rotation with lost samples, or by a wrong angle, is an outlier. A step of the scale factors changes many angles.
-    """
-    if evidence.data is None or evidence.recording.fixture is None:
-        return None
-    numbers, nominal, turned = rotation_angles(evidence)
-    measured = np.einsum("la,la->l", turned, nominal) / np.linalg.norm(nominal, axis=1)
-    by_axis = np.abs(nominal)
-    fixed = np.concatenate([by_axis, nominal], axis=1)
-    if len(numbers) < _LEAST_FREEDOM + fixed.shape[1]:
-        return None
-    left = np.abs(measured - (fixed @ robust_fit(fixed, np.repeat(measured[:, None], 3, axis=1)))[:, 0])
-    outlier = left > _OUTLIER * np.median(left)
-    kept = ~outlier if outlier.mean() < _MOST_OUTLIERS else np.ones(len(numbers), dtype=np.bool_)
-    return _Angles(numbers[kept], measured[kept], by_axis[kept], fixed[kept])
-
-
 def _angles(evidence: Evidence, windows: Indices, shapes: list[tuple[str, Array, int]]) -> list[Explanation]:
     """Explanations of the measured angles by scale-factor changes; empty without a fixture or with few rotations."""
-    data, turns = evidence.data, _rotations(evidence)
+    data, turns = evidence.data, evidence.measured_angles
     if data is None or turns is None:
         return []
     at = data.start[turns.sequence][:, None] == windows
     return _explained(turns.measured, turns.fixed, shapes, turns.by_axis[:, :, None] * at[:, None, :])
 
 
-@check("gyro_scale_drift")
 def gyro_scale_drift(evidence: Evidence) -> Iterator[Finding]:
-    """Test the measured angles of the rotations for a drift of the scale factors that is common to the gyros."""
-    data, turns = evidence.data, _rotations(evidence)
+    """Test the measured angles of the rotations for a drift of the scale factors that is common to the gyros.
+
+    Statistic: reduction of the squared residuals by a drift. Distribution: F, one degree of freedom and those of the
+    residuals.
+    """
+    data, turns = evidence.data, evidence.measured_angles
     if data is None or turns is None:
         return
     time = evidence.recording.time[data.rotation[turns.sequence, 0]]
@@ -184,7 +155,18 @@ def gyro_scale_drift(evidence: Evidence) -> Iterator[Finding]:
     best = next(e for e in ranked if e.cause.fault)
     if _probability(null, best) < FALSE_ALARM / len(shapes):
         change, sigma = 1e6 * float(best.value[0]), 1e6 * float(best.sigma[0])
-        yield finding("gyro_scale_drift", change_ppm=change, sigma_ppm=sigma)
+        yield GYRO_SCALE_DRIFT.found(change_ppm=change, sigma_ppm=sigma)
+
+
+GYRO_SCALE_DRIFT: Final = Fault(
+    "gyro_scale_drift",
+    "The gyro scale factors, or the clock, drift during the test",
+    "trend of the measured rotation angles, compared with their scatter",
+    "The measured rotation angles change by {change_ppm:+.3g} ± {sigma_ppm:.2g} ppm from the beginning to the end of "
+    "the test: the gyro scale factors or the clock of the samples drift; let the unit warm up, and repeat the test.",
+    "warning",
+    gyro_scale_drift,
+)
 
 
 def _forces(evidence: Evidence, rates: StationaryRates, shapes: list[tuple[str, Array, int]]) -> list[Explanation]:
@@ -203,7 +185,7 @@ def _forces(evidence: Evidence, rates: StationaryRates, shapes: list[tuple[str, 
     dummies = np.eye(len(faces))[which]
     white = float(np.mean(data.noise.accel_white**2)) / (rates.end - rates.start)
     edge = 2.0 * (float(np.mean(data.noise.accel_edge)) / (rates.end - rates.start)) ** 2
-    covariance = instability**2 * (up @ up.T) * flicker_covariance(rates.start, rates.end) + np.diag(white + edge)
+    covariance = instability**2 * (up @ up.T) * rates.flicker + np.diag(white + edge)
     # Attitude errors of the fixture act only through the misalignments: a relative sigma of 1e-8 allows for them.
     L = np.linalg.cholesky(covariance + np.diag(1e-16 * size**2))
     own = dummies[:, :, None] * np.eye(len(up))[:, None, :]

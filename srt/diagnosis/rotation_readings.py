@@ -3,28 +3,26 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache, wraps
+from functools import cache
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
-from scipy.special import ndtri
 
+from srt.diagnosis.false_alarms import limit
 from srt.sequences.manoeuvres import MOVING, end_attitude, leg_borders
 from srt.sequences.preparation import nominal_attitude
 from srt.sequences.rest_detection import BLOCK_S
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from numpy.typing import NDArray
 
-    from srt.diagnosis.evidence import Evidence
     from srt.model.table1 import RotationSequence
+    from srt.recording.recording import Recording
+    from srt.sequences.preparation import PreparedRecording
     from srt.types import Array, Indices, Mask
 
 
-_T = TypeVar("_T")
 _STEP_S: Final = 0.01
 """Length of a block of samples, s: at 1 rad/s the unit rotates by 10 mrad per block."""
 _MARGIN_S: Final = 0.5
@@ -36,7 +34,9 @@ _ROTATING: Final = 0.05
 and creep are slower."""
 _BY_NOISE: Final = 4e-6
 """False-alarm probability, for one recording, that noise alone classifies a window as rotating."""
-_MAD: Final = 1.4826
+ROUNDING: Final = 1e-9
+"""Largest rounding of readings, relative to the largest reading: a unit conversion makes 1e-16, a file 1e-10."""
+MAD: Final = 1.4826
 """Ratio of the standard deviation to the median absolute deviation of a normal distribution."""
 _SLOWEST_RAD_S: Final = 0.05
 """Slowest rotation of a manoeuvre, rad/s: 180° in a minute."""
@@ -46,19 +46,15 @@ _MANY_WINDOWS: Final = 12
 """Fewest windows for a fit of g-sensitivity: three times its four unknowns, one bias and three slopes."""
 
 
-def computed_once(work: Callable[[Evidence], _T]) -> Callable[[Evidence], _T]:
-    """Store the result of a function with the evidence, so that it is computed once."""
-    key = f"_{work.__module__}.{work.__name__}"
+def rates_factor(recording: Recording) -> float:
+    """Factor from stored values to rates: 1, or one over the interval for increments."""
+    return 1.0 if recording.kind == "rate" else 1.0 / recording.nominal_interval_s
 
-    @wraps(work)
-    def kept(evidence: Evidence) -> _T:
-        store: dict[str, Any] = vars(evidence)
-        if key not in store:
-            store[key] = work(evidence)
-        result: _T = store[key]
-        return result
 
-    return kept
+def median(rows: Array) -> Array:
+    """Median along the last axis. For short rows, ``numpy.median`` takes several times as long."""
+    middle = [(rows.shape[-1] - 1) // 2, rows.shape[-1] // 2]
+    return np.asarray(np.partition(np.ascontiguousarray(rows), middle, axis=-1)[..., middle].mean(axis=-1))
 
 
 def cross(a: Array, b: Array) -> Array:
@@ -96,13 +92,9 @@ class RawIntegrals:
     after: Array
 
 
-@computed_once
-def raw_integrals(evidence: Evidence) -> RawIntegrals | None:
-    """Integrals of all sequences; None if there are none."""
-    data = evidence.data
-    if data is None:
-        return None
-    recording, rest = evidence.recording, evidence.stationary_rate
+def raw_integrals(data: PreparedRecording) -> RawIntegrals:
+    """Integrals of all sequences."""
+    recording, rest = data.recording, data.windows.gyro_mean
     signed, absolute = np.empty((data.K, 3)), np.empty((data.K, 3))
     for k, (a, b) in enumerate(data.rotation.tolist()):
         bias = 0.5 * (rest[data.start[k]] + rest[data.end[k]])
@@ -111,7 +103,7 @@ def raw_integrals(evidence: Evidence) -> RawIntegrals | None:
         angle = recording.gyro[a:b] * (steps if recording.kind == "rate" else 1.0) - bias * steps
         signed[k] = angle.sum(axis=0)
         absolute[k] = np.abs(angle, out=angle).sum(axis=0)
-    force = evidence.stationary_force
+    force = data.windows.accel_mean
     return RawIntegrals(signed, absolute, force[data.start], force[data.end])
 
 
@@ -123,20 +115,19 @@ def nominal_integrals(sequence: RotationSequence) -> tuple[Array, Array, Array, 
     return vectors.sum(axis=0), np.abs(vectors).sum(axis=0), up, nominal_end_attitude(sequence).T @ up
 
 
-@computed_once
-def bias_per_force(evidence: Evidence) -> Array:
+def _bias_per_force(data: PreparedRecording) -> Array:
     """Slope of raw stationary rate over raw specific force, (3, 3), rad/s per m/s²: g-sensitivity, vertical Earth rate.
 
     Zero if the windows do not determine it. During a rotation it gives the change of the rate offset, because the
     attitudes of the rotation differ from those of its windows.
     """
-    data = evidence.data
-    if data is None or len(evidence.stationary_force) < _MANY_WINDOWS:
+    force = data.windows.accel_mean
+    if len(force) < _MANY_WINDOWS:
         return np.zeros((3, 3))
-    design = np.hstack([evidence.stationary_force / data.gravity, np.ones((len(evidence.stationary_force), 1))])
+    design = np.hstack([force / data.gravity, np.ones((len(force), 1))])
     if np.linalg.matrix_rank(design, tol=0.1) < design.shape[1]:
         return np.zeros((3, 3))
-    return robust_fit(design, evidence.stationary_rate)[:3].T / data.gravity
+    return robust_fit(design, data.windows.gyro_mean)[:3].T / data.gravity
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -166,17 +157,16 @@ class BlockAverages:
     force: Array
 
 
-@computed_once
-def block_averages(evidence: Evidence) -> BlockAverages | None:
-    """Block averages of all manoeuvres without a gap; None if there are none."""
-    data = evidence.data
-    if data is None or not evidence.contiguous.any():
+def block_averages(data: PreparedRecording, contiguous: Mask) -> BlockAverages | None:
+    """Block averages of all manoeuvres without a gap, which are the true ones of a mask; None if there are none."""
+    if not contiguous.any():
         return None
-    recording, per_force = evidence.recording, bias_per_force(evidence)
-    rest = evidence.stationary_rate - evidence.stationary_force @ per_force.T
-    size = max(1, round(_STEP_S / evidence.dt))
-    margin = round(_MARGIN_S / evidence.dt)
-    sequences = np.flatnonzero(evidence.contiguous)
+    recording, per_force = data.recording, _bias_per_force(data)
+    dt, per_rate = recording.nominal_interval_s, rates_factor(recording)
+    rest = data.windows.gyro_mean - data.windows.accel_mean @ per_force.T
+    size = max(1, round(_STEP_S / dt))
+    margin = round(_MARGIN_S / dt)
+    sequences = np.flatnonzero(contiguous)
     first: list[Indices] = []
     rate: list[Array] = []
     force: list[Array] = []
@@ -186,7 +176,7 @@ def block_averages(evidence: Evidence) -> BlockAverages | None:
         count = (min(high, b + margin) - begin) // size
         for values, means in ((recording.gyro, rate), (recording.accel, force)):
             mean = values[begin : begin + count * size].reshape(count, size, 3).mean(axis=1)
-            means.append(mean * evidence.per_rate if evidence.per_rate != 1.0 else mean)
+            means.append(mean * per_rate if per_rate != 1.0 else mean)
         rate[-1] -= force[-1] @ per_force.T + 0.5 * (rest[data.start[k]] + rest[data.end[k]])
         first.append(begin + size * np.arange(count))
     lengths = [len(part) for part in first]
@@ -194,40 +184,41 @@ def block_averages(evidence: Evidence) -> BlockAverages | None:
         np.repeat(sequences, lengths),
         np.concatenate([[0], np.cumsum(lengths)]),
         np.concatenate(first),
-        size * evidence.dt,
+        size * dt,
         np.concatenate(rate),
         np.concatenate(force),
     )
 
 
-@computed_once
-def turning_windows(evidence: Evidence) -> Mask:
+def turning_windows(data: PreparedRecording) -> Mask:
     """True for windows in which the unit rotates as in a manoeuvre, shape (W,): their labels are wrong.
 
-    Slower motion has other causes, see :mod:`srt.diagnosis.window_disturbances`.
+    Slower motion has other causes, see :mod:`srt.diagnosis.window_disturbances`. Statistic: half the range of the rates
+    of a window over the noise of a block. Distribution: normal, six times as many tests as blocks.
     """
-    data = evidence.data
-    assert data is not None
-    size = max(1, round(BLOCK_S / evidence.dt))
+    recording = data.recording
+    size = max(1, round(BLOCK_S / recording.nominal_interval_s))
     samples = data.windows.samples
     in_turns, in_windows = np.empty(data.K), np.zeros((len(samples), 3))
     scatter, blocks_in_windows = np.zeros((len(samples), 3)), 0
     for k, (s, e) in enumerate(zip(data.start.tolist(), data.end.tolist(), strict=True)):
         first, last = int(samples[s, 0]), int(samples[e, 1])
         count = (last - first) // size
-        blocks = evidence.recording.gyro[first : first + count * size].reshape(count, size, 3)
-        means = np.median(blocks, axis=1)  # the median, so that a spike is not taken for a rotation
+        blocks = recording.gyro[first : first + count * size].reshape(count, size, 3)
+        # The median, so that a spike is not taken for a rotation.
+        means = median(np.moveaxis(blocks, 1, 2))
         in_turns[k] = _rate_range(means).max()
         for w in (s, e):
             inside = slice(-(-(int(samples[w, 0]) - first) // size), (int(samples[w, 1]) - first) // size)
             in_windows[w] = _rate_range(means[inside])
             if len(means[inside]):
-                scatter[w] = _MAD * np.median(np.abs(means[inside] - np.median(means[inside], axis=0)), axis=0)
+                rows = means[inside].T
+                scatter[w] = MAD * median(np.abs(rows - median(rows)[:, None]))
             blocks_in_windows += len(means[inside])
     # Without rotations (static poses only) the median is noise: the slowest rotation is its lower limit.
-    slowest = _SLOWEST_RAD_S * (1.0 if evidence.per_rate == 1.0 else evidence.dt)
+    slowest = _SLOWEST_RAD_S / rates_factor(recording)
     slowest = _ROTATING * max(float(np.median(in_turns)), slowest)
-    noise = -2.0 * float(ndtri(_BY_NOISE / max(1, 6 * blocks_in_windows))) * np.median(scatter, axis=0)
+    noise = 2.0 * limit("normal", tests=max(1, 6 * blocks_in_windows), shared=_BY_NOISE) * np.median(scatter, axis=0)
     return np.asarray(np.any(in_windows > np.maximum(slowest, noise), axis=1))
 
 
@@ -235,23 +226,29 @@ def _rate_range(means: Array) -> Array:
     return np.asarray(means.max(axis=0) - means.min(axis=0)) if len(means) else np.zeros(3)
 
 
-@computed_once
-def rotation_angles(evidence: Evidence) -> tuple[Indices, Array, Array]:
+class Rotations(NamedTuple):
     """Rotations of the sequences in which as many rotations are found as their label states.
 
     A rotation begins where the axis changes, or after a pause. Sequences with a gap are left out.
 
-    Returns
-    -------
+    Attributes
+    ----------
     sequence : ndarray of int, shape (L,)
         Number of the sequence of each rotation.
     nominal, turned : ndarray, shape (L, 3), rad
         Nominal rotation (signed angle times axis), and the raw gyro readings integrated over the rotation.
     """
-    data, path = evidence.data, block_averages(evidence)
+
+    sequence: Indices
+    nominal: Array
+    turned: Array
+
+
+def find_rotations(data: PreparedRecording | None, path: BlockAverages | None) -> Rotations:
+    """Rotations in the block averages."""
     numbers, nominal, turned = [np.zeros(0, dtype=np.intp)], [np.zeros((0, 3))], [np.zeros((0, 3))]
     if data is None or path is None or len(path.rate) == 0:
-        return numbers[0], nominal[0], turned[0]
+        return Rotations(numbers[0], nominal[0], turned[0])
     largest = np.abs(path.rate).max(axis=0)
     typical = float(np.median(largest))
     # An axis in a smaller unit, as deg/s, would have the largest reading in rotations about the others.
@@ -269,7 +266,7 @@ def rotation_angles(evidence: Evidence) -> tuple[Indices, Array, Array]:
             numbers.append(np.full(len(cuts), k))
             nominal.append(sequence.axes * sequence.angles_rad[:, None])
             turned.append(np.add.reduceat(path.rate[s:e], cuts, axis=0) * path.step_s)
-    return np.concatenate(numbers), np.concatenate(nominal), np.concatenate(turned)
+    return Rotations(np.concatenate(numbers), np.concatenate(nominal), np.concatenate(turned))
 
 
 def robust_fit(x: Array, y: Array) -> Array:

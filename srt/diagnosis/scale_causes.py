@@ -19,14 +19,13 @@ from scipy.special import logsumexp
 
 from srt.constants import EARTH_RATE_RAD_S
 from srt.diagnosis.cause_comparison import CLOSE
-from srt.diagnosis.findings import RunnerUp
-from srt.diagnosis.site import earth_rate_components
+from srt.result.diagnostics import RunnerUp
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from srt.diagnosis.evidence import Evidence
     from srt.diagnosis.scale_ratios import ScaleRatios
+    from srt.diagnosis.stationary_rates import EarthRate
     from srt.types import Array
 
 _GRID: Final = np.geomspace(1e-4, 1.0, 25)
@@ -125,15 +124,14 @@ class _Triad:
         return own + of_mean, np.full(len(v), mean), v
 
 
-def score(cause: ScaleCause, gyro: ScaleRatios, accel: ScaleRatios, earth: tuple[Array, Array, Array] | None) -> float:
+def score(cause: ScaleCause, gyro: ScaleRatios, accel: ScaleRatios, earth: EarthRate | None) -> float:
     """Logarithm of the posterior probability of a cause, given all measurements, up to a constant.
 
     Parameters
     ----------
     cause : ScaleCause
     gyro, accel : ScaleRatios
-    earth : (found, sigma, true) or None
-        Measured vertical and horizontal Earth rate, their standard deviations, and their true values, (2,) each.
+    earth : EarthRate or None
     """
     total, clock, doubt = np.zeros((1, 1)), np.full((1, 1), cause.clock), np.zeros((1, 1))
     for sensor, triad, shift, axis in (
@@ -163,10 +161,9 @@ def _earth_term(clock: Array, doubt: Array, found: Array, sigma: Array, true: Ar
 
 
 def most_likely(
-    causes: Iterable[ScaleCause], evidence: Evidence, gyro: ScaleRatios, accel: ScaleRatios
+    causes: Iterable[ScaleCause], gyro: ScaleRatios, accel: ScaleRatios, earth: EarthRate | None
 ) -> tuple[ScaleCause, RunnerUp | None]:
     """Most likely cause, and the second most likely one with another first fault, if it is nearly as likely."""
-    earth = earth_rate_components(evidence)
     ranked = sorted(((score(cause, gyro, accel, earth), cause) for cause in causes), key=lambda row: -row[0])
     (top, best), rest = ranked[0], ranked[1:]
     for value, other in rest:

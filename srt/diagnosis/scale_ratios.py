@@ -8,17 +8,14 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.diagnosis.axes import gravity_relation, manoeuvre_readings
-from srt.diagnosis.rotation_readings import computed_once, rotation_angles
-from srt.diagnosis.triad_fits import accel_fit
+from srt.diagnosis.rotation_readings import MAD, rates_factor
 
 if TYPE_CHECKING:
-    from srt.diagnosis.evidence import Evidence
+    from srt.diagnosis.gravity_rotation import ManoeuvreReadings
+    from srt.diagnosis.rotation_readings import Rotations
+    from srt.diagnosis.triad_fits import LinearFit
+    from srt.recording.recording import Fixture, Recording
     from srt.types import Array
-
-
-_MAD: Final = 1.4826
-"""Ratio of the standard deviation to the median absolute deviation of a normal distribution."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,17 +80,8 @@ UNKNOWN: Final = ScaleRatios(float("nan"), _UNSEEN, float("nan"))
 """Ratios of a triad that the data do not determine."""
 
 
-@computed_once
-def gyro_scale_ratios(evidence: Evidence) -> ScaleRatios:
-    """Ratios of measured to labelled angles; for free rotations, of the gyros to the rotation of gravity.
-
-    The ratios to labelled angles are medians of magnitudes, each assigned to the gyro with the largest reading. Wrong
-    axes, signs and senses, and a few wrong labels, do not affect them.
-    """
-    by_labels = _by_labels(evidence)
-    if evidence.has_labels and by_labels.known:
-        return by_labels
-    relation = gravity_relation(evidence)
+def gyro_ratios_to_gravity(by_labels: ScaleRatios, relation: Array | None) -> ScaleRatios:
+    """Ratios of the gyros to the rotation of gravity (matrix K), if they contradict those to recognised angles."""
     if relation is None:
         return by_labels
     axes = 1.0 / np.linalg.norm(relation, axis=0)
@@ -103,10 +91,13 @@ def gyro_scale_ratios(evidence: Evidence) -> ScaleRatios:
     return by_labels if agree else by_gravity
 
 
-def _by_labels(evidence: Evidence) -> ScaleRatios:
-    if evidence.data is None:
-        return UNKNOWN
-    _, nominal, turned = rotation_angles(evidence)
+def gyro_ratios_to_labels(rotations: Rotations, fixture: Fixture | None) -> ScaleRatios:
+    """Ratios of measured to labelled angles.
+
+    They are medians of magnitudes, each assigned to the gyro with the largest reading. Wrong axes, signs and senses,
+    and a few wrong labels, do not affect them.
+    """
+    _, nominal, turned = rotations
     if len(nominal) == 0:
         return UNKNOWN
     size = np.linalg.norm(nominal, axis=1)
@@ -128,37 +119,33 @@ def _by_labels(evidence: Evidence) -> ScaleRatios:
         ratio = axes[most] * np.linalg.norm(turned / axes, axis=1) / size
     # A factor on only a part of the rotations is not a scale of the triad: it increases the scatter.
     off = np.quantile(np.abs(np.log(ratio / axes[most])), _MOST_AGREE)
-    fixture = evidence.recording.fixture
     fixture_scatter = 0.0 if fixture is None else fixture.rotation_sigma_rad / math.pi
     return ScaleRatios(float(np.median(ratio)), axes, math.hypot(float(off) / _MOST_AGREE_SIGMA, fixture_scatter))
 
 
-@computed_once
-def accel_scale_ratios(evidence: Evidence) -> ScaleRatios:
-    """Ratios of the stationary specific force to gravity, for each axis if the poses determine them.
+def accel_ratios(recording: Recording, turns: ManoeuvreReadings | None, fit: LinearFit | None) -> ScaleRatios:
+    """Ratios of the stationary specific force to gravity, for each axis if the poses or their fit determine them.
 
     The poses do so if their labels span space, or if there are enough poses for a fit of their magnitudes. Without a
     stationary window, the ratio is that of all readings: in motion by hand they remain near gravity.
     """
-    turns = manoeuvre_readings(evidence)
-    gravity = evidence.recording.site.gravity_m_s2
+    gravity = recording.site.gravity_m_s2
     if turns is None or len(turns.force) == 0:
-        sizes = np.linalg.norm(evidence.force, axis=1) / gravity
+        sizes = np.linalg.norm(recording.accel, axis=1) * (rates_factor(recording) / gravity)
         low, typical, high = np.quantile(sizes[sizes > 0.0], (0.25, 0.5, 0.75)) if np.any(sizes > 0.0) else (0, 0, 0)
         return ScaleRatios(float(typical), _UNSEEN, 0.5 * math.log(high / low)) if low > 0.0 else UNKNOWN
     ratio = np.linalg.norm(turns.force, axis=1) / gravity
     typical = float(np.median(ratio))
     if not np.all(ratio > 0.0):
         return ScaleRatios(typical, _UNSEEN, math.inf)
-    fit = None if evidence.data is None else accel_fit(evidence)
     if fit is None or fit.rank < 3:
         by_magnitude = _by_magnitude(turns.force / gravity)
         if by_magnitude is not None:
             return by_magnitude
-        return ScaleRatios(typical, _UNSEEN, _MAD * float(np.median(np.abs(np.log(ratio / typical)))))
+        return ScaleRatios(typical, _UNSEEN, MAD * float(np.median(np.abs(np.log(ratio / typical)))))
     axes = np.linalg.norm(fit.matrix, axis=1)
     off = np.median(np.abs(fit.residual), axis=0) / (gravity * typical)
-    return ScaleRatios(typical, axes, _MAD * float(off.max()))
+    return ScaleRatios(typical, axes, MAD * float(off.max()))
 
 
 def _by_magnitude(force: Array) -> ScaleRatios | None:
@@ -179,12 +166,11 @@ def _by_magnitude(force: Array) -> ScaleRatios | None:
     level = 1.0 + 0.25 * float(np.sum(slope**2 / square))
     off = 0.5 * (design @ np.concatenate([square, slope]) - 1.0) / level
     axes = size * np.sqrt(level / square)
-    return ScaleRatios(float(np.median(axes)), axes, _MAD * float(np.median(np.abs(off))))
+    return ScaleRatios(float(np.median(axes)), axes, MAD * float(np.median(np.abs(off))))
 
 
-def stationary_force_scatter(evidence: Evidence) -> float:
+def stationary_force_scatter(turns: ManoeuvreReadings | None) -> float:
     """Logarithm of upper over lower quartile of the stationary specific force; infinite without stationary windows."""
-    turns = manoeuvre_readings(evidence)
     if turns is None or len(turns.force) == 0:
         return math.inf
     low, high = np.quantile(np.linalg.norm(turns.force, axis=1), (0.25, 0.75))

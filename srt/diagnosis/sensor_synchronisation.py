@@ -1,297 +1,58 @@
-"""Synchronisation of gyros and accelerometers: time offset between the sensors, and samples lost in rotations.
-
-The attitude from the gyros transforms the measured specific force to B_Strt, the body frame at the start of the
-sequence, in which it should be constant. Its change in the direction in which gravity rotates, divided by gravity, is
-the angle between the rotations that gyros and accelerometers measure.
-"""
+"""Synchronisation of gyros and accelerometers: time offset between the sensors, and samples lost in rotations."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from scipy.special import stdtrit
 
-from srt.diagnosis.cause_comparison import Cause, compare, with_runner_up
-from srt.diagnosis.clipping import clipped_parts
-from srt.diagnosis.findings import FALSE_ALARM, check, finding
-from srt.diagnosis.rotation_readings import BlockAverages, block_averages, computed_once, cross
-from srt.diagnosis.stabilised_force import StabilisedForce, stabilised_force
-from srt.model.table1 import AXES
+from srt.diagnosis.findings import Fault, by_sensor, with_runner_up
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from srt.diagnosis.evidence import Evidence
     from srt.diagnosis.findings import Finding
-    from srt.types import Array, Indices, Mask
 
-
-_FEWEST_TURNS: Final = 4
-"""Fewest rotations for an estimate of the scatter of the offset."""
-_LEAST_OFFSET: Final = 0.02
-"""Smallest offset for a finding, in sampling intervals: the effective time of a reading is not known better."""
-_OBSERVED: Final = 1e-9
-"""Smallest relative singular value of an observable combination of accelerometer errors; far above rounding."""
-_SURE: Final = 5.0
-"""Smallest step, in units of its sigma due to the accelerometer errors, which few rotations hardly determine."""
-_COARSE: Final = 5
-"""Number of blocks that are averaged for the estimate of the offset, which is constant during a rotation."""
-_MOVING: Final = 0.2
-"""Smallest rate of a block in a rotation, relative to the highest rate."""
-_SIDE: Final = 20
-"""Number of blocks used on each side of a step."""
-_HALF_A_SAMPLE: Final = 0.5
-"""Smallest angle of a step, in angles of rotation per sample: a loss is at least one sample."""
 _WHOLE: Final = 0.25
 """Largest deviation of a step from a whole number of samples, relative to that number: noise causes no more."""
-_RAYLEIGH_MEDIAN: Final = 1.1774
-"""Median of the Rayleigh distribution in sigma."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class TimeOffset:
-    """Time offset between the sensors, and the accelerometer errors estimated with it.
-
-    Attributes
-    ----------
-    late_s, sigma_s : float
-        Mean lag of the accelerometers behind the gyros over the rotations, and its standard deviation.
-    typical_s : float
-        Median lag, which a single rotation with lost samples does not affect.
-    by_turn : ndarray, shape (n,), s
-        Lag in each rotation used.
-    axes : ndarray, shape (n, 3)
-        Axis of each rotation, unit vectors in B.
-    by_accel : ndarray, shape (n, 3)
-        Lag estimated in each rotation if only accelerometer x, y or z lags, by one second.
-    errors : ndarray, shape (15,)
-        Accelerometer errors, in the order of the columns of :func:`_error_columns`.
-    spread : ndarray, shape (r, 15)
-        Square root S of the covariance SᵀS of these errors.
-    """
-
-    late_s: float
-    sigma_s: float
-    typical_s: float
-    by_turn: Array
-    axes: Array
-    by_accel: Array
-    errors: Array
-    spread: Array
-
-
-@computed_once
-def time_offset(evidence: Evidence) -> TimeOffset | None:
-    """Time offset between the sensors; None with fewer than four suitable rotations."""
-    path, turns = stabilised_force(evidence), block_averages(evidence)
-    if path is None or turns is None:
-        return None
-    chosen = [
-        equations
-        for s, e in pairwise(turns.starts.tolist())
-        if (equations := _equations(path, turns, s, e)) is not None
-    ]
-    n = len(chosen)
-    if n < _FEWEST_TURNS:
-        return None
-    # The accelerometer errors are common to all rotations. Each rotation has its own offset, initial angle and gyro
-    # scale-factor error; the scatter of the offsets includes all unmodelled effects. The unknowns of single rotations
-    # are projected out, so that the computing time grows only linearly with the number of rotations.
-    projected = []
-    for columns, angles, _ in chosen:
-        own, _ = np.linalg.qr(columns[:, :3])
-        rest = np.concatenate([columns[:, 3:], angles], axis=1)
-        projected.append(rest - own @ (own.T @ rest))
-    stacked = np.concatenate(projected)
-    seen, wanted = stacked[:, :-4], stacked[:, -4:]
-    common, spread = _solution(seen, wanted[:, 0], freedom=len(stacked) - 3 * n)
-    # Lags of single accelerometers are put through the same estimation: the accelerometer errors absorb a part of them.
-    every = np.column_stack([common, np.linalg.lstsq(seen, wanted[:, 1:], rcond=_OBSERVED)[0]])
-    lags = np.array(
-        [
-            np.linalg.lstsq(columns[:, :3], angles - columns[:, 3:] @ every, rcond=_OBSERVED)[0][0]
-            for columns, angles, _ in chosen
-        ]
-    )
-    late, axes = lags[:, 0], np.array([axis for _, _, axis in chosen])
-    sigma = float(late.std(ddof=1)) / math.sqrt(n)
-    return TimeOffset(float(late.mean()), sigma, float(np.median(late)), late, axes, lags[:, 1:], common, spread)
-
-
-def _solution(columns: Array, values: Array, *, freedom: int) -> tuple[Array, Array]:
-    """Least-squares solution of smallest norm, and the square root of its covariance from the scatter of residuals."""
-    U, size, Vt = np.linalg.svd(columns, full_matrices=False)
-    seen = size > _OBSERVED * size[0]
-    root = Vt[seen] / size[seen, None]
-    solution = (U[:, seen].T @ values) @ root
-    left = values - columns @ solution
-    return np.asarray(solution), np.asarray(root * math.sqrt(float(left @ left) / max(1, freedom - int(seen.sum()))))
-
-
-def _equations(path: StabilisedForce, turns: BlockAverages, s: int, e: int) -> tuple[Array, Array, Array] | None:
-    """Linear equations of a sequence with one rotation about a horizontal axis; None for any other sequence.
-
-    Returns
-    -------
-    columns : ndarray, shape (n, 18)
-        Columns of offset, initial angle, gyro scale-factor error, and the 15 accelerometer errors.
-    angles : ndarray, shape (n, 4)
-        Measured angle, and the angle if only accelerometer x, y or z lags by 1 s.
-    axis : ndarray, shape (3,)
-        Rotation axis, unit vector in B.
-    """
-    if e - s < 2 * _COARSE:
-        return None
-    rate = np.einsum("mab,mb->ma", path.attitude[s:e], path.rate[s:e])
-    total = rate.sum(axis=0) * turns.step_s
-    size = float(np.linalg.norm(total))
-    if size < 1.0 or size < 0.9 * float(np.linalg.norm(rate, axis=1).sum()) * turns.step_s:
-        return None
-    across = cross(total / size, path.up[s])
-    horizontal = float(np.linalg.norm(across))
-    if horizontal < 0.9:
-        return None
-    across /= horizontal
-    about = rate @ (total / size)
-    own = np.stack([about * horizontal, np.ones(e - s), np.cumsum(about) * turns.step_s], axis=1)
-    along = across @ path.attitude[s:e]
-    seen = _error_columns(along, path.up_body[s:e], path.rate[s:e], turns.step_s)
-    columns = np.concatenate([own, seen], axis=1)
-    late = along * cross(path.rate[s:e], path.up_body[s:e])
-    angles = np.column_stack([path.force_start[s:e] @ across, late])
-    return _coarser(columns), _coarser(angles), np.asarray(total / size)
-
-
-def _error_columns(along: Array, up: Array, rate: Array, step_s: float) -> Array:
-    """Effect of accelerometer errors on the specific force in a direction in B, in units of gravity; shape (n, 15).
-
-    The columns are for a symmetric matrix (6), bias (3), asymmetry (3), and lever arm of the accelerometers over
-    gravity (3, in s²). A rotation of the whole triad needs no columns: it only changes the initial angle.
-    """
-    change = np.gradient(rate, step_s, axis=0)
-    ahead = [1, 2, 0]
-    mixed = along * up[:, ahead] + along[:, ahead] * up
-    lever = cross(along, change) + cross(rate, cross(rate, along))
-    return np.concatenate([along * up, mixed, along, along * np.abs(up), lever], axis=1)
-
-
-def _expected(path: StabilisedForce, turns: BlockAverages, errors: Array, late_s: float) -> Array:
-    """Effect of accelerometer errors and a time offset on the specific force in B, in units of gravity, (m, 3)."""
-    e, up, rate = errors, path.up_body, path.rate
-    symmetric = np.array([[e[0], e[3], e[5]], [e[3], e[1], e[4]], [e[5], e[4], e[2]]])
-    change = np.gradient(rate, turns.step_s, axis=0)  # sequences begin and end at rest
-    out = late_s * cross(rate, up) + up @ symmetric + e[6:9] + e[9:12] * np.abs(up)
-    return np.asarray(out + cross(change, e[12:]) + cross(rate, cross(rate, e[12:])))
-
-
-def _coarser(values: Array) -> Array:
-    n = len(values) // _COARSE
-    return np.asarray(values[: n * _COARSE].reshape(n, _COARSE, *values.shape[1:]).mean(axis=1))
-
-
-def _lag_causes(seen: TimeOffset) -> list[Cause]:
-    """Possible causes of a lag, each with the lag in each rotation that it predicts if its channels lag by 1 s.
-
-    A rotation about one axis is measured only by the gyro of that axis.
-    """
-    n, by_gyro = len(seen.axes), seen.axes**2
-    causes = [Cause("", np.zeros((n, 0)), {}), Cause("sensor_time_offset", np.ones((n, 1)), {})]
-    for i, axis in enumerate(AXES):
-        causes.append(Cause("gyro_axis_delayed", -by_gyro[:, i, None], {"channel": f"gyro_{axis}"}, 3))
-        causes.append(Cause("accel_axis_delayed", seen.by_accel[:, i, None], {"channel": f"accel_{axis}"}, 3))
-    return causes
-
-
-@computed_once
-def lag(evidence: Evidence) -> Finding | None:
-    """Finding of a lag between gyros and rotation of gravity, of a triad or of one channel; None if there is none."""
-    seen = time_offset(evidence)
-    if seen is None:
-        return None
-    causes = _lag_causes(seen)
-    ranked = compare(seen.by_turn, causes)
-    best = next(explanation for explanation in ranked if explanation.cause.fault)
-    late, sigma = float(best.value[0]), float(best.sigma[0])
-    limit = -float(stdtrit(best.freedom, 0.5 * FALSE_ALARM / (len(causes) - 1)))
-    if abs(late) <= max(limit * sigma, _LEAST_OFFSET * evidence.dt):
-        return None
-    told = finding(best.cause.fault, offset_ms=1e3 * late, sigma_ms=1e3 * sigma, **best.cause.details)
-    return with_runner_up(told, ranked)
-
-
-@check("sensor_time_offset", "gyro_axis_delayed", "accel_axis_delayed")
 def sensor_time_offset(evidence: Evidence) -> Iterator[Finding]:
     """Test for a lag between the gyros and the rotation of gravity, of a triad or of one channel."""
-    told = lag(evidence)
-    if told is not None:
-        yield told
+    ranked = evidence.lag
+    if ranked is None:
+        return
+    best = next(explanation for explanation in ranked if explanation.cause.fault)
+    fault = next(f for f in (SENSOR_TIME_OFFSET, *AXIS_DELAYED.values()) if f.name == best.cause.fault)
+    offset = {"offset_ms": 1e3 * float(best.value[0]), "sigma_ms": 1e3 * float(best.sigma[0])}
+    yield with_runner_up(fault.found(**offset, **best.cause.details), ranked)
 
 
-@dataclass(frozen=True, slots=True)
-class AttitudeStep:
-    """Step of the gyro-stabilised specific force during a rotation.
-
-    Attributes
-    ----------
-    block : int
-        Block of :func:`block_averages` before which the attitude error changes.
-    height : float
-        Angle of the step, rad.
-    duration_s : float
-        Time in which the unit rotates by this angle; negative if the gyros measured too large an angle.
-    """
-
-    block: int
-    height: float
-    duration_s: float
-
-
-@computed_once
-def attitude_step(evidence: Evidence) -> AttitudeStep | None:
-    """Largest significant step; None if there is none, or without a fixture, as the acceleration by hand has steps."""
-    path, turns = stabilised_force(evidence), block_averages(evidence)
-    if path is None or turns is None or evidence.recording.fixture is None:
-        return None
-    seen = time_offset(evidence)
-    turning = cross(path.rate, path.up_body)
-    speed = np.linalg.norm(turning, axis=1)
-    moving = speed > _MOVING * speed.max()
-    left = path.force_start - path.up
-    if seen is not None:
-        # Without this correction, a time offset makes a step at the beginning and at the end of a rotation.
-        left -= _levelled(path, _expected(path, turns, seen.errors, seen.typical_s))
-    left -= np.einsum("ma,ma->m", left, path.up)[:, None] * path.up
-    steps, whole = _steps(left, turns.starts)
-    places = np.flatnonzero(moving & whole)
-    height = np.linalg.norm(steps[places], axis=1)
-    if len(height) == 0:
-        return None
-    # At most places there is no step: the median height gives the noise.
-    scale = float(np.median(height)) / _RAYLEIGH_MEDIAN
-    limit = math.sqrt(-2.0 * math.log(FALSE_ALARM / len(height))) * scale
-    excess = height / np.maximum(limit, _HALF_A_SAMPLE * speed[places] * evidence.dt)
-    if excess.max() > 1.0 and seen is not None:
-        excess = height / np.hypot(height / excess, _SURE * _step_doubt(path, turns, seen)[places])
-    if excess.max() > 1.0:
-        # Sequences with clipped gyro readings are excluded: clipping causes their missing angle, not lost samples.
-        void = [k for k, _ in clipped_parts(evidence) if k is not None]
-        excess[np.isin(turns.sequence[places], void)] = 0.0
-    best = int(np.argmax(excess))
-    block = int(places[best])
-    if excess[best] <= 1.0:
-        return None
-    surplus = float(steps[block] @ _levelled(path, turning)[block]) > 0.0
-    size = float(height[best] / speed[block])
-    return AttitudeStep(block, float(height[best]), -size if surplus else size)
+SENSOR_TIME_OFFSET: Final = Fault(
+    "sensor_time_offset",
+    "Gyros and accelerometers are not synchronised",
+    "lag between the gyros and the rotation of gravity in the accelerometers",
+    "The accelerometer readings lag the gyro readings by {offset_ms:+.3g} ms (negative: lead): align the time stamps "
+    "of both sensors.",
+    "warning",
+    sensor_time_offset,
+)
+AXIS_DELAYED: Final = by_sensor(
+    "axis_delayed",
+    "One [gyro|accelerometer] axis has another delay than the others",
+    "lag between the gyros and the rotation of gravity in the accelerometers, by axis",
+    "{channel} lags the other axes by {offset_ms:+.3g} ms (negative: leads), as with a multiplexed converter or a "
+    "filter of another delay: align the channels in time.",
+    "warning",
+    sensor_time_offset,
+)
 
 
 def sample_twice(evidence: Evidence) -> int | None:
     """Sample that repeats the previous one and causes an attitude error by its angle; None if there is none."""
-    step, turns = attitude_step(evidence), block_averages(evidence)
+    step, turns = evidence.attitude_step, evidence.block_averages
     if step is None or turns is None:
         return None
     samples = -step.duration_s / evidence.dt
@@ -305,14 +66,12 @@ def sample_twice(evidence: Evidence) -> int | None:
     return int(again[0]) if again.size else None
 
 
-@check("samples_lost")
 def samples_lost(evidence: Evidence) -> Iterator[Finding]:
     """Report a step of the gyro-stabilised specific force that a repeated sample does not explain."""
-    step, turns = attitude_step(evidence), block_averages(evidence)
+    step, turns = evidence.attitude_step, evidence.block_averages
     if step is None or turns is None or sample_twice(evidence) is not None:
         return
-    yield finding(
-        "samples_lost",
+    yield SAMPLES_LOST.found(
         sequence=evidence.title(int(turns.sequence[step.block])),
         time=float(evidence.recording.time[turns.first_sample[step.block]]) - evidence.dt,
         angle_deg=math.degrees(step.height),
@@ -320,31 +79,12 @@ def samples_lost(evidence: Evidence) -> Iterator[Finding]:
     )
 
 
-def _levelled(path: StabilisedForce, in_body: Array) -> Array:
-    """Changes of the specific force in B, transformed to B_Strt of the sequence, shape (m, 3)."""
-    return np.asarray(np.einsum("mab,mb->ma", path.attitude, in_body))
-
-
-def _step_doubt(path: StabilisedForce, turns: BlockAverages, seen: TimeOffset) -> Array:
-    """Standard deviation of the height of a step before each block due to the accelerometer errors, shape (m,)."""
-    steps = (_steps(_levelled(path, _expected(path, turns, errors, 0.0)), turns.starts)[0] for errors in seen.spread)
-    return np.asarray(np.sqrt(sum(np.einsum("ma,ma->m", step, step) for step in steps)))
-
-
-def _steps(values: Array, starts: Indices) -> tuple[Array, Mask]:
-    """Height of a step before each block, from a fit of a step and a straight line to the blocks around it, (m, 3).
-
-    The mask, shape (m,), is true where these blocks belong to one sequence.
-    """
-    shortest = int(np.diff(starts).min())
-    side = min(_SIDE, shortest // 4)
-    if side < 2:
-        return np.zeros_like(values), np.zeros(len(values), dtype=np.bool_)
-    x = np.arange(-side, side) + 0.5
-    weight = np.linalg.pinv(np.stack([np.ones(2 * side), x, x > 0.0], axis=1))[2]
-    steps = np.zeros_like(values)
-    for column in range(3):
-        steps[side : len(values) - side + 1, column] = np.convolve(values[:, column], weight[::-1], mode="valid")
-    place = np.arange(len(values)) - np.repeat(starts[:-1], np.diff(starts))
-    whole = (place >= side) & (place <= np.repeat(np.diff(starts), np.diff(starts)) - side)
-    return steps, whole
+SAMPLES_LOST: Final = Fault(
+    "samples_lost",
+    "Samples were lost in a rotation, but the time stamps have no gap",
+    "a rotation of gravity between two samples that the gyros do not measure",
+    "In {sequence}, samples of about {duration:.2g} s are missing at {time:.6g} s, but the time stamps have no gap: "
+    "gravity rotated by {angle_deg:.3g}°, which the gyros did not measure; repeat the sequence.",
+    "warning",
+    samples_lost,
+)

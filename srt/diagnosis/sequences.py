@@ -8,46 +8,24 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.diagnosis.findings import check, finding
+from srt.diagnosis.findings import Fault
 from srt.diagnosis.rotation_readings import (
-    block_averages,
-    computed_once,
     invert_readings,
     nominal_integrals,
-    raw_integrals,
-    rotation_angles,
-    turning_windows,
 )
-from srt.diagnosis.sensor_synchronisation import lag
-from srt.diagnosis.stabilised_force import stabilised_force
-from srt.diagnosis.triad_fits import gyro_fit, raw_triads
-from srt.diagnosis.window_edges import rotation_at_edges
 from srt.estimation.rotation_accuracy import scatter_ratio
-from srt.exceptions import DataError
 from srt.model import closed_form
 from srt.model.table1 import SEQUENCES
 from srt.sequences.moves import recorded_moves
-from srt.sequences.rest_detection import BLOCK_S
-from srt.sequences.stationary_windows import find_windows
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterator
 
     from srt.diagnosis.evidence import Evidence
     from srt.diagnosis.findings import Finding
     from srt.types import Array, Mask
 
 
-_BESIDE_S: Final = 2.0 * BLOCK_S
-"""Largest error of the edges of the stationary windows found in the samples, s: one or two blocks."""
-_SLACK_S: Final = 0.03
-"""Stationary time per window, s, by which a smaller shift may be worse than the best shift and still be preferred."""
-_SOME_WINDOWS: Final = 40
-"""Largest number of windows for which the stationary time after a common shift is computed."""
-_FEW_WINDOWS: Final = 8
-"""Number of windows whose edges give the candidates for the common shift, which is the same for all windows."""
-_STILL: Final = 0.9
-"""Smallest share of the labelled time that is stationary after a common shift."""
 _FAR: Final = 1.0
 """Squared distance above which a manoeuvre is another sequence; rotation angles in units of 180°, verticals as unit
 vectors. The two most similar of the 17 sequences are 2 apart; a unit with errors of 10 % is within 0.1 of its own."""
@@ -64,92 +42,40 @@ _SHORT: Final = 0.5
 """Ratio of the length of a window to the median length, below which it is short: its mean is noisier by √2."""
 
 
-@check("labels_shifted")
 def labels_shifted(evidence: Evidence) -> Iterator[Finding]:
     """Compare the labelled windows that include rotation with the stationary windows found in the samples."""
-    seen = _shift(evidence)
+    seen = evidence.label_shift
     if seen is not None and evidence.data is not None:
-        yield finding("labels_shifted", shift=seen[0], count=seen[1], of=len(evidence.data.windows.samples))
+        yield LABELS_SHIFTED.found(shift=seen.late_s, count=seen.windows, of=len(evidence.data.windows.samples))
 
 
-@computed_once
-def _shift(evidence: Evidence) -> tuple[float, int] | None:
-    """Time by which the labels are late, s, and the number of windows affected; None if the labels are not shifted."""
-    found = _block_shift(evidence)
-    return rotation_at_edges(evidence) if found is None else found
+LABELS_SHIFTED: Final = Fault(
+    "labels_shifted",
+    "The labels are shifted in time",
+    "labelled windows against the stationary windows found in the samples; rotation at the inner edges of most windows",
+    "The labels are late by {shift:+.3g} s relative to the stationary windows (negative: early; {count} of {of} "
+    "windows): correct the times of the labels, or omit the labels to have the sequences recognised.",
+    "exit 1",
+    labels_shifted,
+)
 
 
-def _block_shift(evidence: Evidence) -> tuple[float, int] | None:
-    """Shift of the labels from block means, a coarse search; None if the labels are not shifted."""
-    data = evidence.data
-    if data is None or not evidence.has_labels:
-        return None
-    turning = turning_windows(evidence)
-    if not turning.any():
-        return None
-    try:
-        still = find_windows(evidence.recording)
-    except DataError:
-        return None
-    time, dt, samples = evidence.recording.time, evidence.dt, data.windows.samples
-    rest = np.stack([time[still[:, 0]] - dt, time[still[:, 1] - 1]], axis=1)
-    labelled = np.stack([time[samples[:, 0]] - dt, time[samples[:, 1] - 1]], axis=1)
-    shift = _common_shift(labelled, rest)
-    if shift is not None:
-        return shift, int(turning.sum())
-    single = _intrusions(labelled[turning], rest)
-    single = single[np.abs(single) > _BESIDE_S]
-    return (float(np.median(single)), int(single.size)) if single.size else None
-
-
-def _common_shift(labelled: Array, rest: Array) -> float | None:
-    """Smallest common time by which all labels are late, s, whose correction makes the windows stationary."""
-    some = labelled[np.unique(np.linspace(0, len(labelled) - 1, _SOME_WINDOWS).astype(int))]
-    # The best shift is one of those that move an edge of a label to an edge of a stationary window.
-    late = np.unique(np.append((some[:_FEW_WINDOWS, None, :, None] - rest[None, :, None, :]).ravel(), 0.0))
-    edges = rest.ravel()
-    still_until = np.repeat(np.concatenate([[0.0], np.cumsum(rest[:, 1] - rest[:, 0])]), 2)[1:-1]
-    until = np.interp(some[None] - late[:, None, None], edges, still_until)
-    at_rest = np.sum(until[:, :, 1] - until[:, :, 0], axis=1)
-    enough = late[at_rest >= at_rest.max() - _SLACK_S * len(some)]
-    best = float(enough[np.argmin(np.abs(enough))])
-    if at_rest.max() < _STILL * float(np.sum(some[:, 1] - some[:, 0])) or abs(best) <= _BESIDE_S:
-        return None
-    return best
-
-
-def _intrusions(labelled: Array, rest: Array) -> Array:
-    """Time by which each label is late (negative: early), s, relative to the stationary window it overlaps most."""
-    out = []
-    for a, b in labelled.tolist():
-        shared = np.minimum(b, rest[:, 1]) - np.maximum(a, rest[:, 0])
-        low, high = rest[int(np.argmax(shared))].tolist()
-        late, early = max(0.0, b - high), max(0.0, low - a)
-        # The label is not wrong if its window has a bump in it, or if it is too long on both sides.
-        beside = np.clip(np.minimum(b, rest[:, 1]) - np.maximum(a, rest[:, 0]), 0.0, None).sum() - shared.max()
-        if shared.max() > 0.0 and min(late, early) <= _BESIDE_S and beside < 0.5 * max(late, early):
-            out.append(late if late > early else -early)
-    return np.array(out)
-
-
-@check("labels_exchanged", "wrong_direction", "wrong_angle")
 def rotations_against_labels(evidence: Evidence) -> Iterator[Finding]:
     """Compare each rotation with its label: find another sequence, the opposite sense, or another angle."""
     data = evidence.data
-    if data is None or _shift(evidence) is not None:  # with shifted labels, no rotation agrees with its label
+    if data is None or evidence.label_shift is not None:  # with shifted labels, no rotation agrees with its label
         return
     exchanged = _exchanged(evidence) if evidence.has_labels else {}
     if exchanged:
-        yield finding(
-            "labels_exchanged",
+        yield LABELS_EXCHANGED.found(
             labelled=", ".join(data.ids[k] for k in exchanged),
             found=", ".join(exchanged.values()),
             count=len(exchanged),
             of=data.K,
         )
-    numbers, nominal, turned = rotation_angles(evidence)
+    numbers, nominal, turned = evidence.rotations
     angle = np.linalg.norm(nominal, axis=1)
-    matrix = raw_triads(evidence).gyro
+    matrix = evidence.raw_triads.gyro
     done = np.einsum("la,la->l", invert_readings(matrix, turned), nominal) / np.maximum(angle, 1e-300)
     known = ~np.isin(numbers, list(exchanged))
     # Recognised sequences have the right sense by construction.
@@ -157,8 +83,7 @@ def rotations_against_labels(evidence: Evidence) -> Iterator[Finding]:
     if backwards.any():
         leg = int(np.flatnonzero(backwards)[0])
         expected = _signed(nominal[leg])
-        yield finding(
-            "wrong_direction",
+        yield WRONG_DIRECTION.found(
             title=_turn_title(evidence, leg),
             found=math.degrees(math.copysign(done[leg], -expected)),
             expected=math.degrees(expected),
@@ -167,9 +92,38 @@ def rotations_against_labels(evidence: Evidence) -> Iterator[Finding]:
     yield from _wrong_angles(evidence, known, done - angle)
 
 
+LABELS_EXCHANGED: Final = Fault(
+    "labels_exchanged",
+    "Labels are those of other sequences",
+    "measured rotations and static poses against those of the labelled sequences",
+    "The sequences labelled {labelled} are {found} by their rotations and poses ({count} of {of} labels differ): the "
+    "sequences were executed in another order; correct the ids, or omit the labels.",
+    "exit 1",
+    rotations_against_labels,
+)
+WRONG_DIRECTION: Final = Fault(
+    "wrong_direction",
+    "A sequence was rotated in the wrong sense",
+    "sign of each rotation against the label",
+    "{title} was rotated in the wrong sense (by {found:+.4g}°, but {expected:+.4g}° is expected): repeat it, or "
+    "correct its label.",
+    "exit 1",
+    rotations_against_labels,
+)
+WRONG_ANGLE: Final = Fault(
+    "wrong_angle",
+    "A sequence was rotated by a wrong angle",
+    "angle of each rotation against the label and the scatter of all, where gyros and accelerometers agree on it",
+    "{title} was rotated by {found:.5g}°, but {expected:.4g}° is expected, more than the accuracy of the fixture "
+    "allows ({count} such rotations): the calibration uses the measured angle; check the stops of the fixture.",
+    "warning",
+    rotations_against_labels,
+)
+
+
 def _exchanged(evidence: Evidence) -> dict[int, str]:
     """Names of the executed sequences where the label states another one, by the number of the sequence."""
-    data, seen = evidence.data, raw_integrals(evidence)
+    data, seen = evidence.data, evidence.raw_integrals
     assert data is not None
     assert seen is not None
     places = [k for k, name in enumerate(data.ids) if name in SEQUENCES]
@@ -208,15 +162,15 @@ def _wrong_angles(evidence: Evidence, known: Mask, excess: Array) -> Iterator[Fi
     fixture = evidence.recording.fixture
     if fixture is None:
         return
-    numbers, nominal, _ = rotation_angles(evidence)
+    numbers, nominal, _ = evidence.rotations
     # If the rotations do not cover all axes, the angles include uncorrected scale factors.
-    scale = 0.0 if gyro_fit(evidence).rank == 3 else _RAW_SCALE * np.linalg.norm(nominal, axis=1)
+    scale = 0.0 if evidence.gyro_fit.rank == 3 else _RAW_SCALE * np.linalg.norm(nominal, axis=1)
     sigma = np.hypot(math.hypot(fixture.rotation_sigma_rad, 2.0 * fixture.alignment_sigma_rad), scale)
     sigma = np.broadcast_to(sigma, excess.shape)
     # Where all rotations scatter alike, the fixture is less accurate than stated, and no angle is wrong.
     allowed = _SIGMAS * sigma * scatter_ratio(excess[known], sigma[known])
     off = np.flatnonzero(known & (np.abs(excess) > allowed))
-    if off.size and lag(evidence) is not None:
+    if off.size and evidence.lag is not None:
         # A lagging gyro measures the end of a rotation during the next rotation of the sequence.
         off = off[np.bincount(numbers)[numbers[off]] == 1]
     left = _end_mismatch(evidence)
@@ -225,8 +179,7 @@ def _wrong_angles(evidence: Evidence, known: Mask, excess: Array) -> Iterator[Fi
         return
     leg = int(off[np.argmax(np.abs(excess[off]))])
     expected = _signed(nominal[leg])
-    yield finding(
-        "wrong_angle",
+    yield WRONG_ANGLE.found(
         title=_turn_title(evidence, leg),
         found=math.degrees(expected + math.copysign(1.0, expected) * excess[leg]),
         expected=math.degrees(expected),
@@ -236,10 +189,10 @@ def _wrong_angles(evidence: Evidence, known: Mask, excess: Array) -> Iterator[Fi
 
 def _end_mismatch(evidence: Evidence) -> dict[int, float]:
     """Angle between the vertical propagated by the gyros and the measured one, at the end of each sequence, rad."""
-    data, path, turns = evidence.data, stabilised_force(evidence), block_averages(evidence)
+    data, path, turns = evidence.data, evidence.stabilised_force, evidence.block_averages
     if data is None or path is None or turns is None:
         return {}
-    _, accel, bias = raw_triads(evidence)
+    _, accel, bias = evidence.raw_triads
     last = turns.starts[1:] - 1
     sequences = turns.sequence[last]
     measured = invert_readings(accel, evidence.stationary_force[data.end[sequences]] - bias)
@@ -256,7 +209,7 @@ def _signed(rotation: Array) -> float:
 
 def _turn_title(evidence: Evidence, leg: int) -> str:
     """Name of a rotation, with a capital letter for the beginning of a message."""
-    numbers = rotation_angles(evidence)[0]
+    numbers = evidence.rotations[0]
     k = int(numbers[leg])
     title = evidence.title(k)
     mine = np.flatnonzero(numbers == k)
@@ -265,7 +218,6 @@ def _turn_title(evidence: Evidence, leg: int) -> str:
     return title[0].upper() + title[1:]
 
 
-@check("sequence_missing")
 def sequence_missing(evidence: Evidence) -> Iterator[Finding]:
     """Find the parameters that the closed form cannot estimate from the sequences present."""
     ids = _catalogue_ids(evidence)
@@ -279,8 +231,7 @@ def sequence_missing(evidence: Evidence) -> Iterator[Finding]:
     several = len(missing) > 1
     data = evidence.data
     moves = data is not None and recorded_moves(data.recording, data.labels)
-    yield finding(
-        "sequence_missing",
+    yield SEQUENCE_MISSING.found(
         missing=f"Sequences {', '.join(missing)} are" if several else f"Sequence {missing[0]} is",
         found=len(SEQUENCES) - len(missing),
         parameters=", ".join(lost),
@@ -289,13 +240,33 @@ def sequence_missing(evidence: Evidence) -> Iterator[Finding]:
     )
 
 
-@check("sequence_repeated")
+SEQUENCE_MISSING: Final = Fault(
+    "sequence_missing",
+    "A sequence is missing",
+    "sequences in the recording against those that the closed form needs",
+    "{missing} missing (the recording has {found} of 17), so that the closed form cannot estimate {parameters}: record"
+    " {them}{otherwise}.",
+    "warning",
+    sequence_missing,
+)
+
+
 def sequence_repeated(evidence: Evidence) -> Iterator[Finding]:
     """Find sequences that were executed more than once."""
     often = {name: count for name, count in Counter(_catalogue_ids(evidence)).items() if count > 1}
     if often:
         listed = ", ".join(f"{name} ({count} times)" for name, count in often.items())
-        yield finding("sequence_repeated", sequences=listed)
+        yield SEQUENCE_REPEATED.found(sequences=listed)
+
+
+SEQUENCE_REPEATED: Final = Fault(
+    "sequence_repeated",
+    "A sequence was executed more than once",
+    "count of each sequence",
+    "Sequences executed more than once: {sequences}; all of them are used.",
+    "note",
+    sequence_repeated,
+)
 
 
 def _catalogue_ids(evidence: Evidence) -> list[str]:
@@ -305,11 +276,10 @@ def _catalogue_ids(evidence: Evidence) -> list[str]:
     return [name for name in evidence.data.ids if name in SEQUENCES]
 
 
-@check("window_short")
-def window_short(evidence: Evidence) -> Iterable[Finding]:
+def window_short(evidence: Evidence) -> Iterator[Finding]:
     """Compare the window lengths with their median, of Table 1 only: rests of other protocols differ as planned."""
     data = evidence.data
-    if data is None or not _catalogue_ids(evidence) or _shift(evidence) is not None:
+    if data is None or not _catalogue_ids(evidence) or evidence.label_shift is not None:
         return
     duration = data.windows.duration_s
     typical = float(np.median(duration))
@@ -317,10 +287,20 @@ def window_short(evidence: Evidence) -> Iterable[Finding]:
     if duration[w] >= _SHORT * typical:
         return
     k = int(np.flatnonzero((data.start == w) | (data.end == w))[0])
-    yield finding(
-        "window_short",
+    yield WINDOW_SHORT.found(
         time=float(evidence.recording.time[data.windows.samples[w, 0]] - evidence.dt),
         duration=float(duration[w]),
         typical=typical,
         sequence=evidence.title(k),
     )
+
+
+WINDOW_SHORT: Final = Fault(
+    "window_short",
+    "A stationary window is much shorter than the others",
+    "lengths of the windows",
+    "The stationary window from {time:.6g} s lasts {duration:.3g} s, but the median window lasts {typical:.3g} s: the "
+    "short window limits the accuracy of {sequence}; keep the unit stationary equally long in all windows.",
+    "warning",
+    window_short,
+)

@@ -12,11 +12,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from scipy.special import stdtrit
 
 from srt.diagnosis.cause_comparison import Cause, compare
-from srt.diagnosis.findings import FALSE_ALARM, check, finding
-from srt.diagnosis.window_averages import ACCEL, block_sigma, window_averages
+from srt.diagnosis.false_alarms import limit
+from srt.diagnosis.findings import Fault
+from srt.diagnosis.window_averages import ACCEL, block_sigma
 from srt.model.table1 import AXES
 
 if TYPE_CHECKING:
@@ -42,10 +42,13 @@ _REACH: Final = 5.0
 """Time before the window from which the lag is computed, in time constants."""
 
 
-@check("accel_settling")
 def accel_settling(evidence: Evidence) -> Iterator[Finding]:
-    """Test for a common settling of all accelerometers, or of one, after the rotations."""
-    averages = window_averages(evidence)
+    """Test for a common settling of all accelerometers, or of one, after the rotations.
+
+    Statistic: share that settles over its standard deviation. Distribution: t, with the degrees of freedom of the
+    projections of windows and channels on the decay.
+    """
+    averages = evidence.window_averages
     if averages is None:
         return
     found = []
@@ -65,8 +68,19 @@ def accel_settling(evidence: Evidence) -> Iterator[Finding]:
         found += compare(values, causes)
     best = max(found, key=lambda explanation: explanation.score)
     share, sigma = float(best.value[0]), float(best.sigma[0])
-    if _LARGEST > abs(share) > max(_SMALLEST, -stdtrit(best.freedom, 0.5 * FALSE_ALARM / len(found)) * sigma):
-        yield finding("accel_settling", share_ppm=1e6 * share, sigma_ppm=1e6 * sigma, **best.cause.details)
+    if _LARGEST > abs(share) > max(_SMALLEST, limit("t", best.freedom, tests=len(found), both_sides=True) * sigma):
+        yield ACCEL_SETTLING.found(share_ppm=1e6 * share, sigma_ppm=1e6 * sigma, **best.cause.details)
+
+
+ACCEL_SETTLING: Final = Fault(
+    "accel_settling",
+    "The accelerometers settle after a rotation",
+    "readings after each rotation: an exponential decay in proportion to the change of specific force",
+    "{channel}: after a rotation, {share_ppm:.3g} ± {sigma_ppm:.2g} ppm of the change of specific force decays with a "
+    "time constant of about {time_s:g} s: start the windows later, or make them longer.",
+    "warning",
+    accel_settling,
+)
 
 
 def _patterns(evidence: Evidence, averages: WindowAverages, time_s: float) -> tuple[Array, Array] | None:
@@ -107,11 +121,12 @@ def _lags(evidence: Evidence, sequences: Array, time_s: float) -> Array:
     assert data is not None
     samples, dt = data.windows.samples, evidence.dt
     out = np.empty((len(sequences), 3))
+    # Weights of a first-order lag. Earlier readings are taken as the mean of the first window.
+    weights = -np.expm1(-dt / time_s) * np.exp(-dt / time_s * np.arange(round(_REACH * time_s / dt))[::-1])
     for row, k in enumerate(sequences.tolist()):
         first, stop = int(samples[data.start[k], 0]), int(samples[data.end[k], 0])
-        begin = max(first, stop - round(_REACH * time_s / dt))
-        # Weights of a first-order lag. Earlier readings are taken as the mean of the first window.
-        weight = -np.expm1(-dt / time_s) * np.exp(-dt / time_s * np.arange(stop - begin)[::-1])
+        weight = weights[-(stop - first) :]
+        begin = stop - len(weight)
         before = evidence.stationary_force[data.start[k]]
         out[row] = weight @ evidence.force[begin:stop] + (1.0 - weight.sum()) * before
         out[row] -= evidence.stationary_force[data.end[k]]

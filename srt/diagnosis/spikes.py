@@ -12,11 +12,12 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.diagnosis.rotation_readings import computed_once, turning_windows
+from srt.diagnosis.rotation_readings import ROUNDING, rates_factor
 from srt.noise.quantization import quantization_step
 
 if TYPE_CHECKING:
-    from srt.diagnosis.evidence import Evidence
+    from srt.recording.recording import Recording
+    from srt.sequences.preparation import PreparedRecording
     from srt.types import Array, Indices, Mask
 
 
@@ -36,9 +37,7 @@ _FEW: Final = 8
 """Number of windows from which the quantization step is taken."""
 _FOR_STEP: Final = 4000
 """Number of readings of the whole recording from which the step is taken if the windows do not show it."""
-_ROUNDING: Final = 1e-9
-"""Rounding of the readings, relative to the largest reading."""
-_MISPLACED: Final = 2
+MISPLACED: Final = 2
 """Fewest windows with rotation from which the labels are wrong, and not the unit disturbed."""
 _MEAN_S: Final = 4.0
 """Longest time over which the specific force is averaged before and after a bump, s."""
@@ -62,61 +61,63 @@ class Spikes:
     channel: Indices
     jump: Array
 
-    def of_repeats(self, evidence: Evidence) -> Mask:
+    def __getitem__(self, chosen: Mask) -> Spikes:
+        return Spikes(self.sample[chosen], self.channel[chosen], self.jump[chosen])
+
+    def of_repeats(self, recording: Recording) -> Mask:
         """True for spikes whose sample equals the previous or the next one in all channels, shape (n,)."""
-        recording = evidence.recording
         same = np.all(np.diff(recording.gyro, axis=0) == 0.0, axis=1)
         same &= np.all(np.diff(recording.accel, axis=0) == 0.0, axis=1)
         return np.asarray(same[self.sample - 1] | same[self.sample])
 
 
-_NONE: Final = Spikes(np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.intp), np.zeros(0))
+NO_SPIKES: Final = Spikes(np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.intp), np.zeros(0))
 
 
-@computed_once
-def find_spikes(evidence: Evidence) -> Spikes:
-    """Spikes inside the sequences; bumps are excluded."""
-    data = evidence.data
-    parts = [_NONE]
-    if data is not None:
-        least, windows = _least_noise(evidence), data.windows.samples
-        for k in np.flatnonzero(evidence.contiguous).tolist():
-            (a, turn), (still, b) = windows[data.start[k]].tolist(), windows[data.end[k]].tolist()
-            parts.append(_in_sequence(evidence, (a, turn, still, b), least))
-    sample, channel, jump = (
+def find_spikes(data: PreparedRecording, contiguous: Mask) -> Spikes:
+    """Spikes inside the sequences without a gap, which are the true ones of a mask; bumps are excluded."""
+    parts = [NO_SPIKES]
+    least, windows = _least_noise(data), data.windows.samples
+    for k in np.flatnonzero(contiguous).tolist():
+        (a, turn), (still, b) = windows[data.start[k]].tolist(), windows[data.end[k]].tolist()
+        parts.append(_in_sequence(data.recording, (a, turn, still, b), least))
+    return Spikes(
         np.concatenate([part.sample for part in parts]),
         np.concatenate([part.channel for part in parts]),
         np.concatenate([part.jump for part in parts]),
     )
-    if np.any(channel < 3) and turning_windows(evidence).sum() >= _MISPLACED:
-        # The labels are shifted, so that they include fast moves of the fixture, which look like spikes of the gyros.
-        sample, channel, jump = sample[channel >= 3], channel[channel >= 3], jump[channel >= 3]
-    return Spikes(sample, channel, jump)
 
 
-def _least_noise(evidence: Evidence) -> Array:
+def _least_noise(data: PreparedRecording) -> Array:
     """Lower limit of the noise of each channel, shape (6,): stationary noise, quantization step, or rounding.
 
     It is needed in rotations, in which saturated readings or evenly spaced pulses hardly scatter.
     """
-    assert evidence.data is not None
-    windows = [(a, min(b, a + _FOR_NOISE)) for a, b in evidence.data.windows.samples.tolist() if b - a > 8]
+    windows = [(a, min(b, a + _FOR_NOISE)) for a, b in data.windows.samples.tolist() if b - a > 8]
     if not windows:
         return np.full(6, np.inf)
+    lengths = sorted({b - a for a, b in windows})
+    groups = [[(a, b) for a, b in windows if b - a == length] for length in lengths]
     out = []
-    recording, stated = evidence.recording, evidence.recording.noise
-    per_pulse = 1.0 if recording.kind == "increment" else 1.0 / evidence.dt
+    recording, stated = data.recording, data.recording.noise
+    per_pulse = 1.0 if recording.kind == "increment" else 1.0 / recording.nominal_interval_s
     for table, pulse in (
         (recording.gyro, stated.gyro_quantization),
         (recording.accel, stated.accel_quantization),
     ):
         # The median excludes disturbed windows.
-        noise = np.median([_noise(np.abs(_off(table[a:b]))) for a, b in windows], axis=0)
+        noise = np.median(np.concatenate([_noise_of_windows(table, alike) for alike in groups]), axis=0)
         some = table[:: max(1, len(table) // _FOR_STEP)]
         # Corrected readings have finer steps, as the correction mixes the pulses of the axes: a stated pulse is used.
         step = np.maximum(_step(table, windows, some), (pulse or 0.0) * per_pulse)
-        out.append(np.maximum(np.maximum(noise, step), _ROUNDING * np.abs(some).max()))
+        out.append(np.maximum(np.maximum(noise, step), ROUNDING * np.abs(some).max()))
     return np.concatenate(out)
+
+
+def _noise_of_windows(table: Array, windows: list[tuple[int, int]]) -> Array:
+    """Standard deviation of the readings in g windows of one length, shape (g, 3)."""
+    together = np.stack([table[a:b] for a, b in windows], axis=1)
+    return _noise(np.abs(_off(together.reshape(len(together), -1)))).reshape(-1, 3)
 
 
 def _step(table: Array, windows: list[tuple[int, int]], some: Array) -> Array:
@@ -129,7 +130,12 @@ def _step(table: Array, windows: list[tuple[int, int]], some: Array) -> Array:
 
 def _off(x: Array) -> Array:
     """Readings less their predictions, without the first two and the last two readings, shape (n - 4, 3)."""
-    return np.asarray(x[2:-2] - (4.0 * (x[1:-3] + x[3:-1]) - x[:-4] - x[4:]) / 6.0)
+    beside = x[1:-3] + x[3:-1]
+    beside *= 4.0
+    beside -= x[:-4]
+    beside -= x[4:]
+    beside /= 6.0
+    return np.asarray(x[2:-2] - beside)
 
 
 def _noise(size: Array) -> Array:
@@ -139,16 +145,16 @@ def _noise(size: Array) -> Array:
     return np.asarray(np.partition(some, rank, axis=1)[:, rank] / _NORMAL)
 
 
-def _in_sequence(evidence: Evidence, bounds: tuple[int, int, int, int], least: Array) -> Spikes:
+def _in_sequence(recording: Recording, bounds: tuple[int, int, int, int], least: Array) -> Spikes:
     """Spikes of one sequence with the windows [a, turn) and [still, b) and the rotation between them."""
     a, turn, still, b = bounds
     if b - a < 8:
-        return _NONE
-    tables = (evidence.recording.gyro, evidence.recording.accel)
+        return NO_SPIKES
+    tables = (recording.gyro, recording.accel)
     off = np.concatenate([_off(table[a:b]) for table in tables], axis=1)
     suspects = []
     edges = np.array([0, turn - a - 2, still - a - 2, b - a - 4]).clip(0, b - a - 4)
-    by_hand = evidence.recording.fixture is None  # rotations by hand include bumps, as when the unit is set down
+    by_hand = recording.fixture is None  # rotations by hand include bumps, as when the unit is set down
     for part_of, (lo, hi) in enumerate(zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True)):
         if hi - lo < 4 or (by_hand and part_of == 1):
             continue
@@ -167,12 +173,12 @@ def _in_sequence(evidence: Evidence, bounds: tuple[int, int, int, int], least: A
     jump = off[rows, channels]
     keep = np.abs(jump) > _JERK * np.ptp(slopes, axis=1)
     sample, channels, jump = sample[keep], channels[keep], jump[keep]
-    sound = np.array([not _is_bump(evidence, bounds, i, sample, channels, off) for i in sample.tolist()], dtype=bool)
+    sound = np.array([not _is_bump(recording, bounds, i, sample, channels, off) for i in sample.tolist()], dtype=bool)
     return Spikes(sample[sound], channels[sound], jump[sound])
 
 
 def _is_bump(
-    evidence: Evidence,
+    recording: Recording,
     bounds: tuple[int, int, int, int],
     at: int,
     sample: Indices,
@@ -188,16 +194,16 @@ def _is_bump(
     if np.any(together >= 3) or turn <= at < still:
         return False
     first, last = (a, turn) if at < turn else (still, b)
-    most = max(1, round(_MEAN_S / evidence.dt))
+    most = max(1, round(_MEAN_S / recording.nominal_interval_s))
     before, after = slice(max(first, at - most), at), slice(at + 1, min(last, at + 1 + most))
     fewest = min(before.stop - before.start, after.stop - after.start)
     if fewest < 2:
         return len(together) > 1
-    force = evidence.recording.accel
+    force = recording.accel
     mean = force[before].mean(axis=0)
     change = force[after].mean(axis=0) - mean
     noise = np.std(np.diff(force[before], axis=0), axis=0) / np.sqrt(fewest)
-    angle = off[at - a - 2, :3] * evidence.per_rate * evidence.dt
+    angle = off[at - a - 2, :3] * rates_factor(recording) * recording.nominal_interval_s
     turned = np.cross(mean, angle)
     sigma = float(np.linalg.norm(noise * turned)) / max(float(np.linalg.norm(turned)), 1e-300)
     if np.linalg.norm(turned) < _SEEN * sigma:

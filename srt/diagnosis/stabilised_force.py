@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from srt.diagnosis.rotation_readings import block_averages, computed_once, invert_readings
-from srt.diagnosis.triad_fits import raw_triads
+from srt.diagnosis.rotation_readings import invert_readings
 from srt.model import rotations
 
 if TYPE_CHECKING:
-    from srt.diagnosis.evidence import Evidence
+    from srt.diagnosis.rotation_readings import BlockAverages
+    from srt.diagnosis.triad_fits import RawTriads
+    from srt.sequences.preparation import PreparedRecording
     from srt.types import Array, Indices
 
 
@@ -44,17 +45,13 @@ class StabilisedForce:
     force_start: Array
 
 
-@computed_once
-def stabilised_force(evidence: Evidence) -> StabilisedForce | None:
-    """Gyro-stabilised specific force of all rotations; None if there are none."""
-    data, path = evidence.data, block_averages(evidence)
-    if data is None or path is None:
-        return None
-    gyro, accel, bias = raw_triads(evidence)
+def stabilised_force(data: PreparedRecording, path: BlockAverages, triads: RawTriads) -> StabilisedForce:
+    """Gyro-stabilised specific force of all rotations."""
+    gyro, accel, bias = triads
     rate = invert_readings(gyro, path.rate)
     angle = rate * path.step_s
     attitude = _attitudes(angle, path.starts)
-    vertical = invert_readings(accel, evidence.stationary_force[data.start] - bias)
+    vertical = invert_readings(accel, data.windows.accel_mean[data.start] - bias)
     size = np.linalg.norm(vertical, axis=1, keepdims=True)
     up = np.divide(vertical, size, out=np.zeros_like(vertical), where=size > 0.0)
     force = invert_readings(accel, path.force - bias) / data.gravity

@@ -3,56 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 from srt.arguments import require_type
-from srt.diagnosis import (
-    axes,
-    channels,
-    clipping,
-    high_passes,
-    imu_properties,
-    joined_units,
-    sensor_synchronisation,
-    sequences,
-    settling,
-    site,
-    timing,
-    units,
-    vibration,
-    window_disturbances,
-    words,
-)
 from srt.diagnosis.evidence import Evidence, plain
-from srt.diagnosis.faults import STAGES
-from srt.diagnosis.findings import Finding, sort_by_cause, stage_checks
+from srt.diagnosis.faults import STAGES, sort_by_cause
 from srt.recording.recording import Recording
 from srt.result.diagnostics import Fault
 
 if TYPE_CHECKING:
+    from srt.diagnosis.findings import Finding
     from srt.estimation.options import Options
     from srt.result.calibration import Calibration
     from srt.result.verdict import Verdict
     from srt.sequences.recognition import Recognition
-
-_MODULES: Final = (
-    timing,
-    channels,
-    words,
-    high_passes,
-    units,
-    clipping,
-    axes,
-    sequences,
-    vibration,
-    window_disturbances,
-    settling,
-    sensor_synchronisation,
-    site,
-    joined_units,
-    imu_properties,
-)
-"""Modules that register their checks on import."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,10 +81,9 @@ class StagedDiagnosis:
 
     def before_calibration(self) -> Diagnosis:
         """Run the checks that need no calibration, up to the first stage with a fatal fault."""
-        for stage in STAGES:
-            for check in stage_checks(stage):
-                if not check.needs_result:
-                    self._findings += check.run(self.evidence)
+        for stage in STAGES.values():
+            for check in stage.checks(of_result=False):
+                self._findings += check(self.evidence)
             if self._refused:
                 break
         return Diagnosis(sort_by_cause(self._findings))
@@ -130,10 +93,9 @@ class StagedDiagnosis:
         if not self._refused:
             if result is not None:
                 self.evidence.result = result
-            for stage in STAGES:
-                for check in stage_checks(stage):
-                    if check.needs_result:
-                        self._findings += check.run(self.evidence)
+            for stage in STAGES.values():
+                for check in stage.checks(of_result=True):
+                    self._findings += check(self.evidence)
         found = None if self._refused else self.evidence.result
         return Diagnosis(sort_by_cause(self._findings), None if found is None else found.judgement)
 

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.diagnosis.findings import check, finding
-from srt.diagnosis.scale_ratios import accel_scale_ratios, gyro_scale_ratios
-from srt.diagnosis.units import TIME_UNITS, USUAL_S, scale_findings
+from srt.diagnosis.channels import SAMPLES
+from srt.diagnosis.findings import Fault
+from srt.diagnosis.scale_candidates import TIME_UNITS, USUAL_S
+from srt.diagnosis.units import scale_findings
 from srt.recording.timing import ROUNDING_FRACTION
 from srt.sequences.plausibility import LONGEST_INTERVAL_S, SHORTEST_INTERVAL_S
 
@@ -30,22 +31,31 @@ _BURSTS: Final = 0.05
 """Share of long steps above which these are not gaps, but pauses between bursts of samples."""
 _TURNING: Final = 0.2
 """Smallest rate of a rotating unit, relative to the highest rate."""
-_SAMPLES: Final = 20_000
-"""Number of samples from which median and highest rate are taken: more would only take longer."""
 _NO_GAP: Final = 8.0
 """Deviation of a step, in sigma of the jitter, above which it is a gap: p = 1e-15 per step."""
 
 
-@check("time_unit")
 def time_unit(evidence: Evidence) -> Iterator[Finding]:
     """Test the time unit: the interval is impossible, or all integrals over time are wrong by the same factor."""
     interval = evidence.dt
     if SHORTEST_INTERVAL_S <= interval <= LONGEST_INTERVAL_S:
-        yield from (found for found in scale_findings(evidence) if found.fault == "time_unit")
+        yield from scale_findings(evidence, {TIME_UNIT.name: TIME_UNIT})
         return
     _, unit, declared = _unit(evidence, interval)
     why = f"but {SHORTEST_INTERVAL_S:g} to {LONGEST_INTERVAL_S:g} s is expected"
-    yield finding("time_unit", interval=interval, why=why, unit=unit, declared=declared)
+    yield TIME_UNIT.found(interval=interval, why=why, unit=unit, declared=declared)
+
+
+TIME_UNIT: Final = Fault(
+    "time_unit",
+    "Wrong time unit",
+    "the sampling interval, which is 5 µs to 0.5 s for an IMU; rotation angles or gravity, if they are wrong by the "
+    "same factor",
+    "The samples are {interval:.3g} s apart, {why}: the time stamps look like {unit}, declared as {declared}; correct "
+    "time_unit in recording.toml.",
+    "exit 1",
+    time_unit,
+)
 
 
 def _unit(evidence: Evidence, interval: float) -> tuple[float, str, str]:
@@ -59,7 +69,7 @@ def _unit(evidence: Evidence, interval: float) -> tuple[float, str, str]:
     if not usual:
         return min(TIME_UNITS, key=lambda row: abs(math.log(interval * row[0] / middle)))
     rates = evidence.recording.kind == "rate"
-    ratio = (gyro_scale_ratios if rates else accel_scale_ratios)(evidence).typical
+    ratio = (evidence.gyro_scales if rates else evidence.accel_scales).typical
     if len(usual) == 1 or not ratio > 0.0:
         return usual[0]
     factor = math.log(ratio) * (-1.0 if rates else 1.0)
@@ -90,17 +100,29 @@ def _jitter(evidence: Evidence) -> tuple[float, float]:
     return float(np.sqrt(np.mean(np.diff(steps) ** 2) / 6.0)), even
 
 
-@check("stamp_jitter")
 def stamp_jitter(evidence: Evidence) -> Iterator[Finding]:
     """Find stamps that scatter by more than rounding: each stamp is used as it is, so that angles have its error."""
     sigma, interval = _jitter(evidence)
     if sigma > 0.5 * ROUNDING_FRACTION * interval:
-        yield finding("stamp_jitter", jitter=sigma / interval, interval=interval)
+        yield STAMP_JITTER.found(jitter=sigma / interval, interval=interval)
 
 
-@check("clock_drift")
+STAMP_JITTER: Final = Fault(
+    "stamp_jitter",
+    "The time stamps have jitter",
+    "scatter of the steps of the time stamps about an even rate",
+    "The time stamps have a jitter of {jitter:.2g} sampling intervals (rms; interval {interval:.4g} s), which causes "
+    "errors of all rotation angles: state sample_rate_hz if the unit samples evenly, or log the clock of the unit.",
+    "warning",
+    stamp_jitter,
+)
+
+
 def clock_drift(evidence: Evidence) -> Iterator[Finding]:
-    """Find stamps whose mean interval changes steadily from the first part of the recording to the last."""
+    """Find stamps whose mean interval changes steadily from the first part of the recording to the last.
+
+    Statistic: slope of the mean intervals over its standard deviation. Distribution: nearly normal.
+    """
     recording = evidence.recording
     steps = np.delete(np.diff(recording.time), recording.gaps - 1)
     if recording.sample_rate_hz is not None or len(steps) < _FEW_STEPS * _PARTS:
@@ -113,10 +135,21 @@ def clock_drift(evidence: Evidence) -> Iterator[Finding]:
     sigma = noise / math.sqrt(float(place @ place))
     change = slope * (_PARTS - 1) / float(means.mean())
     if abs(change) > _LEAST_DRIFT and abs(slope) > _NO_GAP * sigma:
-        yield finding("clock_drift", change=100.0 * change, first=1e3 * float(means[0]), last=1e3 * float(means[-1]))
+        yield CLOCK_DRIFT.found(change=100.0 * change, first=1e3 * float(means[0]), last=1e3 * float(means[-1]))
 
 
-@check("gap_in_sequence")
+CLOCK_DRIFT: Final = Fault(
+    "clock_drift",
+    "The clock of the time stamps drifts",
+    "change of the mean step of the time stamps over ten parts of the recording",
+    "The steps of the time stamps change by {change:+.2g} % during the recording, from {first:.6g} to {last:.6g} ms, "
+    "which causes errors of all rotation angles: state sample_rate_hz if the unit samples evenly, or log the clock of "
+    "the unit.",
+    "warning",
+    clock_drift,
+)
+
+
 def gap_in_sequence(evidence: Evidence) -> Iterator[Finding]:
     """Find gaps of the time stamps between the first and the last sample of a sequence."""
     time, gaps = evidence.recording.time, evidence.recording.gaps
@@ -126,13 +159,23 @@ def gap_in_sequence(evidence: Evidence) -> Iterator[Finding]:
     gaps = gaps[time[gaps] - time[gaps - 1] - evidence.dt > _NO_GAP * sigma]
     rows, title, more = _inside_labelled(evidence, gaps) if evidence.has_labels else _inside_rotations(evidence, gaps)
     if rows.size:
-        yield finding(
-            "gap_in_sequence",
+        yield GAP_IN_SEQUENCE.found(
             title=title,
             duration=float(time[rows[0]] - time[rows[0] - 1]) - evidence.dt,
             time=float(time[rows[0]]),
             more=f" (and inside {more} other{'s' if more > 1 else ''})" if more else "",
         )
+
+
+GAP_IN_SEQUENCE: Final = Fault(
+    "gap_in_sequence",
+    "Samples are missing inside a sequence",
+    "steps of the time stamps between the first and the last sample of a sequence",
+    "{title}: samples are missing for {duration:.3g} s before {time:.6g} s, inside the sequence{more}: with a gap it "
+    "cannot be used; repeat it.",
+    "warning",
+    gap_in_sequence,
+)
 
 
 def _inside_labelled(evidence: Evidence, gaps: Indices) -> tuple[Indices, str, int]:
@@ -155,7 +198,7 @@ def _inside_rotations(evidence: Evidence, gaps: Indices) -> tuple[Indices, str, 
     Without labels, gaps in stationary windows may lie between sequences and are no fault.
     """
     gyro = evidence.recording.gyro
-    some = np.linalg.norm(gyro[:: max(1, len(gyro) // _SAMPLES)], axis=1)
+    some = np.linalg.norm(gyro[:: max(1, len(gyro) // SAMPLES)], axis=1)
     rest, fastest = np.median(some), some.max()
     size = np.linalg.norm(np.stack([gyro[gaps - 1], gyro[gaps]]), axis=2).min(axis=0)
     rows = gaps[size - rest > _TURNING * (fastest - rest)]

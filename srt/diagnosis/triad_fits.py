@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 from scipy.linalg import polar
 
-from srt.diagnosis.rotation_readings import computed_once, robust_fit, rotation_angles
+from srt.diagnosis.rotation_readings import robust_fit
 
 if TYPE_CHECKING:
-    from srt.diagnosis.evidence import Evidence
-    from srt.types import Array
+    from srt.diagnosis.rotation_readings import Rotations
+    from srt.types import Array, Indices
 
 
 _RIDGE: Final = 1e-9
@@ -26,6 +26,12 @@ _RANK: Final = 0.1
 """Smallest singular value of the unit vectors for full rank: below it, they lie within 6° of a plane."""
 _SOUND: Final = 10.0
 """Condition number of a triad's matrix above which its fit has failed."""
+OUTLIER: Final = 8.0
+"""Ratio of a residual to the median residual, above which a rotation or a window is an outlier, as after a bump."""
+MOST_OUTLIERS: Final = 0.2
+"""Share of outliers from which none is excluded: so many are no outliers."""
+LEAST_FREEDOM: Final = 8
+"""Fewest degrees of freedom for an estimate of the scatter."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,17 +54,14 @@ class LinearFit:
     rank: int
 
 
-@computed_once
-def gyro_fit(evidence: Evidence) -> LinearFit:
+def gyro_fit(rotations: Rotations) -> LinearFit:
     """Fit of measured to nominal rotations: raw gyro matrix in the nominal frame; residuals in rad."""
-    _, nominal, turned = rotation_angles(evidence)
-    return _fit(nominal, turned, with_offset=False)
+    return _fit(rotations.nominal, rotations.turned, with_offset=False)
 
 
-@computed_once
-def accel_fit(evidence: Evidence) -> LinearFit:
+def accel_fit(poses: tuple[Array, Array]) -> LinearFit:
     """Fit of stationary readings to the nominal specific force: raw accelerometer matrix, and bias in m/s²."""
-    return _fit(*evidence.poses, with_offset=True)
+    return _fit(*poses, with_offset=True)
 
 
 def _fit(x: Array, y: Array, *, with_offset: bool) -> LinearFit:
@@ -81,8 +84,7 @@ class RawTriads(NamedTuple):
     accel_bias: Array
 
 
-@computed_once
-def raw_triads(evidence: Evidence) -> RawTriads:
+def raw_triads(rotations: Rotations, poses: tuple[Array, Array], gravity: float) -> RawTriads:
     """Raw gyro matrix, and raw accelerometer matrix and bias, in the nominal frame.
 
     The result is identity and zero if the rotations are not labelled or cover too few directions. If the labels
@@ -92,16 +94,13 @@ def raw_triads(evidence: Evidence) -> RawTriads:
     gyro: Array = np.eye(3)
     accel: Array = np.eye(3)
     bias: Array = np.zeros(3)
-    if evidence.data is None:
-        return RawTriads(gyro, accel, bias)
-    _, nominal, turned = rotation_angles(evidence)
+    _, nominal, turned = rotations
     angle = np.linalg.norm(nominal, axis=1, keepdims=True)
     gyro_seen = bool(len(angle) and np.linalg.matrix_rank(nominal, tol=_RANK) == 3)
     if gyro_seen:
         # Rotations are divided by their angles, so that large rotations do not have more weight than small ones.
         gyro = robust_fit(nominal / angle, turned / angle).T
-    vertical, reading = evidence.poses
-    gravity = evidence.data.gravity
+    vertical, reading = poses
     design = np.hstack([vertical / gravity, np.ones((len(vertical), 1))])
     accel_seen = bool(np.linalg.matrix_rank(design, tol=_RANK) == 4)
     if accel_seen:
@@ -113,3 +112,40 @@ def raw_triads(evidence: Evidence) -> RawTriads:
         # At the beginning of a test: in the nominal frame, only one of the matrices would include the mounting.
         gyro, accel = (polar(matrix, side="left")[1] for matrix in (gyro, accel))
     return RawTriads(gyro, accel, bias)
+
+
+class MeasuredAngles(NamedTuple):
+    """Rotations without outliers.
+
+    Attributes
+    ----------
+    sequence : ndarray of int, shape (L,)
+        Number of the sequence of each rotation.
+    measured : ndarray, shape (L,), rad
+    by_axis : ndarray, shape (L, 3), rad
+        Magnitudes of the components of the nominal rotation: columns of the scale factors.
+    fixed : ndarray, shape (L, 6), rad
+        Columns of the scale factors and asymmetries.
+    """
+
+    sequence: Indices
+    measured: Array
+    by_axis: Array
+    fixed: Array
+
+
+def measured_angles(rotations: Rotations) -> MeasuredAngles | None:
+    """Measured angles of the rotations; None with too few rotations.
+
+    A rotation with lost samples, or by a wrong angle, is an outlier. A step of the scale factors changes many angles.
+    """
+    numbers, nominal, turned = rotations
+    measured = np.einsum("la,la->l", turned, nominal) / np.linalg.norm(nominal, axis=1)
+    by_axis = np.abs(nominal)
+    fixed = np.concatenate([by_axis, nominal], axis=1)
+    if len(numbers) < LEAST_FREEDOM + fixed.shape[1]:
+        return None
+    left = np.abs(measured - (fixed @ robust_fit(fixed, np.repeat(measured[:, None], 3, axis=1)))[:, 0])
+    outlier = left > OUTLIER * np.median(left)
+    kept = ~outlier if outlier.mean() < MOST_OUTLIERS else np.ones(len(numbers), dtype=np.bool_)
+    return MeasuredAngles(numbers[kept], measured[kept], by_axis[kept], fixed[kept])

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.diagnosis.rotation_readings import computed_once, invert_readings, nominal_end_attitude, robust_fit
-from srt.diagnosis.triad_fits import raw_triads
+from srt.diagnosis.rotation_readings import MAD, invert_readings, nominal_end_attitude, rates_factor, robust_fit
 from srt.noise.noise_model import ACCEL_FLOOR, GYRO_FLOOR
 from srt.noise.quantization import quantization_step
 
 if TYPE_CHECKING:
-    from srt.diagnosis.evidence import Evidence
+    from srt.recording.recording import Recording
+    from srt.sequences.preparation import PreparedRecording
     from srt.types import Array, Indices, Mask
 
 
@@ -30,8 +30,6 @@ HEADS_S: Final = (0.25, 0.5, 1.0, 2.0)
 GYRO: Final = slice(0, 3)
 ACCEL: Final = slice(3, 6)
 """Columns of the gyros and of the accelerometers."""
-MAD: Final = 1.4826
-"""Ratio of the standard deviation to the median absolute deviation of a normal distribution."""
 _SOME_WINDOWS: Final = 6
 """Number of windows from which quantization step and autocorrelation are taken."""
 _ENOUGH_HEADS: Final = 4
@@ -89,20 +87,17 @@ class WindowAverages:
     block_doubt: Array
 
 
-@computed_once
-def window_averages(evidence: Evidence) -> WindowAverages | None:
+def window_averages(data: PreparedRecording) -> WindowAverages | None:
     """Averages of the windows; None if fewer than four are long enough to be compared."""
-    data = evidence.data
-    if data is None:
-        return None
-    recording, samples = evidence.recording, data.windows.samples
+    recording, samples = data.recording, data.windows.samples
+    dt, per_rate = recording.nominal_interval_s, rates_factor(recording)
     lengths = samples[:, 1] - samples[:, 0]
     size = max(1, int(np.median(lengths)) // BLOCKS)
     chosen = np.flatnonzero(lengths >= FEWEST_BLOCKS * size)
     if len(chosen) < 4:
         return None
     longest = int(np.median(lengths[chosen])) // 4
-    heads = np.unique([min(longest, round(head / evidence.dt)) for head in HEADS_S])
+    heads = np.unique([min(longest, round(head / dt)) for head in HEADS_S])
     heads = heads[heads >= 4]
     if len(heads) == 0:
         return None
@@ -114,7 +109,7 @@ def window_averages(evidence: Evidence) -> WindowAverages | None:
         count = n // size
         x = np.empty((n, 6))
         x[:, GYRO], x[:, ACCEL] = recording.gyro[a:b], recording.accel[a:b]
-        x *= evidence.per_rate
+        x *= per_rate
         means.append(np.einsum("bsc->bc", x[: count * size].reshape(count, size, 6)) / size)
         step = x[1:] - x[:-1]
         sample[v] = 0.5 * np.einsum("nc,nc->c", step, step) / (n - 1)
@@ -128,8 +123,8 @@ def window_averages(evidence: Evidence) -> WindowAverages | None:
         power[v] = (square - total**2 / own) / own
     number = np.array([len(m) for m in means])
     pulses = np.repeat([bool(data.noise.gyro_edge.any()), bool(data.noise.accel_edge.any())], 3)
-    resolution = _resolution(evidence, samples[chosen], pulses)
-    floor = np.repeat([GYRO_FLOOR, ACCEL_FLOOR], 3) / np.sqrt(evidence.dt)
+    resolution = _resolution(recording, samples[chosen], pulses)
+    floor = np.repeat([GYRO_FLOOR, ACCEL_FLOOR], 3) / np.sqrt(dt)
     typical = np.sqrt(np.median(late, axis=0))
     # The error of a sum of pulse counts is at most one pulse. If the quantization step is larger than the noise, the
     # error of each sample is at most half a step.
@@ -137,7 +132,7 @@ def window_averages(evidence: Evidence) -> WindowAverages | None:
     return WindowAverages(
         window=chosen,
         size=size,
-        step_s=size * evidence.dt,
+        step_s=size * dt,
         groups=tuple(
             (np.flatnonzero(number == n), np.stack([m for m in means if len(m) == n])) for n in np.unique(number)
         ),
@@ -147,13 +142,13 @@ def window_averages(evidence: Evidence) -> WindowAverages | None:
         late_variance=late,
         heads=heads,
         head_power=power,
-        head_freedom=_freedom(evidence, samples[chosen], heads),
+        head_freedom=_freedom(recording, samples[chosen], heads),
         least_variance=np.maximum(floor, 0.5 * resolution) ** 2,
         block_doubt=coarse,
     )
 
 
-def _freedom(evidence: Evidence, samples: Indices, heads: Indices) -> Array:
+def _freedom(recording: Recording, samples: Indices, heads: Indices) -> Array:
     """Degrees of freedom of the variance of the start parts, averaged over three axes, shape (H, 2).
 
     The variance of n white values has n degrees of freedom. If a filter correlates the values, with autocorrelations
@@ -164,7 +159,7 @@ def _freedom(evidence: Evidence, samples: Indices, heads: Indices) -> Array:
     sums = np.empty((len(some), len(heads), 2))
     for v, (a, b) in enumerate(some.tolist()):
         part = slice(max(a + (b - a) // 2, b - _ENOUGH_HEADS * int(heads[-1])), b)
-        x = np.hstack([evidence.recording.gyro[part], evidence.recording.accel[part]])
+        x = np.hstack([recording.gyro[part], recording.accel[part]])
         n = len(x)
         spectrum = np.fft.rfft(x - x.mean(axis=0), 2 * n, axis=0)
         covariance = np.fft.irfft(np.abs(spectrum) ** 2, 2 * n, axis=0)[:n]
@@ -176,22 +171,24 @@ def _freedom(evidence: Evidence, samples: Indices, heads: Indices) -> Array:
     return np.asarray(3.0 * heads[:, None] / (1.0 + 2.0 * np.maximum(np.median(sums, axis=0), 0.0)))
 
 
-def _resolution(evidence: Evidence, samples: Indices, pulses: Mask) -> Array:
+def _resolution(recording: Recording, samples: Indices, pulses: Mask) -> Array:
     """Quantization step of the stationary readings as a rate, shape (6,); at least one pulse for pulse counts."""
     some = samples[:: max(1, len(samples) // _SOME_WINDOWS)]
     steps = np.zeros((len(some), 6))
     for v, (a, b) in enumerate(some.tolist()):
         part = slice(a, min(b, a + _RESOLUTION_SAMPLES))
-        steps[v] = *quantization_step(evidence.recording.gyro[part]), *quantization_step(evidence.recording.accel[part])
+        steps[v] = *quantization_step(recording.gyro[part]), *quantization_step(recording.accel[part])
     # The median over the windows: a disturbed window may show finer steps, and a window of constant readings no step.
     seen = np.where(steps > 0.0, steps, np.nan)
     shown = np.isfinite(seen).any(axis=0)
     out = np.zeros(6)
     out[shown] = np.nanmedian(seen[:, shown], axis=0)
-    out *= evidence.per_rate
+    out *= rates_factor(recording)
     # Corrected readings have finer steps than a pulse, as the correction mixes the pulses of the axes.
-    noise = evidence.recording.noise
-    pulse = np.repeat([noise.gyro_quantization or 0.0, noise.accel_quantization or 0.0], 3) / evidence.dt
+    noise = recording.noise
+    pulse = (
+        np.repeat([noise.gyro_quantization or 0.0, noise.accel_quantization or 0.0], 3) / recording.nominal_interval_s
+    )
     return np.where(pulses, np.maximum(out, pulse), out)
 
 
@@ -208,20 +205,18 @@ def block_sigma(averages: WindowAverages) -> Array:
     return np.maximum(np.maximum(own, np.median(own, axis=0)), floor)
 
 
-def stationary_rate_residual(evidence: Evidence) -> Array:
-    """Stationary rates less Earth rate, bias and g-sensitivity, the last two fitted; (W, 3), rad/s, B."""
-    data = evidence.data
-    assert data is not None
-    gyro = raw_triads(evidence).gyro
-    rate = evidence.stationary_rate - _earth(evidence) @ gyro.T
-    design = np.hstack([evidence.stationary_force / data.gravity, np.ones((len(rate), 1))])
+def stationary_rate_residual(data: PreparedRecording, gyro: Array) -> Array:
+    """Stationary rates less Earth rate, bias and g-sensitivity, the last two fitted; (W, 3), rad/s, B.
+
+    ``gyro`` is the raw matrix of the gyros, shape (3, 3).
+    """
+    rate = data.windows.gyro_mean - _earth(data) @ gyro.T
+    design = np.hstack([data.windows.accel_mean / data.gravity, np.ones((len(rate), 1))])
     return invert_readings(gyro, rate - design @ robust_fit(design, rate))
 
 
-def _earth(evidence: Evidence) -> Array:
+def _earth(data: PreparedRecording) -> Array:
     """Earth rate in the nominal attitude of each window, (W, 3), rad/s; zero if the attitude is not known."""
-    data = evidence.data
-    assert data is not None
     out = np.zeros((len(data.windows.samples), 3))
     if data.nominal is None:
         return out

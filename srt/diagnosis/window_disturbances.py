@@ -10,20 +10,16 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from scipy.special import chdtri, fdtri, ndtri
 
-from srt.diagnosis.findings import FALSE_ALARM, check, finding
-from srt.diagnosis.rotation_readings import cross, invert_readings
-from srt.diagnosis.sensor_synchronisation import lag
-from srt.diagnosis.triad_fits import raw_triads
+from srt.diagnosis.false_alarms import FALSE_ALARM, limit
+from srt.diagnosis.findings import Fault
+from srt.diagnosis.rotation_readings import MAD, cross, invert_readings
 from srt.diagnosis.window_averages import (
     ACCEL,
     GYRO,
-    MAD,
     WindowAverages,
     block_sigma,
     stationary_rate_residual,
-    window_averages,
 )
 
 if TYPE_CHECKING:
@@ -62,14 +58,13 @@ _MAD_EFFICIENCY: Final = 0.37
 """Degrees of freedom of a median absolute deviation, per value."""
 
 
-@check("unsettled", "bump", "creep", "noisy_window")
 def disturbed_windows(evidence: Evidence) -> Iterator[Finding]:
     """Compare each window with the others for oscillation, bumps, creep and noise."""
-    averages = window_averages(evidence)
+    averages = evidence.window_averages
     if averages is None:
         return
     # If gyros lag or lead, their readings of a rotation reach into the windows, in which the unit is at rest.
-    lagging = lag(evidence) is not None
+    lagging = evidence.lag is not None
     ringing, amplitude = _oscillation(averages, by_gyros=not lagging)
     if evidence.recording.fixture is None:
         ringing[:] = False  # a unit held by hand is never quite at rest
@@ -82,16 +77,14 @@ def disturbed_windows(evidence: Evidence) -> Iterator[Finding]:
     rings[list(steps)] = False
     if rings.any():
         worst = int(np.argmax(np.where(rings, amplitude[:, :2].max(axis=1), 0.0)))
-        yield finding(
-            "unsettled",
+        yield UNSETTLED.found(
             count=int(rings.sum()),
             amplitude=_amplitude(averages, worst),
             **_place(evidence, averages, worst),
         )
     if steps:
         v = max(steps, key=lambda v: steps[v].size)
-        yield finding(
-            "bump",
+        yield BUMP.found(
             **_place(evidence, averages, v)
             | {"time": _time(evidence, averages, v, (steps[v].block + 0.5) * averages.step_s)},
             angle_mrad=1e3 * steps[v].size,
@@ -102,11 +95,49 @@ def disturbed_windows(evidence: Evidence) -> Iterator[Finding]:
     if creep is not None:
         v, rate = creep
         done[v] = True
-        yield finding("creep", rate_urad_s=1e6 * rate, **_place(evidence, averages, v))
+        yield CREEP.found(rate_urad_s=1e6 * rate, **_place(evidence, averages, v))
     noisy = None if lagging else _noisy(averages, done)
     if noisy is not None:
         v, ratio, sensor = noisy
-        yield finding("noisy_window", ratio=ratio, sensor=sensor, **_place(evidence, averages, v))
+        yield NOISY_WINDOW.found(ratio=ratio, sensor=sensor, **_place(evidence, averages, v))
+
+
+UNSETTLED: Final = Fault(
+    "unsettled",
+    "The fixture had not settled",
+    "oscillation at the start of windows, compared with their second half",
+    "The fixture still oscillates at the start of the stationary window from {time:.6g} s ({sequence}; amplitude "
+    "{amplitude}; {count} such windows in the recording): wait longer after a rotation, or start the windows later.",
+    "warning",
+    disturbed_windows,
+)
+BUMP: Final = Fault(
+    "bump",
+    "The unit was bumped in a stationary window",
+    "a step of attitude inside a window, on which gyros and accelerometers agree",
+    "The unit was bumped at {time:.6g} s, in a stationary window of {sequence}: it rotated by {angle_mrad:.3g} mrad; "
+    "repeat the sequence.",
+    "warning",
+    disturbed_windows,
+)
+CREEP: Final = Fault(
+    "creep",
+    "The unit creeps in a stationary window",
+    "a steady tilt inside a window, on which gyros and accelerometers agree",
+    "The unit creeps in the stationary window from {time:.6g} s ({sequence}): it tilts by {rate_urad_s:.3g} µrad/s; "
+    "clamp the unit, and repeat the sequence.",
+    "warning",
+    disturbed_windows,
+)
+NOISY_WINDOW: Final = Fault(
+    "noisy_window",
+    "A stationary window is noisier than the others",
+    "noise of each window against that of the others",
+    "In the stationary window from {time:.6g} s ({sequence}), the noise of the {sensor} is {ratio:.3g} times that in "
+    "the other windows: look for vibration, and repeat the sequence.",
+    "warning",
+    disturbed_windows,
+)
 
 
 def _time(evidence: Evidence, averages: WindowAverages, v: int, later_s: float = 0.0) -> float:
@@ -131,6 +162,9 @@ def _place(evidence: Evidence, averages: WindowAverages, v: int) -> dict[str, ob
 def _oscillation(averages: WindowAverages, by_gyros: bool) -> tuple[Mask, Array]:
     """Windows that oscillate at the start: their variance is far larger there than in the second half.
 
+    Statistic: variance at the start over that of the noise, averaged over three axes. Distribution: chi-square over its
+    degrees of freedom, which follow from the autocorrelation.
+
     Returns
     -------
     oscillating : ndarray of bool, shape (V, H)
@@ -144,8 +178,7 @@ def _oscillation(averages: WindowAverages, by_gyros: bool) -> tuple[Mask, Array]
     ratio = averages.head_power / noise[:, None]
     by_sensor = np.stack([ratio[:, :, GYRO].mean(axis=2), ratio[:, :, ACCEL].mean(axis=2)], axis=2)
     freedom = averages.head_freedom
-    limit = np.maximum(_LEAST_POWER, chdtri(freedom, FALSE_ALARM / by_sensor.size) / freedom)
-    loud = by_sensor > limit
+    loud = by_sensor > np.maximum(_LEAST_POWER, limit("chi-square", freedom, tests=by_sensor.size) / freedom)
     told = loud.any(axis=2) if by_gyros else loud[:, :, 1]
     return np.asarray(told), np.asarray(by_sensor.max(axis=1, initial=0.0))
 
@@ -171,14 +204,18 @@ class _AttitudeStep:
 
 
 def _steps(evidence: Evidence, averages: WindowAverages) -> dict[int, _AttitudeStep]:
-    """Windows with a step of the attitude: the gyros show a rotation in a few blocks, and the accelerometers agree."""
-    gyro, accel, bias = raw_triads(evidence)
+    """Windows with a step of the attitude: the gyros show a rotation in a few blocks, and the accelerometers agree.
+
+    Statistic: squared rotation angle in a span of blocks over its variance. Distribution: chi-square, three degrees of
+    freedom.
+    """
+    gyro, accel, bias = evidence.raw_triads
     data = evidence.data
     assert data is not None
     sigma = block_sigma(averages)
     spread = _span_spread(averages, sigma)
     tests = len(_SPANS) * int(averages.blocks.sum())
-    limit, z = float(chdtri(3.0, FALSE_ALARM / tests)), -float(ndtri(0.5 * FALSE_ALARM / tests))
+    largest, z = limit("chi-square", 3.0, tests=tests), limit("normal", tests=tests, both_sides=True)
     noise = _step_noise(averages, accel)
     own = np.maximum(1.0, (sigma[:, ACCEL] / np.median(sigma[:, ACCEL], axis=0)).max(axis=1))
     out = {}
@@ -187,9 +224,9 @@ def _steps(evidence: Evidence, averages: WindowAverages) -> dict[int, _AttitudeS
         power = _turning_power(
             rate, [factor * sigma[windows, None, GYRO] for factor in spread], averages.block_doubt[GYRO]
         )
-        for i in np.flatnonzero([any((p[i] > limit).any() for p in power) for i in range(len(windows))]).tolist():
+        for i in np.flatnonzero([any((p[i] > largest).any() for p in power) for i in range(len(windows))]).tolist():
             v, count = int(windows[i]), means.shape[1]
-            span = _turning_span([p[i] for p in power], limit)
+            span = _turning_span([p[i] for p in power], largest)
             if span is None or span[0] < _EDGE_BLOCKS or span[1] > count - _EDGE_BLOCKS:
                 continue
             first, last = span
@@ -236,14 +273,14 @@ def _span_spread(averages: WindowAverages, sigma: Array) -> Array:
     return np.maximum(1.0, np.array(wide))
 
 
-def _turning_span(power: list[Array], limit: float) -> tuple[int, int] | None:
+def _turning_span(power: list[Array], largest: float) -> tuple[int, int] | None:
     """First block of the step of a window, and one past its last block; None if the window has more than one step.
 
     One block is added on each side: it may contain a part of the step that is below the threshold.
     """
     at = np.concatenate([np.arange(len(p))[:, None] + [0, span] for p, span in zip(power, _SPANS, strict=True)])
     every = np.concatenate(power)
-    loud = at[every > limit]
+    loud = at[every > largest]
     first, last = at[int(np.argmax(every))].tolist()
     elsewhere = (loud[:, 1] <= first - 1) | (loud[:, 0] >= last + 1)
     return None if elsewhere.any() else (first - 1, last + 1)
@@ -268,8 +305,13 @@ def _creep(evidence: Evidence, averages: WindowAverages, done: Mask) -> tuple[in
     g-sensitivity and Earth rate. Both measurements scatter over the windows: equally by bias instability, and more in
     shorter windows by noise. A creep must satisfy three conditions: the weighted mean of both is significant, the
     accelerometers alone show it, and both agree.
+
+    Statistic: squared tilt rate over its variance, half of it for each of two components. Distribution: F with two
+    degrees of freedom and those of the robust estimate of the variance.
     """
-    _, accel, bias = raw_triads(evidence)
+    gyro, accel, bias = evidence.raw_triads
+    data = evidence.data
+    assert data is not None
     V = len(averages.window)
     force, slope = np.empty((V, 3)), np.empty((V, 3))
     moment = np.empty(V)
@@ -287,7 +329,7 @@ def _creep(evidence: Evidence, averages: WindowAverages, done: Mask) -> tuple[in
     across = -cross(up, invert_readings(accel, slope)) / square
     plane = _horizontal(up / np.sqrt(square))
     by_accel = np.einsum("vjc,vc->vj", plane, across)
-    by_gyro = np.einsum("vjc,vc->vj", plane, stationary_rate_residual(evidence)[averages.window])
+    by_gyro = np.einsum("vjc,vc->vj", plane, stationary_rate_residual(data, gyro)[averages.window])
     # A fit of least absolute deviations has as many zero residuals as unknowns: these do not show the scatter.
     tell = np.argsort(np.einsum("vj,vj->v", by_gyro, by_gyro))[_UNKNOWNS:]
     if len(tell) < _UNKNOWNS:
@@ -300,15 +342,15 @@ def _creep(evidence: Evidence, averages: WindowAverages, done: Mask) -> tuple[in
     both = (by_accel / a[:, None] + by_gyro / g[:, None]) / (1.0 / a + 1.0 / g)[:, None]
     size2 = np.sum(both**2, axis=1)
 
-    def limit(probability: float) -> float:
-        return 2.0 * float(fdtri(2.0, freedom, 1.0 - probability))
+    def plane_limit(probability: float, windows: int = 1) -> float:
+        return 2.0 * float(limit("F", 2.0, freedom, tests=windows, shared=probability))
 
     apart2 = np.sum((by_accel - by_gyro) ** 2, axis=1)
     creeps = (
         ~done
-        & (size2 * (1.0 / a + 1.0 / g) > limit(FALSE_ALARM / V))
-        & (np.sum(by_accel**2, axis=1) / a > limit(_PLAUSIBLE))
-        & ((apart2 < limit(_CONTRARY) * (a + g)) | (apart2 < _AGREE**2 * size2))
+        & (size2 * (1.0 / a + 1.0 / g) > plane_limit(FALSE_ALARM, V))
+        & (np.sum(by_accel**2, axis=1) / a > plane_limit(_PLAUSIBLE))
+        & ((apart2 < plane_limit(_CONTRARY) * (a + g)) | (apart2 < _AGREE**2 * size2))
     )
     if not creeps.any():
         return None
@@ -340,7 +382,8 @@ def _horizontal(up: Array) -> Array:
 def _noisy(averages: WindowAverages, done: Mask) -> tuple[int, float, str] | None:
     """Find the noisiest window: its number, its noise relative to the others, and the sensor; None if none is noisy.
 
-    The noise of single samples is tested first, then that of blocks.
+    The noise of single samples is tested first, then that of blocks. Statistic: variance from first differences,
+    averaged over three axes, over its median. Distribution: chi-square over its degrees of freedom, two for each value.
     """
     blocks = np.empty((len(averages.window), 6))
     for v, means in averages.groups:
@@ -355,8 +398,8 @@ def _noisy(averages: WindowAverages, done: Mask) -> tuple[int, float, str] | Non
         for name, channels in (("gyros", GYRO), ("accelerometers", ACCEL)):
             power = ratio[:, channels].mean(axis=1)
             scatter = MAD * float(np.median(np.abs(np.log(np.maximum(power, 1e-12)))))
-            limit = np.maximum(_NOISIER, chdtri(freedom, FALSE_ALARM / (4 * len(power))) / freedom)
-            excess = np.where(done, 0.0, power / np.maximum(limit, np.exp(_NOISE_SIGMAS * scatter)))
+            least = np.maximum(_NOISIER, limit("chi-square", freedom, tests=4 * len(power)) / freedom)
+            excess = np.where(done, 0.0, power / np.maximum(least, np.exp(_NOISE_SIGMAS * scatter)))
             loudest = int(np.argmax(excess))
             if excess[loudest] > 1.0:
                 told.append((float(power[loudest]), loudest, name))

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 FALSE_ALARM: Final = 2e-5
 """Probability that any form of any sensor is selected in a recording without drift.
 
-It is part of the 1e-4 that all checks share, see ``srt.diagnosis.findings``. With 41 degrees of freedom, a
+It is part of the 1e-4 that all checks share, see ``srt.diagnosis.false_alarms``. With 41 degrees of freedom, a
 drift of 7.9 sigma is selected in 90 % of the recordings; at 1e-4 a drift of 7.3 sigma would be.
 """
 LINEAR: Final = "linear"

@@ -3,7 +3,7 @@
 All manoeuvres are split by :func:`leg_borders`. The callers differ in what marks a leg: for unlabelled recordings the
 sensor axis and the sense (:func:`find_manoeuvre`), for labelled ones the pauses between the rotations
 (:func:`srt.estimation.initial_estimates.rotation_angles`) or, in the diagnosis, pauses and changes of axis
-(:func:`srt.diagnosis.rotation_readings.rotation_angles`).
+(:func:`srt.diagnosis.rotation_readings.find_rotations`).
 """
 
 from __future__ import annotations

@@ -6,16 +6,19 @@ from dataclasses import asdict
 import numpy as np
 import pytest
 
-from srt.diagnosis.cause_comparison import CLOSE, Cause, compare, with_runner_up
-from srt.diagnosis.findings import RunnerUp, finding
+from srt.diagnosis.cause_comparison import CLOSE, Cause, compare
+from srt.diagnosis.faults import FAULTS
+from srt.diagnosis.findings import with_runner_up
 from srt.diagnosis.staged_diagnosis import Diagnosis
+from srt.reports.text.inspection import runner_up_sentence
+from srt.result.diagnostics import RunnerUp
 from srt.result.document import to_document
 
 N = 12
 ALL = Cause("sensor_time_offset", np.ones((N, 1)), {})
 ONE = Cause("gyro_axis_delayed", np.repeat([[1.0], [0.0]], N // 2, axis=0), {}, choices=3)
 NOTHING = Cause("", np.zeros((N, 0)), {})
-TOLD = finding("sensor_time_offset", offset_ms=5.0)
+TOLD = FAULTS["sensor_time_offset"].found(offset_ms=5.0)
 
 
 def test_the_pattern_that_made_the_residuals_is_first_and_has_its_value():
@@ -50,6 +53,6 @@ def test_a_close_runner_up_is_told_and_a_distant_one_is_not():
     told = with_runner_up(TOLD, compare(values, (NOTHING, ALL, alike)))
     assert told.runner_up == RunnerUp("gyro_axis_delayed", pytest.approx(math.log(3.0)))
     assert math.log(3.0) < CLOSE
-    assert "One gyro axis has another delay" in told.runner_up.sentence
+    assert "One gyro axis has another delay" in runner_up_sentence(told.runner_up)
     (fault,) = Diagnosis((told,)).faults
     assert to_document(fault)["runner_up"] == asdict(told.runner_up)

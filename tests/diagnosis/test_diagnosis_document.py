@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from srt.diagnosis.document import document
-from srt.diagnosis.faults import FAULTS, STAGES
+from srt.diagnosis.faults import STAGES
 
 PAGE = Path(__file__).parents[2] / "docs" / "faults.md"
 
@@ -14,8 +14,8 @@ def test_the_committed_page_is_up_to_date():
 
 def test_every_fault_stands_once_under_its_stage():
     sections = document().split("\n## ")[1:]
-    assert [section.splitlines()[0] for section in sections] == list(STAGES.values())
-    for stage, section in zip(STAGES, sections, strict=True):
+    assert [section.splitlines()[0] for section in sections] == [stage.title for stage in STAGES.values()]
+    for stage, section in zip(STAGES.values(), sections, strict=True):
         rows = [line.split(" | ") for line in section.splitlines() if line.startswith("| ")][1:]
-        assert [row[1].strip("`") for row in rows] == [f.name for f in FAULTS.values() if f.stage == stage]
+        assert [row[1].strip("`") for row in rows] == [f.name for f in stage.faults]
         assert all(len(row) == 5 for row in rows)

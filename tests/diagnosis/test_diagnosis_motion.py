@@ -12,23 +12,20 @@ from functools import cache, cached_property
 import numpy as np
 import pytest
 import recorded_sets
-from diagnosing import grades_and_faults
+from diagnosing import findings_of_stage, grades_and_faults
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import uniform_filter1d
 
 import sims.faults.execution  # noqa: F401 - registers its injections
-import srt.diagnosis.sequences  # noqa: F401 - registers its checks
 from sims.faults.injection import GRADES, INJECTIONS, Case
 from sims.physics.sequences import TABLE_1
 from sims.scenarios.scenario import scenario_from_dict
 from sims.scenarios.simulation import simulate
 from srt.diagnosis import window_disturbances
 from srt.diagnosis.evidence import Evidence
-from srt.diagnosis.findings import sort_by_cause, stage_checks
-from srt.diagnosis.rotation_readings import cross, robust_fit, rotation_angles
-from srt.diagnosis.sensor_synchronisation import time_offset
-from srt.diagnosis.window_averages import window_averages
+from srt.diagnosis.faults import sort_by_cause
+from srt.diagnosis.rotation_readings import cross, robust_fit
 from srt.estimation.options import Options
 from srt.exceptions import InputError
 from srt.recording.recording import Fixture, Recording, SequenceLabel, Site
@@ -68,7 +65,7 @@ def findings(recording, options=None):
     evidence = Labelled(recording, options)
     found = []
     for stage in STAGES:
-        found += [finding for registered in stage_checks(stage) for finding in registered.run(evidence)]
+        found += findings_of_stage(evidence, stage)
         if any(f.effect.startswith("exit") for f in found):
             break
     return sort_by_cause(found)
@@ -235,7 +232,7 @@ def test_noise_of_filtered_outputs_is_no_oscillation(width, monkeypatch):
     count = 0
     for _ in range(draws):
         gyro, accel = uniform_filter1d(rng.standard_normal((2, *recording.gyro.shape)), width, axis=1)
-        averages = window_averages(Labelled(replace(recording, gyro=gyro, accel=accel)))
+        averages = Labelled(replace(recording, gyro=gyro, accel=accel)).window_averages
         count += window_disturbances._oscillation(averages, by_gyros=True)[0].any()
     assert count <= draws * probability + 3.5 * math.sqrt(draws * probability * (1.0 - probability))
 
@@ -276,7 +273,7 @@ def test_noise_of_a_window_shorter_than_the_others_is_no_creep(monkeypatch):
             values + 1e-4 * rng.standard_normal(values.shape) for values in (recording.gyro, recording.accel)
         )
         evidence = Labelled(replace(recording, gyro=gyro, accel=accel))
-        averages = window_averages(evidence)
+        averages = evidence.window_averages
         count += window_disturbances._creep(evidence, averages, np.zeros(len(averages.window), bool)) is not None
     assert count <= draws * probability + 3.5 * math.sqrt(draws * probability * (1.0 - probability))
 
@@ -322,7 +319,7 @@ def test_a_real_bump_is_seen_by_both_units_that_were_turned_together():
 def test_the_offset_of_the_sensors_is_found_to_its_sigma(milliseconds):
     # The injection draws its own sign.
     recording = INJECTIONS["sensor_time_offset"].recording(case("industrial-mems"), milliseconds)
-    seen = time_offset(Labelled(recording))
+    seen = Labelled(recording).time_offset
     # t of 11 degrees of freedom: 1e-6 of all samples lie beyond 9.5 sigmas, and 0.1 ms is what interpolation costs.
     assert abs(1e3 * seen.late_s) == pytest.approx(abs(milliseconds), abs=9.5e3 * seen.sigma_s + 0.1)
 
@@ -359,7 +356,7 @@ def test_a_test_that_has_only_begun_has_lost_no_samples(grade, count):
 @pytest.mark.parametrize("dwell", [0.0, 1.0])
 def test_turns_are_told_apart_whether_or_not_the_unit_stands_between_them(dwell):
     run = case("navigation-rlg").changed(schedule={"leg_dwell_s": dwell}).simulation
-    numbers, nominal, turned = rotation_angles(Labelled(run.recording))
+    numbers, nominal, turned = Labelled(run.recording).rotations
     assert numbers.tolist() == [k for k, s in enumerate(TABLE_1.values()) for _ in s.rotations]
     # Six sigmas: about axes 1 mrad off in three ways, angles 1 mrad off, scale factors of 100 ppm, non-orthogonality
     # and frame of 0.5 mrad; all in full turns.

@@ -15,25 +15,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import sims.faults.logger  # noqa: F401 - registers its injections
-import srt.diagnosis.axes
-import srt.diagnosis.clipping
-import srt.diagnosis.timing
-import srt.diagnosis.units  # noqa: F401 - register their checks
 from sims.faults.injection import GRADES, INJECTIONS, Case
 from sims.physics.disturbances import tilt_step
 from sims.physics.imu import read_out
+from srt.diagnosis import faults
 from srt.diagnosis.channels import CHANNELS
-from srt.diagnosis.faults import FAULTS
 from srt.diagnosis.repeated_samples import repeated_runs
-from srt.diagnosis.spikes import find_spikes
 from srt.exceptions import SrtError
 from srt.recording.recording import ImuNoise, Recording, SequenceLabel, Site
 
 SEED = 320_000
 STAGES = ("timing", "channels", "units", "frames")
-ON_READING = tuple(name for name, fault in FAULTS.items() if fault.stage == "file")
+ON_READING = tuple(fault.name for fault in faults.STAGES["file"].faults)
 CLIPPED = ("gyro_clipped", "accel_clipped")
-LATER = tuple(name for name, fault in FAULTS.items() if fault.stage in STAGES[:2] or name in CLIPPED)
+LATER = (*(fault.name for stage in STAGES[:2] for fault in faults.STAGES[stage].faults), *CLIPPED)
 
 
 def examine(recording):
@@ -267,13 +262,13 @@ def test_no_readings_make_a_check_raise(kind, n, scale, seed, labelled):
     with np.errstate(all="ignore"):
         recording = replace(recording, gyro=scale * recording.gyro, accel=scale * recording.accel)
         for finding in examine(recording if labelled else recording.with_sequences(())):
-            assert finding.fault in FAULTS
+            assert finding.fault in faults.FAULTS
 
 
 def test_nothing_is_found_without_windows():
     evidence = WithoutRecognition(case("industrial-mems").recording.with_sequences(()))
     assert repeated_runs(evidence) == [[]] * 9
-    assert find_spikes(evidence).sample.size == 0
+    assert evidence.spikes.sample.size == 0
 
 
 @settings(max_examples=10, deadline=None)
@@ -290,5 +285,5 @@ def test_a_spike_is_found_where_it_is(seed, size, channel):
     columns = np.hstack([recording.gyro, recording.accel])
     sigma = np.std(np.diff(columns[first : first + 900, channel])) / np.sqrt(2.0)
     columns[row, channel] += size * sigma
-    found = find_spikes(WithoutRecognition(replace(recording, gyro=columns[:, :3], accel=columns[:, 3:])))
+    found = WithoutRecognition(replace(recording, gyro=columns[:, :3], accel=columns[:, 3:])).spikes
     assert (found.sample.tolist(), found.channel.tolist()) == ([row], [channel])

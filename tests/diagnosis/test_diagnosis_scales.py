@@ -10,26 +10,22 @@ from functools import cache
 
 import numpy as np
 import pytest
-from diagnosing import WithoutRecognition, examine_stages, grades_and_faults
+from diagnosing import WithoutRecognition, examine_stages, findings_of_stage, grades_and_faults
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 import sims.faults.units_and_axes  # noqa: F401 - registers its injections
-import srt.diagnosis.axes
-import srt.diagnosis.clipping
-import srt.diagnosis.units  # noqa: F401 - register their checks
 from sims.faults.injection import GRADES, INJECTIONS, Case
 from srt.constants import DEG
-from srt.diagnosis.axes import gravity_relation, mapping, nearest_axes
+from srt.diagnosis import faults
+from srt.diagnosis.axes import mapping, nearest_axes
 from srt.diagnosis.evidence import Evidence
-from srt.diagnosis.faults import FAULTS
-from srt.diagnosis.findings import sort_by_cause, stage_checks
-from srt.diagnosis.scale_ratios import accel_scale_ratios, gyro_scale_ratios
+from srt.diagnosis.faults import sort_by_cause
 from srt.recording.import_options import parse_axis_map
 
 SEED = 330_000
 STAGES = ("units", "frames")
-MINE = tuple(name for name, fault in FAULTS.items() if fault.stage in STAGES and not name.endswith("clipped"))
+MINE = tuple(f.name for stage in STAGES for f in faults.STAGES[stage].faults if not f.name.endswith("clipped"))
 
 
 def examine(recording):
@@ -64,7 +60,7 @@ def test_scales_are_those_of_the_unit(grade):
     simulation = case(grade).simulation
     evidence = WithoutRecognition(simulation.recording)
     truth = simulation.truth.as_dict()
-    for sensor, scales in (("gyro", gyro_scale_ratios(evidence)), ("accel", accel_scale_ratios(evidence))):
+    for sensor, scales in (("gyro", evidence.gyro_scales), ("accel", evidence.accel_scales)):
         expected = [1.0 + truth[f"{sensor}_scale_{axis}"] for axis in "xyz"]
         np.testing.assert_allclose(scales.axes, expected, atol=5e-3)
 
@@ -172,7 +168,7 @@ def test_all_wrong_axes_are_found_and_their_mappings_set_them_right(gyro, accel)
         assert found == ()
         return
     (finding,) = found
-    assert finding.stage == "frames"
+    assert finding.cause in faults.STAGES["frames"].faults
     told = finding.details
     sensor = finding.fault.split("_")[0]
     both = told.get("mapping", "x,y,z")
@@ -187,10 +183,8 @@ def test_all_wrong_axes_are_found_and_their_mappings_set_them_right(gyro, accel)
 def test_the_turning_of_gravity_relates_the_axes(gyro, accel):
     """K = det(Pa) Pa Pg⁻¹, to the scale errors and misalignments of the unit: 5 % take in three sigmas."""
     sound = case("consumer-mems").recording
-    relation = gravity_relation(
-        WithoutRecognition(replace(sound, gyro=sound.gyro @ gyro.T, accel=sound.accel @ accel.T))
-    )
-    np.testing.assert_allclose(relation, np.linalg.det(accel) * accel @ gyro.T, atol=0.1)
+    turned = WithoutRecognition(replace(sound, gyro=sound.gyro @ gyro.T, accel=sound.accel @ accel.T))
+    np.testing.assert_allclose(turned.gravity_relation, np.linalg.det(accel) * accel @ gyro.T, atol=0.1)
 
 
 def test_wrong_labels_are_no_wrong_axes():
@@ -212,7 +206,7 @@ def test_few_sequences_tell_nothing():
     recording = case("industrial-mems").recording
     first = recording.with_sequences(recording.sequences[:1])
     assert examine(replace(first, gyro=-first.gyro)) == ()
-    assert gravity_relation(WithoutRecognition(first)) is None
+    assert WithoutRecognition(first).gravity_relation is None
 
 
 # --- without labels --------------------------------------------------------------------------------------------------
@@ -226,5 +220,5 @@ def test_without_labels_recognition_takes_their_place(fault):
     unit = case("industrial-mems").changed(schedule={"moves": "recorded"})
     recording = INJECTIONS[fault].recording(unit).with_sequences(())
     evidence = Evidence(recording)
-    found = [finding for stage in STAGES for registered in stage_checks(stage) for finding in registered.run(evidence)]
+    found = [finding for stage in STAGES for finding in findings_of_stage(evidence, stage)]
     assert sort_by_cause(found)[0].fault == fault

@@ -9,7 +9,7 @@ from functools import cache, cached_property
 
 import numpy as np
 import pytest
-from diagnosing import grades_and_faults
+from diagnosing import findings_of_stage, grades_and_faults
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -18,8 +18,7 @@ from sims.faults.injection import GRADES, INJECTIONS, Case
 from sims.physics.imu import ImuModel
 from srt.constants import DEG, DEG_PER_H, EARTH_RATE_RAD_S, normal_gravity_m_s2
 from srt.diagnosis.evidence import Evidence
-from srt.diagnosis.findings import stage_checks
-from srt.diagnosis.site import ANOMALY_M_S2, HEIGHTS_M, stationary_rate_fit  # registers its checks
+from srt.diagnosis.site import ANOMALY_M_S2, HEIGHTS_M
 from srt.recording.recording import Fixture, Recording, SequenceLabel, Site
 from srt.sensor_errors import SensorErrors
 
@@ -38,7 +37,7 @@ class Labelled(Evidence):
 
 def findings(recording):
     evidence = Labelled(recording)
-    return [finding for registered in stage_checks("site") for finding in registered.run(evidence)]
+    return findings_of_stage(evidence, "site")
 
 
 @cache
@@ -152,7 +151,7 @@ def test_rates_at_rest_are_taken_apart():
         site=Site(g, latitude_rad=LATITUDE_RAD), sample_rate_hz=100.0, heading_rad=0.3, stated_fixture=Fixture(0.3)
     )
     imu = ImuModel(gyro_g_sensitivity=-gamma / g)
-    fit = stationary_rate_fit(Labelled(sims.read_out(motion, SensorErrors(), imu)))
+    fit = Labelled(sims.read_out(motion, SensorErrors(), imu)).stationary_rate_fit
     down, level = -EARTH_RATE_RAD_S * math.sin(LATITUDE_RAD), EARTH_RATE_RAD_S * math.cos(LATITUDE_RAD)
     np.testing.assert_allclose(fit.gamma(down), gamma, rtol=0.0, atol=2e-4 * EARTH_RATE_RAD_S)
     np.testing.assert_allclose(

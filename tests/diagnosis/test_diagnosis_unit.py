@@ -8,7 +8,7 @@ from functools import cache, cached_property
 
 import numpy as np
 import pytest
-from diagnosing import grades_and_faults
+from diagnosing import findings_of_stage, grades_and_faults
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -16,9 +16,7 @@ import sims.faults.site_and_drift  # noqa: F401 - registers its injections
 from sims.faults.injection import GRADES, INJECTIONS, Case
 from srt.constants import DEG_PER_H, MICRO_G
 from srt.diagnosis.evidence import Evidence
-from srt.diagnosis.findings import stage_checks
-from srt.diagnosis.imu_properties import BENCH_C, NOISE_RATIO, STEADY_C, white_noise_test  # registers its checks
-from srt.diagnosis.site import stationary_rate_fit
+from srt.diagnosis.imu_properties import BENCH_C, NOISE_RATIO, STEADY_C, white_noise_test
 from srt.estimation.options import Options
 from srt.recording.recording import ImuNoise, Recording, SequenceLabel, Site
 
@@ -44,7 +42,7 @@ class Labelled(Evidence):
 
 def findings(recording, options=None):
     evidence = Labelled(recording, options)
-    return [finding for registered in stage_checks("unit") for finding in registered.run(evidence)]
+    return findings_of_stage(evidence, "unit")
 
 
 @cache
@@ -134,7 +132,7 @@ def test_drift_is_measured():
     gyro[:, 1] -= 0.5 * DEG_PER_H * recording.nominal_interval_s * (recording.time - recording.time[0]) / span
     drifted = replace(recording, gyro=gyro)
     (finding,) = findings(drifted)
-    before, after = stationary_rate_fit(Labelled(recording)), stationary_rate_fit(Labelled(drifted))
+    before, after = Labelled(recording).stationary_rate_fit, Labelled(drifted).stationary_rate_fit
     # The same noise in both: the difference is the drift itself, from the middle of the first window to that of the
     # last, which are 5 s from the ends of 460 s.
     change = (after.drift - before.drift) / DEG_PER_H
@@ -183,7 +181,7 @@ def test_of_very_many_windows_some_serve():
     labels = tuple(SequenceLabel((0.2 * k, 0.2 * k + 0.1), (0.2 * (k + 1), 0.2 * (k + 1) + 0.1)) for k in range(899))
     noise = ImuNoise(gyro_noise=1e-4, accel_noise=1e-3, gyro_bias_instability=0.0)
     force = 9.8 * up / np.linalg.norm(up, axis=1, keepdims=True)
-    fit = stationary_rate_fit(Labelled(Recording(time, gyro, force, Site(9.8), noise=noise, sequences=labels)))
+    fit = Labelled(Recording(time, gyro, force, Site(9.8), noise=noise, sequences=labels)).stationary_rate_fit
     assert fit.freedom == 3 * 400 - 15
     # White noise of 1e-3 per sample, ten in a window, and the unknown Earth's rate of 7e-5 beside it: a slope over
     # 400 points evenly spread has √12 times the sigma of their mean.
@@ -299,7 +297,7 @@ def test_options_of_another_estimator_do_not_matter():
     options = Options(asymmetry=False, live=True, targets={"gyro_scale": 1e-6})
     evidence = Labelled(recording, options)
     evidence.result = result
-    named = [f.fault for registered in stage_checks("unit") for f in registered.run(evidence)]
+    named = [f.fault for f in findings_of_stage(evidence, "unit")]
     assert named == ["asymmetry_omitted"]
 
 

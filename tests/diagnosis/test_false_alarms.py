@@ -1,6 +1,10 @@
-"""False-alarm probability of all checks together: the sum of what the single tests allow."""
+"""False-alarm probability of all checks together: the sum of what the single tests allow; and the limits it gives."""
 
-from srt.diagnosis import findings, repeated_samples, rotation_readings
+import numpy as np
+import pytest
+from scipy import stats
+
+from srt.diagnosis import false_alarms, repeated_samples, rotation_readings
 from srt.noise import drift_forms
 from srt.sequences import clipping, vibration
 
@@ -15,7 +19,30 @@ SPIKES = 5e-6
 
 def test_all_checks_together_raise_a_finding_in_one_of_10000_recordings():
     tests = len((*IN_WINDOWS, *OVER_SEQUENCES, *OF_RATES))
-    total = tests * findings.FALSE_ALARM + vibration.FALSE_ALARM + rotation_readings._BY_NOISE
+    total = tests * false_alarms.FALSE_ALARM + vibration.FALSE_ALARM + rotation_readings._BY_NOISE
     total += 12 * (clipping._CHANCE + 0.5**clipping._PILE)
     total += 11 * repeated_samples.FALSE_ALARM + SPIKES + drift_forms.FALSE_ALARM
     assert 0.5 * PER_RECORDING < total <= PER_RECORDING
+
+
+@pytest.mark.parametrize(
+    ("name", "freedom", "distribution"),
+    [
+        ("normal", (), stats.norm()),
+        ("t", (7.0,), stats.t(7.0)),
+        ("chi-square", (3.0,), stats.chi2(3.0)),
+        ("F", (1.0, 40.0), stats.f(1.0, 40.0)),
+        ("Rayleigh", (), stats.rayleigh()),
+    ],
+)
+def test_a_statistic_exceeds_its_limit_with_its_share_of_the_false_alarms(name, freedom, distribution):
+    """Quantiles are inverted by iteration, and 1 - p of F is rounded: 1e-9 of the probability."""
+    alone = distribution.sf(false_alarms.limit(name, *freedom))
+    assert alone == pytest.approx(false_alarms.FALSE_ALARM, rel=1e-9)
+    one_of_six = distribution.sf(false_alarms.limit(name, *freedom, tests=3, both_sides=True, shared=1e-3))
+    assert one_of_six == pytest.approx(1e-3 / 6.0, rel=1e-9)
+
+
+def test_limits_have_the_shape_of_the_degrees_of_freedom():
+    freedom = np.array([[2.0, 5.0, 9.0]])
+    assert false_alarms.limit("chi-square", freedom).shape == freedom.shape

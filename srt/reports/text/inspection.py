@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
+from srt.diagnosis.faults import FAULTS
 from srt.noise.allan import CHANNELS, TERMS
 from srt.reports.text.tables import text_table, wrap
 
@@ -11,6 +12,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from srt.diagnosis.inspection import Inspection, ManoeuvreSummary
+    from srt.result.diagnostics import RunnerUp
 
 _LABEL: Final = 13
 """Width of the labels of the overview, characters."""
@@ -213,6 +215,12 @@ def _leg_lines(turn: ManoeuvreSummary) -> list[str]:
     return lines
 
 
+def runner_up_sentence(other: RunnerUp) -> str:
+    """Sentence that names a second fault, and how much less likely it is."""
+    lower = max(0.0, other.log_likelihood_lower)
+    return f"Nearly as likely (log-likelihood lower by {lower:.2g}): {FAULTS[other.fault].title}."
+
+
 def _findings(inspection: Inspection) -> Iterable[str]:
     findings = inspection.diagnosis.findings
     if not findings:
@@ -222,5 +230,5 @@ def _findings(inspection: Inspection) -> Iterable[str]:
     if inspection.diagnosis.judgement is not None:
         yield from wrap(f"Verdict: {inspection.diagnosis.judgement}")
     for finding in findings:
-        beside = "" if finding.runner_up is None else f" {finding.runner_up.sentence}"
+        beside = "" if finding.runner_up is None else f" {runner_up_sentence(finding.runner_up)}"
         yield from wrap(f"{_EFFECTS[finding.effect]}: {finding.sentence}{beside}")
