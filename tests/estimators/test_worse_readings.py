@@ -1,0 +1,62 @@
+"""Units whose biases move, and readings that no noise model covers, by a generator that shares nothing with the
+estimators."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from scipy.special import ndtri
+from worse_than_stated import CASES, outcome, unit_of
+
+import srt
+
+UNITS = 2
+ACCUSATIONS = ("contradicts", "move left out")
+
+
+@pytest.mark.parametrize(
+    ("case", "estimator", "drift"),
+    [
+        ("fixture, no drift", "least-squares", ""),
+        ("hand, no drift", "least-squares", ""),
+        ("fixture, accelerometer warm-up of 4 mg", "least-squares", "accel"),
+        ("navigation on a fixture, warm-up of 1 mg", "graph", "accel"),
+        ("fixture, accelerometer step of 0.4 mg", "least-squares", "accel step"),
+        ("fixture, gyro step of 30 °/h", "least-squares", "gyro step"),
+        ("hand, accelerometers linear, 4 mg", "ekf", "accel"),
+        ("hand, accelerometer step of 0.4 mg", "least-squares", "accel step"),
+        ("vibration of 0.3 mrad at 7 Hz, nothing stated", "least-squares", ""),
+        ("vibration of 0.3 mrad at 7 Hz, nothing stated", "closed-form", ""),
+    ],
+)
+def test_sigmas_are_true_and_nothing_innocent_is_accused(case, estimator, drift):
+    """Mean NEES: at most 3.5 standard errors of a chi-square; largest error: family-wise 1 %."""
+    found = [outcome(case, seed, estimator) for seed in range(UNITS)]
+    seen = sum(row["seen"] for row in found)
+    assert sum(row["nees"] for row in found) / seen < 1.0 + 3.5 * math.sqrt(2.0 / seen)
+    assert max(row["worst"] for row in found) < -float(ndtri(0.005 / seen))
+    for row in found:
+        assert row["word"] == "sound"
+        named = row["named"].split(", ")
+        assert not any(what.startswith(ACCUSATIONS) for what in named)
+        assert any(what.startswith(drift) for what in named)
+
+
+def test_the_closed_form_names_a_drift_and_no_sequence():
+    for seed in range(UNITS):
+        unit, _ = unit_of(CASES["fixture, accelerometer warm-up of 4 mg"], seed)
+        found = srt.calibrate(unit, "closed-form")
+        assert found.status == "inconsistent"
+        assert "accelerometer biases changed" in found.message
+        assert found.verdict.contradicting is None
+
+
+def test_channels_whose_steps_are_not_dithered_are_named_and_their_sigmas_hold():
+    """The sigmas contain a bound: errors are within them, and no g-sensitivity is found in the steps."""
+    unit, _ = unit_of(CASES["steps of three noise sigma"], 0)
+    found = srt.calibrate(unit, "least-squares")
+    assert any("gyro_x, gyro_y, gyro_z, accel_x" in message and "steps" in message for message in found.warnings)
+    assert found.diagnostics.g_sensitivity is None
+    row = outcome("steps of three noise sigma", 0, "least-squares")
+    assert row["nees"] / row["seen"] < 1.0 + 3.5 * math.sqrt(2.0 / row["seen"])
