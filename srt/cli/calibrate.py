@@ -111,7 +111,7 @@ USUAL = (
 @choice_option("--step", "Step of the closed form: full Jacobian, or the coefficients of the paper.")
 @choice_option("--start", "Initial estimate: from the fixture, or zero.")
 @click.option(
-    "--max-playbacks", type=click.IntRange(min=1), default=20, show_default=True, metavar="N", help="Most iterations."
+    "--max-playbacks", type=click.IntRange(min=1), default=40, show_default=True, metavar="N", help="Most iterations."
 )
 @choice_option("--loss", "Loss function of graph.")
 @choice_option("--filter", "Form of ekf, for comparison: iterated or not, covariance form, unscented.")

@@ -52,7 +52,7 @@ class Options:
     hold : tuple of str
         Parameters or groups fixed at their initial value.
     max_playbacks : int
-        Largest number of iterations.
+        Largest number of iterations; few suffice where all parameters are observed.
     measured_vertical : bool
         From the second iteration on, take the vertical of each pose from the measured specific force; False: always
         the nominal one.
@@ -82,7 +82,7 @@ class Options:
     start: Start | SensorErrors = "auto"
     asymmetry: bool = True
     hold: tuple[str, ...] = ()
-    max_playbacks: int = 20
+    max_playbacks: int = 40
     measured_vertical: bool = True
     loss: Loss = "squared"
     filter: Filter = "iterated"

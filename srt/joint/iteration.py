@@ -116,7 +116,8 @@ def iterate(
     observability_known = not np.array_equal(iteration.free, ~requested)
     for _ in range(joint.options.max_playbacks):
         near = bool(corrections) and corrections[-1] < _NEAR
-        state, compensated = _compensate(joint, iteration.state, scatter_updates if near else None)
+        last = corrections[-1] if near else None
+        state, compensated = _compensate(joint, iteration.state, scatter_updates, last)
         scatter_updates += near
         point = Linearisation(joint, state, compensated, iteration.free)
         if near and not observability_known and solver.prior is None:
@@ -199,21 +200,22 @@ def _least_tilt_sigma(joint: JointModel, compensated: CompensatedData) -> float:
 
 
 def _compensate(
-    joint: JointModel, state: JointState, scatter_updates: int | None
+    joint: JointModel, state: JointState, scatter_updates: int, correction: float | None
 ) -> tuple[JointState, CompensatedData]:
     """Compensate the data; close to the solution, also update the priors that are estimated from the data.
 
-    ``scatter_updates`` is the number of updates so far; None while the state is far from the solution.
+    ``scatter_updates`` is the number of updates so far; the last correction is None while the state is far from the
+    solution.
     """
     compensated = joint.compensate(state)
     if state.attitude is None:
         state = initial_attitudes(joint, state, compensated)
-    if scatter_updates is None:
+    if correction is None:
         return state, compensated
     if scatter_updates == 0:
         joint.update_mounting_prior(state)
     if scatter_updates < _SCATTER_UPDATES:
-        joint.update_bias_scatter(state, compensated)
+        joint.update_bias_scatter(state, compensated, correction)
         if not joint.bias_walks and state.bias_deviation.any():  # a fault of one sequence caused the scatter
             state = replace(state, bias_deviation=np.zeros_like(state.bias_deviation))
             compensated = joint.compensate(state)

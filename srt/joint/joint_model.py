@@ -467,7 +467,7 @@ class JointModel:
             weights[np.arange(self.data.K), which] = T[which]
         return np.asarray(weights / weights.sum(axis=1, keepdims=True))
 
-    def update_bias_scatter(self, state: JointState, compensated: CompensatedData) -> None:
+    def update_bias_scatter(self, state: JointState, compensated: CompensatedData, correction: float) -> None:
         """Estimate the bias scatter between sequences from the rates at rest, if no instability is specified."""
         free = self.options.gyro_bias in ("auto", G_SENSITIVE)
         if self.data.noise.gyro_wander is not None or not free or self.data.K < 3:
@@ -490,8 +490,9 @@ class JointModel:
         own = weights @ rest
         own = own.mean(axis=0) + (own - own.mean(axis=0)) / math.sqrt(left)
         unstated = self.data.recording.noise.gyro_noise is None
-        # In hand the Earth's rate is estimated: its doubt is for the test alone.
-        least = noise if self.turned_by_hand else expected
+        # In hand the Earth's rate is estimated, with attitudes that are as far off as the last correction.
+        off = min(doubt, EARTH_RATE_RAD_S * correction) if self.turned_by_hand else doubt
+        least = noise + off**2
         excess = excess_variance(own[~self.data.is_move], expected, least if unstated else None)
         self.bias_scatter = np.sqrt(excess)
         in_time = self.order[~self.data.is_move[self.order]]

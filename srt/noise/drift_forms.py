@@ -298,7 +298,7 @@ def drift_test(found: Statistics) -> DriftTest | None:
     explained = float(np.sum(along**2 / values[seen]))
     left = max(found.chi_square - explained, 1e-300)
     p_value = max(float(fdtrc(q, freedom, explained / q / (left / freedom))), float(chdtrc(q, explained)))
-    gain = found.freedom * math.log(found.chi_square / left) - q * math.log(found.freedom)
+    gain = found.freedom * math.log(max(found.chi_square, left) / left) - q * math.log(found.freedom)
     return DriftTest(p_value, vectors[:, seen] @ (along / values[seen]), gain)
 
 

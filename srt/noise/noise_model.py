@@ -35,6 +35,10 @@ _DITHERED: Final = 2.0
 1e-3 of a step, which no longer averages out."""
 _PULSES: Final = 0.5
 """Error of the integral, over that of pulses of one step, from which readings are pulse counts, whose errors cancel."""
+_OFF_GRID: Final = 0.1
+"""Distance of a reading from the grid of steps, in steps, that rounding of stored digits leaves."""
+_FEWEST_READINGS: Final = 10
+"""Distinct readings from which a grid is no coincidence."""
 _HARMONICS: Final = 200
 """Terms of the mean error of rounded readings: the others are 0.3 % of its square."""
 _BISECTIONS: Final = 40
@@ -254,6 +258,11 @@ def _step_error(recording: Recording, windows: Indices, sensor: str, step: Array
     coarse = (step > 0.0) & (variance < (step / _DITHERED) ** 2 + step**2 / 12.0)
     if pulse is None:
         coarse &= edge < _PULSES * step * dt / math.sqrt(12.0)
+    if coarse.any():  # distinct readings without a grid, as in simulations without noise, are not rounded
+        every = table[:: max(1, len(table) // _MAX_SAMPLES_FOR_RESOLUTION)] / (1.0 if recording.kind == "rate" else dt)
+        steps = (every - every[0]) / np.where(coarse, step, np.inf)
+        coarse &= np.all(np.abs(steps - np.round(steps)) < _OFF_GRID, axis=0)
+        coarse &= np.array([len(np.unique(own)) for own in np.round(steps).T]) >= _FEWEST_READINGS
     if not coarse.any():
         return np.zeros(3)
     k, low, high = np.arange(1, _HARMONICS + 1)[:, None], np.zeros(3), np.full(3, _DITHERED**-2.0)
