@@ -1,11 +1,7 @@
 """Axes and frames: swapped axes and wrong signs.
 
-Two independent sources show them: the labels, and the rotation of gravity in the accelerometers against the gyros.
-The specific force of a body that only rotates is constant in Earth-fixed axes, so in body axes ``df/dt = f × ω``. The
-readings f̃ and ω̃ during rotations therefore determine the matrix ``K`` of ``df̃/dt = f̃ × (K ω̃)`` without labels.
-Correct readings give ``K = I``. Gyro readings in a unit that is wrong by the factor c give ``K = I / c``. Signed
-permutations of the axes, ``f̃ = Pa f`` and ``ω̃ = Pg ω``, give ``K = det(Pa) Pa Pg⁻¹``. The wrong sign of all three
-accelerometers does not change K.
+Two independent sources show them: the labels, and the rotation of gravity in the accelerometers against the gyros
+(:mod:`srt.diagnosis.gravity_rotation`).
 """
 
 from __future__ import annotations

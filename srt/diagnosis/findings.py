@@ -34,7 +34,7 @@ class Fault:
     criterion : str
         Data that show the fault.
     message : str
-        What was found, where, what is expected, and what to do. The finding fills the fields in braces.
+        Sentence of what was found, where, what is expected, and what to do. The finding fills the fields in braces.
     effect : Effect
         Effect on reading and calibration.
     check : callable or None

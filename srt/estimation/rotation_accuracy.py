@@ -62,7 +62,7 @@ class ExecutedRotations:
     data : PreparedRecording
     result : SolverResult
     sigma : ndarray, shape (27,)
-        Of the parameters.
+        Standard deviations of the parameters.
 
     Attributes
     ----------

@@ -95,7 +95,7 @@ def run(joint: JointModel, solver: JointSolver, progress: Progress | None) -> Ca
             for add in (add_g_sensitivity, add_instability, add_unmodelled_noise, add_drift)
         ):
             continue
-        # What a drift hid, or seemed to be: the moves are judged again beside it.
+        # A drift can hide a wrong move, or come from one: the moves are judged again beside it.
         if joint.drift.terms and (moves := _contradicting_move(joint, solver, iteration)):
             joint = joint.without_moves(moves)
             solver.restart()

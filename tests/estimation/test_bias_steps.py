@@ -60,7 +60,7 @@ def intervals_of_windows(W):
 
 
 def test_shapes_of_steps_are_means_of_steps():
-    """Of a sampled step in a rotation, in the first and in the second half of a window: some coefficients give it."""
+    """Some coefficients give a sampled step in a rotation, and in the first and the second half of a window."""
     W = 12
     intervals = intervals_of_windows(W)
     shapes = step_shapes(intervals)

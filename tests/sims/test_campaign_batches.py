@@ -65,7 +65,7 @@ def test_units_with_noise_agree_with_single_runs_to_a_billionth_of_sigma(tmp_pat
 
 
 def test_a_unit_that_cannot_be_calibrated_leaves_the_others(tmp_path):
-    """What a single run raises stands in its place."""
+    """The error that a single run raises stands in its place."""
     campaign = small_campaign(tmp_path, trials="3" + ONE_MOTION)
     recordings = [simulate(campaign.unit(0, k)[0]).recording for k in range(3)]
     recordings[1] = recordings[1].with_sequences(())
