@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from scipy.special import chdtrc
 
 from srt.closed_form.fixture_accuracy import fixture_excess
 from srt.closed_form.formulas import SelectedFormulas
@@ -29,7 +28,7 @@ from srt.estimation.goodness_of_fit import (
     chi_square,
     contradicting_group,
     is_misfit,
-    likelier_than_a_fault,
+    one_group_explains,
     residual_statistics,
 )
 from srt.estimation.initial_estimates import initial_estimate
@@ -38,7 +37,7 @@ from srt.estimation.solver_result import SolverResult
 from srt.exceptions import DataError
 from srt.model import closed_form
 from srt.model.table1 import SEQUENCES
-from srt.noise.drift_forms import FALSE_ALARM, LINEAR, drift_test, variance_component
+from srt.noise.drift_forms import FALSE_ALARM, LINEAR, drift_test, likelihood_gain, variance_component
 from srt.result.calibration import Residual
 from srt.result.diagnostics import Diagnostics
 from srt.result.verdict import MISFIT_PROBABILITY
@@ -232,22 +231,22 @@ def _with_instability(
     """Solution with the bias instability that residuals and rates at rest show, if that alone explains them."""
     if solution.status != "converged" or formulas.fixed.all():
         return data, solution
-    noise, m, sizes, ratio = data.noise, solution.measurements, dict[str, Any](), 0.0
+    noise, m, sizes, gain = data.noise, solution.measurements, dict[str, Any](), 0.0
     before = _chi_square(solution, formulas.fixed)
     if np.any(noise.accel_limit > noise.accel_flicker):
         _, seen = _by_instability(data, solution, formulas.fixed)
         component = variance_component(seen)
         shown = component.p_value < MISFIT_PROBABILITY or noise.accel_flicker.any()
         if shown or is_misfit(*before):
-            ratio += component.ratio
+            gain += likelihood_gain(component.ratio, 1, *before)
             sizes["accel_instability"] = noise.expected_accel_instability(seen)[0]
     if noise.gyro_wander is None and options.gyro_bias == "auto":
         of_gyros = gyro_instability(data, m.gyro.inverse, m.rest_rate, m.integrated, (), m.window_sequence)
         if of_gyros is not None:
-            sizes["gyro_instability"], ratio = of_gyros[0], ratio + of_gyros[1]
+            sizes["gyro_instability"], gain = of_gyros[0], gain + of_gyros[1]
     if not sizes or _drift(data, solution, formulas.fixed)[0]:
         return data, solution
-    if chdtrc(len(sizes), ratio) >= likelier_than_a_fault(_tests(data, solution, formulas.fixed), *before):
+    if one_group_explains(_tests(data, solution, formulas.fixed), *before, against=gain):
         return data, solution
     other = replace(data, **sizes)
     found = iterate(other, options, formulas, solution.errors, solution.U, fixed_sigma=uncertain)
