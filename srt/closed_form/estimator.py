@@ -6,7 +6,6 @@ and one chi-square for each triad shows a drift of its biases. ``least-squares``
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
@@ -20,7 +19,7 @@ from srt.closed_form.measurement_covariance import accel_drift, covariance, dist
 from srt.estimation import g_sensitivity_report
 from srt.estimation.calibration_builder import build_calibration
 from srt.estimation.drift_model import DriftEstimate, DriftSearch, change, gyro_statistics, possible_sigma
-from srt.estimation.error_sources import NO_ERRORS
+from srt.estimation.error_sources import NO_ERRORS, as_found
 from srt.estimation.fixed_parameters import fixed_sigma, fixed_values, reason_on_request, value_of_fixed
 from srt.estimation.g_sensitivity import MODE as G_SENSITIVE
 from srt.estimation.g_sensitivity import RestRates
@@ -51,7 +50,6 @@ if TYPE_CHECKING:
 
     from srt.closed_form.iteration import Solution
     from srt.estimation.drift_model import Sensor
-    from srt.estimation.error_sources import UnmodelledErrors
     from srt.estimation.options import Options
     from srt.estimation.registry import Progress
     from srt.noise.drift_forms import DriftTest, Statistics
@@ -187,7 +185,8 @@ class _Unit:
         data, solution = _with_instability(data, used, formulas, solution, uncertain)
         excess, stated = NO_ERRORS, data
         if solution.status == "converged" and any(excess := fixture_excess(data, solution)):
-            data = _less_accurate(data, excess)
+            data = as_found(data, excess)
+            uncertain = fixed_sigma(data, options)
             solution = iterate(data, used, formulas, solution.errors, solution.U, fixed_sigma=uncertain)
         fixed = {name: reason_on_request(name, uncertain, data) for name in options.fixed_names}
         for name in formulas.missing:
@@ -202,19 +201,6 @@ class _Unit:
             moves = len(recorded_moves(recording, self.labels))
             result = replace(result, diagnostics=replace(result.diagnostics, unused_moves=moves))
         return build_calibration("closed-form", stated, options, result, fixed, warnings=warnings)
-
-
-def _less_accurate(data: PreparedRecording, excess: UnmodelledErrors) -> PreparedRecording:
-    """Recording with the accuracy that its fixture has, in place of the stated one."""
-    fixture = data.recording.fixture
-    assert fixture is not None
-    true = replace(
-        fixture,
-        alignment_sigma_rad=math.hypot(fixture.alignment_sigma_rad, excess.alignment),
-        rotation_sigma_rad=math.hypot(fixture.rotation_sigma_rad, excess.angle),
-        wobble_sigma_rad=math.hypot(fixture.wobble, excess.wobble),
-    )
-    return replace(data, recording=replace(data.recording, fixture=true))
 
 
 def _shows_g_sensitivity(data: PreparedRecording, solution: Solution, fixed: Mask) -> bool:
