@@ -98,18 +98,17 @@ def add_instability(joint: JointModel, solver: JointSolver, iteration: Iteration
         shown = [sensors for sensors in shown if "gyro" not in sensors]
     data, scatter = joint.data, joint.bias_scatter
     for sensors in shown:
-        at, ratio, null = state, 0.0, fit
+        at, explained = state, 0.0
         if "gyro" in sensors:
             at = replace(state, bias_deviation=np.zeros_like(state.bias_deviation))
-            own = _solution(joint, solver, iteration, at)
-            null = goodness_of_fit(joint, solver, own, own.system)
-            size, ratio = _gyro_size(joint, solver, iteration, at)
+            size, likelihood = _gyro_size(joint, solver, iteration, at)
+            explained = 2.0 * (likelihood - solution.log_likelihood)
             joint.with_data(replace(data, gyro_instability=size))
         if "accel" in sensors:
             now = solution if at is state else _solution(joint, solver, iteration, at)
-            ratio += accel_component(joint, now, fit[1]).ratio
+            explained += accel_component(joint, now, fit[1]).ratio
             joint.with_data(replace(joint.data, accel_instability=accel_instability(joint, now)[0]))
-        gain = likelihood_gain(ratio, len(sensors), *null)
+        gain = likelihood_gain(explained, len(sensors), *fit)
         if not _one_is_faulty(joint, solution, fit, gain) and _explains(joint, solver, iteration, at):
             if "gyro" in sensors:
                 iteration.state = replace(iteration.state, bias_deviation=at.bias_deviation)
@@ -149,7 +148,7 @@ def _instabilities(
 def _gyro_size(
     joint: JointModel, solver: JointSolver, iteration: IterationState, state: JointState
 ) -> tuple[float, float]:
-    """Bias instability of the gyros by restricted likelihood at a state, rad/s, and twice its log-likelihood ratio."""
+    """Bias instability of the gyros by restricted likelihood at a state, rad/s, and its log-likelihood."""
     from scipy.optimize import minimize_scalar  # heavy, and few calibrations come here
 
     data, noise = joint.data, joint.data.noise
@@ -160,9 +159,8 @@ def _gyro_size(
         return -_solution(joint, solver, iteration, state).log_likelihood
 
     best = minimize_scalar(cost, bounds=_SIZES, method="bounded", options={"xatol": _SIZE_TOLERANCE})
-    none = cost(2.0 * _SIZES[0])
     joint.with_data(data)
-    return window * math.exp(float(best.x)), 2.0 * max(none - float(best.fun), 0.0)
+    return window * math.exp(float(best.x)), -float(best.fun)
 
 
 def _solution(joint: JointModel, solver: JointSolver, iteration: IterationState, state: JointState) -> BlockSolution:
