@@ -6,12 +6,10 @@ and one chi-square for each triad shows a drift of its biases. ``least-squares``
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from scipy.special import chdtrc
 
 from srt.closed_form.fixture_accuracy import fixture_excess
 from srt.closed_form.formulas import SelectedFormulas
@@ -21,7 +19,7 @@ from srt.closed_form.measurement_covariance import accel_drift, covariance, dist
 from srt.estimation import g_sensitivity_report
 from srt.estimation.calibration_builder import build_calibration
 from srt.estimation.drift_model import DriftEstimate, DriftSearch, change, gyro_statistics, possible_sigma
-from srt.estimation.error_sources import NO_ERRORS
+from srt.estimation.error_sources import NO_ERRORS, as_found
 from srt.estimation.fixed_parameters import fixed_sigma, fixed_values, reason_on_request, value_of_fixed
 from srt.estimation.g_sensitivity import MODE as G_SENSITIVE
 from srt.estimation.g_sensitivity import RestRates
@@ -29,7 +27,7 @@ from srt.estimation.goodness_of_fit import (
     chi_square,
     contradicting_group,
     is_misfit,
-    likelier_than_a_fault,
+    one_group_explains,
     residual_statistics,
 )
 from srt.estimation.initial_estimates import initial_estimate
@@ -38,7 +36,7 @@ from srt.estimation.solver_result import SolverResult
 from srt.exceptions import DataError
 from srt.model import closed_form
 from srt.model.table1 import SEQUENCES
-from srt.noise.drift_forms import FALSE_ALARM, LINEAR, drift_test, variance_component
+from srt.noise.drift_forms import FALSE_ALARM, LINEAR, drift_test, likelihood_gain, variance_component
 from srt.result.calibration import Residual
 from srt.result.diagnostics import Diagnostics
 from srt.result.verdict import MISFIT_PROBABILITY
@@ -52,7 +50,6 @@ if TYPE_CHECKING:
 
     from srt.closed_form.iteration import Solution
     from srt.estimation.drift_model import Sensor
-    from srt.estimation.error_sources import UnmodelledErrors
     from srt.estimation.options import Options
     from srt.estimation.registry import Progress
     from srt.noise.drift_forms import DriftTest, Statistics
@@ -188,7 +185,8 @@ class _Unit:
         data, solution = _with_instability(data, used, formulas, solution, uncertain)
         excess, stated = NO_ERRORS, data
         if solution.status == "converged" and any(excess := fixture_excess(data, solution)):
-            data = _less_accurate(data, excess)
+            data = as_found(data, excess)
+            uncertain = fixed_sigma(data, options)
             solution = iterate(data, used, formulas, solution.errors, solution.U, fixed_sigma=uncertain)
         fixed = {name: reason_on_request(name, uncertain, data) for name in options.fixed_names}
         for name in formulas.missing:
@@ -205,19 +203,6 @@ class _Unit:
         return build_calibration("closed-form", stated, options, result, fixed, warnings=warnings)
 
 
-def _less_accurate(data: PreparedRecording, excess: UnmodelledErrors) -> PreparedRecording:
-    """Recording with the accuracy that its fixture has, in place of the stated one."""
-    fixture = data.recording.fixture
-    assert fixture is not None
-    true = replace(
-        fixture,
-        alignment_sigma_rad=math.hypot(fixture.alignment_sigma_rad, excess.alignment),
-        rotation_sigma_rad=math.hypot(fixture.rotation_sigma_rad, excess.angle),
-        wobble_sigma_rad=math.hypot(fixture.wobble, excess.wobble),
-    )
-    return replace(data, recording=replace(data.recording, fixture=true))
-
-
 def _shows_g_sensitivity(data: PreparedRecording, solution: Solution, fixed: Mask) -> bool:
     """True if the residuals exceed the noise, and the rest rates show a g-sensitivity of the gyros."""
     m = solution.measurements
@@ -232,22 +217,22 @@ def _with_instability(
     """Solution with the bias instability that residuals and rates at rest show, if that alone explains them."""
     if solution.status != "converged" or formulas.fixed.all():
         return data, solution
-    noise, m, sizes, ratio = data.noise, solution.measurements, dict[str, Any](), 0.0
+    noise, m, sizes, gain = data.noise, solution.measurements, dict[str, Any](), 0.0
     before = _chi_square(solution, formulas.fixed)
     if np.any(noise.accel_limit > noise.accel_flicker):
         _, seen = _by_instability(data, solution, formulas.fixed)
         component = variance_component(seen)
         shown = component.p_value < MISFIT_PROBABILITY or noise.accel_flicker.any()
         if shown or is_misfit(*before):
-            ratio += component.ratio
+            gain += likelihood_gain(component.ratio, 1, *before)
             sizes["accel_instability"] = noise.expected_accel_instability(seen)[0]
     if noise.gyro_wander is None and options.gyro_bias == "auto":
         of_gyros = gyro_instability(data, m.gyro.inverse, m.rest_rate, m.integrated, (), m.window_sequence)
         if of_gyros is not None:
-            sizes["gyro_instability"], ratio = of_gyros[0], ratio + of_gyros[1]
+            sizes["gyro_instability"], gain = of_gyros[0], gain + of_gyros[1]
     if not sizes or _drift(data, solution, formulas.fixed)[0]:
         return data, solution
-    if chdtrc(len(sizes), ratio) >= likelier_than_a_fault(_tests(data, solution, formulas.fixed), *before):
+    if one_group_explains(_tests(data, solution, formulas.fixed), *before, against=gain):
         return data, solution
     other = replace(data, **sizes)
     found = iterate(other, options, formulas, solution.errors, solution.U, fixed_sigma=uncertain)

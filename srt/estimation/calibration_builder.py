@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from srt.estimation.asymmetry_choice import asymmetry_choice
-from srt.estimation.error_sources import EXCESSES, alignment_sigma, start_sigma
+from srt.estimation.error_sources import EXCESSES, alignment_sigma, as_found, start_sigma
 from srt.estimation.fixed_parameters import parameters_due
 from srt.estimation.goodness_of_fit import chi_square_probability, is_misfit
 from srt.estimation.leave_one_out import verdict
@@ -98,7 +97,7 @@ def build_calibration(
             result.diagnostics,
             # Far from a solution the covariance may be singular.
             asymmetry=asymmetry_choice(result.errors, covariance, observed) if result.status == "converged" else {},
-            unseen_errors=unseen_errors(data, observed),
+            unseen_errors=unseen_errors(as_found(data, result.unmodelled), observed),
             contradicted=contradicted or None,
             not_shown=_not_shown(data, options, fixed),
         ),
@@ -141,10 +140,7 @@ def _drifted_bias(data: PreparedRecording, result: SolverResult) -> Array:
 
 def _mounting_sigma(data: PreparedRecording, result: SolverResult) -> float | None:
     """1-sigma of the mounting, rad; None without a fixture."""
-    fixture = data.recording.fixture
-    if data.nominal is None or fixture is None:
-        return None
-    return math.hypot(fixture.alignment_sigma_rad, result.unmodelled.alignment)
+    return None if data.nominal is None else alignment_sigma(as_found(data, result.unmodelled).recording)
 
 
 def _birge_ratio(result: SolverResult) -> float:

@@ -19,6 +19,7 @@ from srt.noise.drift_forms import (
     WALK,
     drift_test,
     form_or_scatter,
+    likelihood_gain,
     of_courses,
     variance_component,
 )
@@ -223,9 +224,7 @@ def _step_or_walk(
     """The step, or the random walk if all its components together are more likely: its test uses three."""
     walk = (step[0], WALK)
     ratio = variance_component(of_courses(each, data.drift_shape(*walk).windows)).ratio
-    left = max(each.chi_square - ratio, _LEAST_P)
-    gain = each.freedom * math.log(each.chi_square / left) - math.log(each.freedom)
-    return walk if gain > test.gain else step
+    return walk if likelihood_gain(ratio, 1, each.chi_square, each.freedom) > test.gain else step
 
 
 def possible_sigma(linear: Statistics, p_value: float) -> float:

@@ -10,7 +10,7 @@ joint model whitens with the first and estimates the second; the closed form pro
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -297,6 +297,20 @@ def start_sigma(recording: Recording) -> Array:
     if fixture is None:
         return np.zeros(3)
     return np.array([fixture.rotation_sigma_rad, fixture.rotation_sigma_rad, fixture.wobble])
+
+
+def as_found(data: PreparedRecording, errors: UnmodelledErrors) -> PreparedRecording:
+    """Recording whose fixture has the accuracy that the residuals show, in place of the stated one."""
+    fixture = data.recording.fixture
+    if fixture is None or not any(errors.of_fixture):
+        return data
+    true = replace(
+        fixture,
+        alignment_sigma_rad=math.hypot(fixture.alignment_sigma_rad, errors.alignment),
+        rotation_sigma_rad=math.hypot(fixture.rotation_sigma_rad, errors.angle),
+        wobble_sigma_rad=math.hypot(fixture.wobble, errors.wobble),
+    )
+    return replace(data, recording=replace(data.recording, fixture=true))
 
 
 def alignment_sigma(recording: Recording) -> float:

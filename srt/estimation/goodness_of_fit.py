@@ -10,6 +10,7 @@ from scipy.linalg import solve_triangular
 from scipy.special import chdtrc, chdtri, fdtrc
 
 from srt.noise import drift_forms
+from srt.noise.drift_forms import likelihood_gain
 from srt.result.verdict import MISFIT_PROBABILITY
 
 if TYPE_CHECKING:
@@ -113,44 +114,28 @@ def contradicting_group(
     return worst
 
 
-def likelier_than_a_fault(
-    tests: Sequence[tuple[float, int]], chi_square: float, degrees_of_freedom: int, *, free: bool = False
-) -> float:
-    """p-value below which an effect on all groups is more likely than a fault of one; infinite if none is faulty.
-
-    With a misfit, one is faulty if that explains it. Parameters are those of :func:`contradicting_group`.
-    """
-    worst = contradicting_group(tests, chi_square, degrees_of_freedom, free=free)
-    explained = not is_misfit(chi_square, degrees_of_freedom) or one_group_explains(
-        tests, chi_square, degrees_of_freedom, free=free
-    )
-    return worst[1] * len(tests) if worst is not None and explained else math.inf
-
-
 def one_group_explains(
-    tests: Sequence[tuple[float, int]], chi_square: float, degrees_of_freedom: int, *, free: bool = False
+    tests: Sequence[tuple[float, int]],
+    chi_square: float,
+    degrees_of_freedom: int,
+    *,
+    free: bool = False,
+    against: float = -math.inf,
 ) -> bool:
-    """Return True if one group contradicts the other measurements, and these agree with each other.
+    """Return True if one group contradicts the other measurements, these agree, and no other cause is likelier.
 
-    Parameters are those of :func:`contradicting_group`.
+    Parameters
+    ----------
+    tests, chi_square, degrees_of_freedom, free
+        As in :func:`contradicting_group`.
+    against : float
+        Gain of an effect on all groups that may explain the residuals instead, see
+        :func:`srt.noise.drift_forms.likelihood_gain`. That of the group has the penalty of its number, too.
     """
     worst = contradicting_group(tests, chi_square, degrees_of_freedom, free=free)
     if worst is None:
         return False
     own, freedom = tests[worst[0]]
     rest, others = chi_square - own, degrees_of_freedom - freedom
-    return rest < _ONE_FAULT * chi_square or not is_misfit(rest, others)
-
-
-def gain_of_one_group(
-    tests: Sequence[tuple[float, int]], chi_square: float, degrees_of_freedom: int, *, free: bool = False
-) -> float:
-    """Twice the logarithm of the likelihood ratio of one faulty group, less a penalty; zero if none is faulty.
-
-    It compares with :attr:`srt.noise.drift_forms.DriftTest.gain`. Parameters are those of :func:`contradicting_group`.
-    """
-    if not one_group_explains(tests, chi_square, degrees_of_freedom, free=free):
-        return 0.0
-    own, freedom = max(tests, key=lambda test: test[0])
-    ratio = chi_square / max(chi_square - own, 1e-300)
-    return degrees_of_freedom * math.log(ratio) - freedom * math.log(degrees_of_freedom) - 2.0 * math.log(len(tests))
+    gain = likelihood_gain(own, freedom, chi_square, degrees_of_freedom) - 2.0 * math.log(len(tests))
+    return (rest < _ONE_FAULT * chi_square or not is_misfit(rest, others)) and gain > against

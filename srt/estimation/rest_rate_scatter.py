@@ -14,7 +14,7 @@ from scipy.special import chdtri
 from srt.estimation.drift_model import gyro_statistics
 from srt.estimation.error_sources import raw_rate_variance
 from srt.estimation.g_sensitivity import MODE as G_SENSITIVE
-from srt.noise.drift_forms import variance_component
+from srt.noise.drift_forms import likelihood_gain, variance_component
 from srt.noise.variance_components import expected_variance
 from srt.result.verdict import MISFIT_PROBABILITY
 
@@ -58,11 +58,10 @@ def bias_gain(measurements: SrtMeasurements, data: PreparedRecording, mode: str,
 def gyro_instability(
     data: PreparedRecording, slope: Array, rest: Array, integrated: Mask, present: Sequence[DriftTerm], owner: Indices
 ) -> tuple[float, float] | None:
-    """Expected bias instability of the gyros, rad/s, and twice the logarithm of its likelihood ratio.
+    """Expected bias instability of the gyros, rad/s, and its gain; None if the rates at rest do not show it.
 
-    None if the rates at rest do not show it.
-
-    It is not shown either where a bias of each sequence is more likely.
+    The gain is that of :func:`srt.noise.drift_forms.likelihood_gain`. The instability is not shown either where a bias
+    of each sequence is more likely.
 
     Parameters
     ----------
@@ -78,7 +77,9 @@ def gyro_instability(
     flicker = variance_component(found["instability"])
     if flicker.p_value > MISFIT_PROBABILITY or flicker.ratio < variance_component(found["sequences"]).ratio:
         return None
-    return math.sqrt(expected_variance(found["instability"], 0.0, (0.0, math.inf))), flicker.ratio
+    rates = found["instability"]
+    gain = likelihood_gain(flicker.ratio, 1, rates.chi_square, rates.freedom)
+    return math.sqrt(expected_variance(rates, 0.0, (0.0, math.inf))), gain
 
 
 def window_rate_variance(measurements: SrtMeasurements, data: PreparedRecording) -> Array:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from srt.estimation.drift_model import MOST_TERMS
-from srt.estimation.error_sources import NO_ERRORS
+from srt.estimation.error_sources import NO_ERRORS, as_found
 from srt.estimation.fixed_parameters import (
     determined_by_fixture,
     fixed_sigma,
@@ -43,7 +43,7 @@ from srt.model.table1 import SEQUENCES
 from srt.sensor_errors import NAMES
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable
 
     from srt.estimation.registry import Progress
     from srt.joint.joint_model import JointModel
@@ -67,17 +67,15 @@ def run(joint: JointModel, solver: JointSolver, progress: Progress | None) -> Ca
     joint.options.refuse(("step", "down", "measured_vertical", "window_attitude"), "Joint estimation")
     joint, found = _with_sound_moves(joint, solver, progress)
     options = joint.options
-    uncertain = fixed_sigma(joint.data, options)
-    reasons = {name: reason_on_request(name, uncertain, joint.data) for name in options.fixed_names}
-    reasons = _not_shown_by_poses(joint, reasons) | reasons
-    fixed = FixedParameters(reasons, uncertain)
-    requested = np.array([name in reasons for name in NAMES])
+    unseen = _not_shown_by_poses(joint)
+    requested = np.array([name in unseen or name in options.fixed_names for name in NAMES])
     start = joint.with_fixed_values(joint.start, requested)
     iteration = IterationState(start, ~requested) if found is None else found
     held: Diagnostics | None = None
     for _ in range(_ROUNDS * (1 + MOST_TERMS)):
         iteration = iterate(joint, solver, iteration, requested=requested, progress=progress)
         iteration = _with_still_windows(joint, solver, iteration, requested, progress)
+        uncertain = _fixed_sigma(joint)
         if (found_held := _integrate_moving_windows(joint, solver, iteration, uncertain)) is not None:
             held = found_held
             continue
@@ -94,6 +92,8 @@ def run(joint: JointModel, solver: JointSolver, progress: Progress | None) -> Ca
             add(joint, solver, iteration)
             for add in (add_g_sensitivity, add_instability, add_unmodelled_noise, add_drift)
         ):
+            if joint.relies_on_fixture:
+                solver.prior = joint.prior_of_fixture(_fixed_sigma(joint))
             continue
         # A drift can hide a wrong move, or come from one: the moves are judged again beside it.
         if joint.drift.terms and (moves := _contradicting_move(joint, solver, iteration)):
@@ -111,7 +111,14 @@ def run(joint: JointModel, solver: JointSolver, progress: Progress | None) -> Ca
             break
         iteration.free = iteration.free & ~weak
         iteration.state = joint.with_fixed_values(iteration.state, weak)
-    return make_calibration(joint, solver, iteration, fixed, held)
+    uncertain = _fixed_sigma(joint)
+    reasons = unseen | {name: reason_on_request(name, uncertain, joint.data) for name in options.fixed_names}
+    return make_calibration(joint, solver, iteration, FixedParameters(reasons, uncertain), held)
+
+
+def _fixed_sigma(joint: JointModel) -> Array:
+    """1-sigma of every parameter where it is fixed, with the accuracy of the fixture as found."""
+    return fixed_sigma(as_found(joint.data, joint.unmodelled_sigma), joint.options)
 
 
 def _with_drift(
@@ -198,7 +205,7 @@ def _vague(joint: JointModel, iteration: IterationState, requested: Mask) -> Mas
     return np.asarray(~known)
 
 
-def _not_shown_by_poses(joint: JointModel, requested: Mapping[str, str]) -> dict[str, str]:
+def _not_shown_by_poses(joint: JointModel) -> dict[str, str]:
     """Parameters that a test of poses and stated rates does not show, with reasons; none if there are other rotations.
 
     They are fixed from the start. With a wide prior, the square of a misalignment of a third would become a scale
@@ -207,7 +214,7 @@ def _not_shown_by_poses(joint: JointModel, requested: Mapping[str, str]) -> dict
     by_earth_rate = seen_by_earth_rate_alone(joint.data)
     if not by_earth_rate:
         return {}
-    wanted = np.array([name not in by_earth_rate and name not in requested for name in NAMES])
+    wanted = np.array([name not in by_earth_rate and name not in joint.options.fixed_names for name in NAMES])
     system = linearise(joint, *placed(joint, joint.start), wanted)
     observable = observable_parameters(system, ~wanted)
     others = [name for name, lost in zip(NAMES, wanted & ~observable, strict=True) if lost]

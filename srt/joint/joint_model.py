@@ -245,7 +245,8 @@ class JointModel:
         A parameter is then observed if the measurements reduce this sigma to a third. The others have the value that
         prior and measurements together give, so that sums that are known better stay right.
         """
-        self.admission = np.where(uncertain > 0.0, np.minimum(self.admission, uncertain), self.admission)
+        wide = admission_sigma()
+        self.admission = np.where(uncertain > 0.0, np.minimum(wide, uncertain), wide)
         return Prior.from_sigma(self.admission, self.fixed_values)
 
     def with_fixed_values(self, state: JointState, fixed: Mask) -> JointState:

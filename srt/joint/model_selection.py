@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from scipy.special import chdtrc
 
 from srt.estimation.drift_model import (
     MOST_TERMS,
@@ -21,9 +20,7 @@ from srt.estimation.error_sources import LARGEST_FIXTURE_RAD, NO_ERRORS, accel_d
 from srt.estimation.g_sensitivity_report import significant_g_sensitivity
 from srt.estimation.goodness_of_fit import (
     contradicting_group,
-    gain_of_one_group,
     is_misfit,
-    likelier_than_a_fault,
     one_group_explains,
 )
 from srt.estimation.rest_rate_scatter import gyro_instability
@@ -33,7 +30,7 @@ from srt.joint.linearisation import linearise
 from srt.joint.residual_analysis import contradictions, unmodelled_noise
 from srt.joint.solution_analysis import accel_instability, force_statistics, goodness_of_fit, whole_solution
 from srt.model.sensor_model import gyro_triad
-from srt.noise.drift_forms import WALK, Statistics, VarianceComponent, variance_component
+from srt.noise.drift_forms import WALK, Statistics, VarianceComponent, likelihood_gain, variance_component
 from srt.result.verdict import MISFIT_PROBABILITY
 
 if TYPE_CHECKING:
@@ -86,8 +83,6 @@ def add_instability(joint: JointModel, solver: JointSolver, iteration: Iteration
     shown = _instabilities(joint, iteration, solution, fit[1], misfit=misfit)
     if not shown:
         return False
-    tests = [(test.chi_square, test.degrees_of_freedom) for test in contradictions(joint, solution)]
-    limit = likelier_than_a_fault(tests, *fit, free=joint.turned_by_hand)
     assert iteration.point is not None
     state, found = iteration.point.state, search(joint, iteration, solution, fit[1])
     smooth = tuple(term for term in found.terms if term.sensor == "accel" and term.form != WALK)
@@ -103,16 +98,18 @@ def add_instability(joint: JointModel, solver: JointSolver, iteration: Iteration
         shown = [sensors for sensors in shown if "gyro" not in sensors]
     data, scatter = joint.data, joint.bias_scatter
     for sensors in shown:
-        at, ratio = state, 0.0
+        at, explained = state, 0.0
         if "gyro" in sensors:
             at = replace(state, bias_deviation=np.zeros_like(state.bias_deviation))
-            size, ratio = _gyro_size(joint, solver, iteration, at)
+            size, likelihood = _gyro_size(joint, solver, iteration, at)
+            explained = 2.0 * (likelihood - solution.log_likelihood)
             joint.with_data(replace(data, gyro_instability=size))
         if "accel" in sensors:
             now = solution if at is state else _solution(joint, solver, iteration, at)
-            ratio += accel_component(joint, now, fit[1]).ratio
+            explained += accel_component(joint, now, fit[1]).ratio
             joint.with_data(replace(joint.data, accel_instability=accel_instability(joint, now)[0]))
-        if chdtrc(len(sensors), ratio) < limit and _explains(joint, solver, iteration, at):
+        gain = likelihood_gain(explained, len(sensors), *fit)
+        if not _one_is_faulty(joint, solution, fit, gain) and _explains(joint, solver, iteration, at):
             if "gyro" in sensors:
                 iteration.state = replace(iteration.state, bias_deviation=at.bias_deviation)
             return True
@@ -151,7 +148,7 @@ def _instabilities(
 def _gyro_size(
     joint: JointModel, solver: JointSolver, iteration: IterationState, state: JointState
 ) -> tuple[float, float]:
-    """Bias instability of the gyros by restricted likelihood at a state, rad/s, and twice its log-likelihood ratio."""
+    """Bias instability of the gyros by restricted likelihood at a state, rad/s, and its log-likelihood."""
     from scipy.optimize import minimize_scalar  # heavy, and few calibrations come here
 
     data, noise = joint.data, joint.data.noise
@@ -162,9 +159,8 @@ def _gyro_size(
         return -_solution(joint, solver, iteration, state).log_likelihood
 
     best = minimize_scalar(cost, bounds=_SIZES, method="bounded", options={"xatol": _SIZE_TOLERANCE})
-    none = cost(2.0 * _SIZES[0])
     joint.with_data(data)
-    return window * math.exp(float(best.x)), 2.0 * max(none - float(best.fun), 0.0)
+    return window * math.exp(float(best.x)), -float(best.fun)
 
 
 def _solution(joint: JointModel, solver: JointSolver, iteration: IterationState, state: JointState) -> BlockSolution:
@@ -208,10 +204,12 @@ def add_fixture_errors(joint: JointModel, solver: JointSolver, iteration: Iterat
     return True
 
 
-def _one_is_faulty(joint: JointModel, solution: BlockSolution, fit: tuple[float, int]) -> bool:
-    """True if one sequence or move explains the misfit."""
+def _one_is_faulty(
+    joint: JointModel, solution: BlockSolution, fit: tuple[float, int], against: float = -math.inf
+) -> bool:
+    """True if one sequence or move explains the misfit, and with a larger gain than an effect on all."""
     tests = [(test.chi_square, test.degrees_of_freedom) for test in contradictions(joint, solution)]
-    return one_group_explains(tests, *fit, free=joint.turned_by_hand)
+    return one_group_explains(tests, *fit, free=joint.turned_by_hand, against=against)
 
 
 def _fixture_explains(
@@ -270,11 +268,9 @@ def add_drift(joint: JointModel, solver: JointSolver, iteration: IterationState)
     iteration.unmodelled_drift = found = search(joint, iteration, solution, fit[1])
     if not found.terms:
         return False
-    if not any(joint.unmodelled_sigma):
-        tests = [(test.chi_square, test.degrees_of_freedom) for test in contradictions(joint, solution)]
-        if gain_of_one_group(tests, *fit, free=joint.turned_by_hand) > found.gain:
-            iteration.unmodelled_drift = DriftSearch()
-            return False
+    if not any(joint.unmodelled_sigma) and _one_is_faulty(joint, solution, fit, found.gain):
+        iteration.unmodelled_drift = DriftSearch()
+        return False
     # The other triad is searched again in what this form leaves.
     joint.drift, iteration.state = _with_drift(joint, iteration.state, found.terms[:1])
     joint.unmodelled_sigma = NO_ERRORS

@@ -87,7 +87,8 @@ def mount_from_recording(
         Calibration of the unit; the caller judges its status.
     level_sigma_rad, axis_sigma_rad : float, optional
         As in :func:`srt.mount.alignment.align_mount`; default 1 mrad, or the alignment sigma of the fixture stated in
-        the recording for the axis, and √2 of it for the level (base and mounting).
+        the recording for the axis, and √2 of it for the level (base and mounting). If the calibration is of the same
+        recording, its sigma of the mounting is used, which contains what it found beyond the stated one.
 
     Raises
     ------
@@ -96,10 +97,12 @@ def mount_from_recording(
     DataError
         No level or no pitched pose, a pose that cannot be used, or a unit that moved.
     """
-    stated = (recording.fixture or Fixture()).alignment_sigma_rad
-    by_default = stated if recording.fixture is None else math.sqrt(2.0) * stated
+    alignment = (recording.fixture or Fixture()).alignment_sigma_rad
+    if recording.data_sha256 is not None and recording.data_sha256 == calibration.provenance.data_sha256:
+        alignment = calibration.U_sigma_rad or alignment
+    by_default = alignment if recording.fixture is None else math.sqrt(2.0) * alignment
     level = by_default if level_sigma_rad is None else level_sigma_rad
-    axis = stated if axis_sigma_rad is None else axis_sigma_rad
+    axis = alignment if axis_sigma_rad is None else axis_sigma_rad
     found = find_poses(recording, calibration, level_sigma_rad=level)
     mount = align_mount(found.force, found.covariance, level_sigma_rad=level, axis_sigma_rad=axis, titles=found.titles)
     rows = tuple(

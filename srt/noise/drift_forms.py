@@ -48,6 +48,8 @@ _LEAST_CHANGE: Final = 1e-3 - 1.0
 """Least relative change of the noise along an effect: a thousandth of it is left."""
 _VARIANCES: Final = 1000
 """Variances at which the likelihood of a component is computed."""
+_LEAST_CHI_SQUARE: Final = 1e-300
+"""Chi-square below which this limit counts: a form may explain noise-free residuals entirely."""
 _SEEN: Final = 1e-10
 """Eigenvalue of the information, relative to the largest, below which a coefficient is not testable."""
 _SHORTEST: Final = 1e-6
@@ -253,8 +255,7 @@ class DriftTest:
     amplitude : ndarray, shape (q,)
         Least-squares estimate of the tested coefficients.
     gain : float
-        Twice the logarithm of the likelihood ratio, with the scale of the noise estimated, less the penalty of the
-        coefficients by the Bayesian information criterion. It compares forms whose p-values are too small to compute.
+        See :func:`likelihood_gain`.
     """
 
     p_value: float
@@ -296,10 +297,30 @@ def drift_test(found: Statistics) -> DriftTest | None:
     if values[-1] <= 0.0 or freedom < 1:
         return None
     explained = float(np.sum(along**2 / values[seen]))
-    left = max(found.chi_square - explained, 1e-300)
+    left = max(found.chi_square - explained, _LEAST_CHI_SQUARE)
     p_value = max(float(fdtrc(q, freedom, explained / q / (left / freedom))), float(chdtrc(q, explained)))
-    gain = found.freedom * math.log(max(found.chi_square, left) / left) - q * math.log(found.freedom)
+    gain = likelihood_gain(explained, q, found.chi_square, found.freedom)
     return DriftTest(p_value, vectors[:, seen] @ (along / values[seen]), gain)
+
+
+def likelihood_gain(explained: float, coefficients: int, chi_square: float, freedom: int) -> float:
+    """Twice the logarithm of a likelihood ratio, with the scale of the noise estimated, less a penalty.
+
+    The penalty is that of the Bayesian information criterion. The gain compares causes of different kinds, and those
+    whose p-values are too small to compute.
+
+    Parameters
+    ----------
+    explained : float
+        Decrease of chi-square by the coefficients, or twice the logarithm of the likelihood ratio of their variances,
+        with noise of a known scale.
+    coefficients : int
+        Number of coefficients or variances.
+    chi_square, freedom : float, int
+        Of the residuals without them.
+    """
+    left = max(chi_square - explained, _LEAST_CHI_SQUARE)
+    return freedom * math.log(max(chi_square, left) / left) - coefficients * math.log(max(freedom, 1))
 
 
 class VarianceComponent(NamedTuple):

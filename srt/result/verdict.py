@@ -110,7 +110,7 @@ def verdict_on(calibration: Judged) -> Verdict:
     evidence = calibration.verdict
     faults = calibration.diagnostics.faults or ()
     overridden = [f for f in faults if f.effect.startswith("exit")]
-    wrong = [f for f in faults if f.fault in NOT_IN_RESIDUALS - _explained(calibration)]
+    wrong = [f for f in faults if f.fault in NOT_IN_RESIDUALS - explained_by_drift(calibration)]
     if calibration.status not in USABLE:
         return Verdict(FAILED, _failure(calibration))
     if overridden:
@@ -136,7 +136,7 @@ def _lacking(names: tuple[str, ...]) -> Iterator[str]:
         yield f"Not observed, though such a recording should show them: {', '.join(collapse_names(names))}."
 
 
-def _explained(calibration: Judged) -> set[str]:
+def explained_by_drift(calibration: Judged) -> set[str]:
     """Faults that a modelled drift explains: with it, the residuals test that there is no other."""
     drift = [row for row in calibration.diagnostics.drift or () if row.modelled]
     out = {"gyro_bias_drift" for row in drift if row.sensor == "gyro"}

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
+import numpy as np
 import pytest
 from scipy.special import ndtri
 from worse_than_stated import CASES, outcome, unit_of
 
 import srt
+from srt.sensor_errors import NAMES
 
 UNITS = 2
 PARAMETERS = 27
@@ -58,6 +61,35 @@ def test_both_figures_are_told():
     assert "The fixture is less accurate than stated: rotations " in found.judgement.reason
     assert "start angles 0.85 mrad, 0.1 stated" in found.judgement.reason
     assert found.U_sigma_rad == pytest.approx(math.hypot(1e-4, added["alignment_rad"].added))
+    (heading,) = (row for row in found.diagnostics.unseen_errors if row.source == "heading")
+    assert heading.sigma == pytest.approx(1e3 * found.U_sigma_rad)
+
+
+@pytest.mark.parametrize(
+    ("estimator", "recorded"),
+    [
+        ("closed-form", ("2", "2a", "3", "3a", "7", "8", "9", "13", "14", "15", "16", "17")),
+        ("least-squares", ("2", "2a", "7", "8", "9")),
+    ],
+)
+def test_values_from_the_fixture_are_as_accurate_as_it_is(estimator, recorded):
+    """What these sequences do not show has the value of the nominal angles, whose errors are not those stated."""
+    for seed in range(UNITS):
+        unit, errors = unit_of(CASES["fixture of 1 mrad, 0.1 stated"], seed)
+        few = replace(unit, sequences=tuple(s for s in unit.sequences if s.id in recorded))
+        found = srt.calibrate(few, estimator)
+        assert found.status in ("converged", "partial")
+        z = (found.errors.vector - [errors.get(name, 0.0) for name in NAMES])[found.observed]
+        assert np.abs(z / found.sigma[found.observed]).max() < WORST
+
+
+def test_the_mount_has_the_alignment_that_was_found():
+    unit = replace(unit_of(CASES["alignment of 1 mrad, 0.1 stated"], 0)[0], data_sha256="of this recording")
+    found = srt.calibrate(unit, "least-squares")
+    mount = srt.mount_from_recording(unit, found)
+    assert mount.provenance["axis_sigma_rad"] == found.U_sigma_rad > 5.0 * unit.fixture.alignment_sigma_rad
+    another = srt.mount_from_recording(replace(unit, data_sha256="of another"), found)
+    assert another.provenance["axis_sigma_rad"] == unit.fixture.alignment_sigma_rad
 
 
 def test_a_wobble_as_large_as_the_angles_is_doubtful_and_named():

@@ -52,6 +52,15 @@ def test_the_closed_form_names_a_drift_and_no_sequence():
         assert found.verdict.contradicting is None
 
 
+def test_a_step_that_is_modelled_is_no_second_unit():
+    """``srt inspect`` finds the step, without a calibration that explains it."""
+    unit, _ = unit_of(CASES["fixture, accelerometer step of 0.4 mg"], 1)
+    found = srt.calibrate(unit, "least-squares")
+    assert "units_joined" in {fault.fault for fault in found.diagnostics.faults}
+    assert not any("joins two units" in warning for warning in found.warnings)
+    assert any("by a step at" in warning for warning in found.warnings)
+
+
 def test_channels_whose_steps_are_not_dithered_are_named_and_their_sigmas_hold():
     """The sigmas contain a bound: errors are within them, and no g-sensitivity is found in the steps."""
     unit, _ = unit_of(CASES["steps of three noise sigma"], 0)
