@@ -1,10 +1,10 @@
-"""Faults of firmware and converters: high-pass filters, gravity removed, words without sign, dead bands, stuck bits."""
+"""Faults of firmware: high-pass filters, gravity removed, unsigned words, dead bands, truncation, stuck bits."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from scipy.signal import lfilter
@@ -62,6 +62,31 @@ def accel_dead_band(case: Case, severity: float, rng: np.random.Generator) -> Re
     accel = recording.accel.copy()
     accel[np.abs(accel[:, axis]) < severity * rng.uniform(1.0, 1.5) * MICRO_G * interval, axis] = 0.0
     return replace(recording, accel=accel)
+
+
+_COUNTED: Final = "Increments are counts of pulses, whose remainder the next count contains: they are not truncated."
+
+
+_FAR_FROM_ZERO: Final = (
+    "The biases are many times the noise: a channel that never reads zero at rest does not show it, and the other "
+    "errors of the sensor take up half a step by the sign."
+)
+
+
+def _truncated(fault: str, sensor: str) -> None:
+    @injection(fault, 0.5, "of the noise", unseen=dict.fromkeys(GRADES[:2], _COUNTED) | {GRADES[3]: _FAR_FROM_ZERO})
+    def truncated(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+        """The readings of one triad are converted to integers toward zero, in steps of a share of their noise."""
+        recording = case.recording
+        values = getattr(recording, sensor)
+        at_rest = recording.window_indices(*recording.sequences[0].start_static_s)
+        step = severity * rng.uniform(0.9, 1.1) * float(np.std(np.diff(values[at_rest], axis=0))) / math.sqrt(2.0)
+        words = step * np.trunc(values / step)
+        return replace(recording, gyro=words) if sensor == "gyro" else replace(recording, accel=words)
+
+
+_truncated("gyro_truncated", "gyro")
+_truncated("accel_truncated", "accel")
 
 
 @injection("bit_stuck", 6.0, "bit")

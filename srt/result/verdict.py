@@ -40,9 +40,10 @@ A noise figure that is wrong by a factor of three is a wrong figure; labels, win
 _MANY: Final = 30
 """Degrees of freedom from which Student's factor of a 95 % interval, 2.04, is taken as the normal one."""
 NOT_IN_RESIDUALS: Final = frozenset({
-    "gyro_dead_band", "gyro_axis_stuck", "accel_axis_stuck", "gyro_stuck", "accel_stuck", "sample_rate", "clock_drift",
-    "sensor_time_offset", "gyro_axis_delayed", "accel_axis_delayed", "samples_lost", "units_joined",
-    "earth_rate_absent", "gravity", "latitude", "north", "gyro_bias_drift", "gyro_scale_drift",
+    "gyro_dead_band", "gyro_truncated", "accel_truncated", "gyro_axis_stuck", "accel_axis_stuck", "gyro_stuck",
+    "accel_stuck", "sample_rate", "clock_drift", "sensor_time_offset", "gyro_axis_delayed", "accel_axis_delayed",
+    "samples_lost", "units_joined", "earth_rate_absent", "gravity", "latitude", "north", "gyro_bias_drift",
+    "gyro_scale_drift",
 })  # fmt: skip
 """Faults that moved a parameter by more than 3 sigma while the residuals agreed with the noise (outcomes of faults,
 docs/fault-detection.md), and others of their kind: readings that the estimate uses all the same, and wrong statements

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from srt.diagnosis import false_alarms, repeated_samples, rotation_readings
+from srt.diagnosis import false_alarms, repeated_samples, rotation_readings, truncation
 from srt.noise import drift_forms
 from srt.sequences import clipping, vibration
 
@@ -21,7 +21,7 @@ def test_all_checks_together_raise_a_finding_in_one_of_10000_recordings():
     tests = len((*IN_WINDOWS, *OVER_SEQUENCES, *OF_RATES))
     total = tests * false_alarms.FALSE_ALARM + vibration.FALSE_ALARM + rotation_readings._BY_NOISE
     total += 12 * (clipping._CHANCE + 0.5**clipping._PILE)
-    total += 11 * repeated_samples.FALSE_ALARM + SPIKES + drift_forms.FALSE_ALARM
+    total += 11 * repeated_samples.FALSE_ALARM + SPIKES + truncation.FALSE_ALARM + drift_forms.FALSE_ALARM
     assert 0.5 * PER_RECORDING < total <= PER_RECORDING
 
 

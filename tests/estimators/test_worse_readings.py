@@ -69,3 +69,24 @@ def test_channels_whose_steps_are_not_dithered_are_named_and_their_sigmas_hold()
     assert found.diagnostics.g_sensitivity is None
     row = outcome("steps of three noise sigma", 0, "least-squares")
     assert row["nees"] / row["seen"] < 1.0 + 3.5 * math.sqrt(2.0 / row["seen"])
+
+
+@pytest.mark.parametrize(
+    "case", ["truncated toward zero, half a noise sigma", "truncated toward zero, three noise sigma"]
+)
+def test_readings_truncated_toward_zero_are_named_and_the_result_is_not_sound(case):
+    """Half a step by the sign of a reading moves parameters by many sigma, and residuals need not show it."""
+    for seed in range(UNITS):
+        unit, _ = unit_of(CASES[case], seed)
+        found = srt.calibrate(unit, "closed-form")
+        assert found.diagnostics.faults[0].fault in ("gyro_truncated", "accel_truncated")
+        assert found.judgement.word in ("doubtful", "failed")
+
+
+@pytest.mark.parametrize(
+    "case",
+    ["steps of half a noise sigma", "steps of three noise sigma", "truncated downwards, half a noise sigma"],
+)
+def test_readings_rounded_to_steps_are_not_truncated(case):
+    unit, _ = unit_of(CASES[case], 0)
+    assert srt.calibrate(unit, "closed-form").diagnostics.faults == ()
