@@ -89,6 +89,8 @@ def calibrate(
             raise
         raise DataError(f"{error} The likely cause: {screened.first.sentence}", fault=screened.first.fault) from error
     diagnosis = staged.with_calibration(result)
+    if diagnosis.refusal is not None and not force:
+        raise DataError(diagnosis.refusal.sentence, fault=diagnosis.refusal.fault)
     told = _IN_RESULT | explained_by_drift(result)
     warnings = tuple(f.sentence for f in diagnosis.findings if f.effect != "note" and f.fault not in told)
     return replace(

@@ -19,17 +19,19 @@ class WithoutRecognition(Evidence):
         return None
 
 
-def findings_of_stage(evidence, stage):
-    """Findings of all checks of a stage."""
-    checks = [check for of_result in (False, True) for check in STAGES[stage].checks(of_result=of_result)]
+def findings_of_stage(evidence, stage, *, calibrating=True):
+    """Findings of all checks of a stage, or of those alone that need no calibration."""
+    checks = [
+        check for of_result in (False, True)[: 1 + calibrating] for check in STAGES[stage].checks(of_result=of_result)
+    ]
     return [finding for check in checks for finding in check(evidence)]
 
 
-def examine_stages(recording, stages):
+def examine_stages(recording, stages, *, calibrating=True):
     """Findings of some stages, the first cause first."""
     evidence, out = WithoutRecognition(recording), []
     for stage in stages:
-        out += findings_of_stage(evidence, stage)
+        out += findings_of_stage(evidence, stage, calibrating=calibrating)
         if any(finding.effect.startswith("exit") for finding in out):
             break
     return sort_by_cause(out)

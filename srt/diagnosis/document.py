@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 from srt.diagnosis.faults import STAGES
 from srt.recording.atomic_file import atomic_write_text
+from srt.result.verdict import LEFT_TO_RESIDUALS
 
 if TYPE_CHECKING:
     from srt.diagnosis.findings import Fault
@@ -19,7 +20,9 @@ findings, the first in this order is reported as the cause. The words in braces 
 recording. [fault-detection.md](fault-detection.md) has the detection rate of each fault.
 
 Effects: **exit 2**, the recording is refused on reading; **exit 1**, it is read, but not calibrated; **warning**, it is
-calibrated with a warning; **note**, only `srt inspect` reports the fault.
+calibrated with a warning; **note**, only `srt inspect` reports the fault. A warning makes the verdict doubtful at best,
+except for a drift that is modelled and **warning, verdict by residuals**: the estimate leaves out, corrects or measures
+what such a fault changes.
 
 `python -m srt.diagnosis.document` writes this page from the catalogue in `srt/diagnosis/faults.py`.
 """
@@ -38,7 +41,8 @@ def document() -> str:
 def _row(fault: Fault) -> str:
     own = re.sub(r"\{(\w+):[^}]*\}", r"{\1}", fault.message)
     message = "the reader's message" if fault.message == "{message}" else own
-    cells = (fault.title, f"`{fault.name}`", fault.criterion, message, fault.effect)
+    effect = f"{fault.effect}, verdict by residuals" if fault.name in LEFT_TO_RESIDUALS else fault.effect
+    cells = (fault.title, f"`{fault.name}`", fault.criterion, message, effect)
     return "| " + " | ".join(cell.replace("|", r"\|") for cell in cells) + " |"
 
 

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from srt.sequences.wrong_units import WrongUnit
     from srt.types import Array, Sensor
 
+    Scales = tuple[ScaleRatios, ScaleRatios]
 
 _G: Final = STANDARD_GRAVITY_M_S2
 
@@ -62,6 +63,9 @@ _CLOCKS: Final = 2.0 * math.log(100.0)
 _FACTORS: Final = 2.0 * math.log(16.0)
 _COUNTS: Final = math.log(1e9)
 """Widths of the ranges of the logarithms of unknown factors: of the clock, of a triad, and of counts per SI unit."""
+_RATE: Final = "the sample rate is more likely {rate:.5g} Hz than {stated:.5g} Hz; correct sample_rate_hz"
+_STAMPS: Final = "the clock of the time stamps, or the value of a count, is wrong by this factor; check both"
+"""Advice on a wrong sample rate, as stated and as the time stamps have it."""
 TIME_UNITS: Final = (
     (1e-3, "milliseconds", "seconds"),
     (1e-6, "microseconds", "seconds"),
@@ -95,8 +99,8 @@ _COMMON: Final = 0.05
 _COMMON_SIGMAS_ALONE: Final = 57.7
 """Smallest common factor, as a logarithm over the scatter of the axes, for a finding whatever its size: p = 1e-4, where
 Student's t with two degrees of freedom, which is √3 times this ratio, exceeds 100."""
-_EARTH_LEAST: Final = 0.005
-"""Smallest common factor, as a logarithm, that the Earth rate may confirm."""
+_LEAST_COMMON: Final = 0.005
+"""Smallest common factor, as a logarithm, that equal axes or the Earth rate may show."""
 _EARTH_SIGMAS: Final = 5.0
 """Smallest deviation of the Earth rate for a finding, in sigma: p = 6e-7."""
 _GRAVITY_VARIATION: Final = 0.01
@@ -113,9 +117,16 @@ _MOST_COUNTS: Final = 2.0**52
 """Largest range of the readings, in counts: above it, every double is a whole number."""
 
 
-def scale_cause(evidence: Evidence) -> tuple[ScaleCause, RunnerUp | None]:
-    """Most likely cause of the ratios of both triads, and the second most likely if it is nearly as likely."""
-    gyro, accel = evidence.gyro_scales, evidence.accel_scales
+def scale_cause(evidence: Evidence, scales: Scales | None = None) -> tuple[ScaleCause, RunnerUp | None]:
+    """Most likely cause of the ratios of both triads, and the second most likely if it is nearly as likely.
+
+    Parameters
+    ----------
+    evidence : Evidence
+    scales : (ScaleRatios, ScaleRatios), optional
+        Ratios of gyros and accelerometers; by default those of the readings.
+    """
+    gyro, accel = scales or (evidence.gyro_scales, evidence.accel_scales)
     if stationary_force_scatter(evidence.manoeuvres) > _MATCH and not accel.axis_scatter < _POWER_SCATTER:
         accel = UNKNOWN  # the specific force differs much between the windows: they are not stationary
     odd = {"gyro": _is_odd(evidence, "gyro", gyro, accel), "accel": _is_odd(evidence, "accel", accel, gyro)}
@@ -146,7 +157,9 @@ def _is_odd(evidence: Evidence, sensor: Sensor, scales: ScaleRatios, other: Scal
         return True
     # The stated gravity may be wrong within the variation over the Earth's surface.
     shift = abs(scales.common) - (_GRAVITY_VARIATION if sensor == "accel" else 0.0)
-    if shift > _COMMON_SIGMAS_ALONE * scales.scatter or (shift > _COMMON and shift > _COMMON_SIGMAS * scales.scatter):
+    if shift > max(_LEAST_COMMON, _COMMON_SIGMAS_ALONE * scales.scatter) or (
+        shift > _COMMON and shift > _COMMON_SIGMAS * scales.scatter
+    ):
         return True
     return (sensor == "gyro") == (evidence.recording.kind == "rate") and _confirmed_by_earth(evidence, scales, other)
 
@@ -157,7 +170,7 @@ def _confirmed_by_earth(evidence: Evidence, scales: ScaleRatios, other: ScaleRat
     The clock is wrong then: no scale-factor error of a unit has this effect.
     """
     earth = earth_rate_factor(evidence.earth_rate)
-    if earth is None or abs(scales.common) < _EARTH_LEAST or not other.known:
+    if earth is None or abs(scales.common) < _LEAST_COMMON or not other.known:
         return False
     expected = math.exp(-scales.common if evidence.recording.kind == "rate" else scales.common)
     doubt = math.hypot(earth.sigma, scales.scatter * expected)
@@ -277,6 +290,7 @@ def _of_clock(evidence: Evidence, scales: ScaleRatios) -> Iterator[ScaleCause]:
         "spread": _spread(scales),
         "rate": rate,
         "stated": stated,
+        "advice": _STAMPS if evidence.recording.sample_rate_hz is None else _RATE.format(rate=rate, stated=stated),
     }
     yield ScaleCause(
         ("sample_rate",),

@@ -9,13 +9,16 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from srt.diagnosis.rotation_readings import MAD, rates_factor
+from srt.result.verdict import USABLE
+from srt.sensor_errors import GROUP_SLICES
 
 if TYPE_CHECKING:
     from srt.diagnosis.gravity_rotation import ManoeuvreReadings
     from srt.diagnosis.rotation_readings import Rotations
     from srt.diagnosis.triad_fits import LinearFit
     from srt.recording.recording import Fixture, Recording
-    from srt.types import Array
+    from srt.result.calibration import Calibration
+    from srt.types import Array, Sensor
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,6 +78,8 @@ _FEWEST_POSES: Final = 9
 _LEAST_SPREAD: Final = 0.1
 """Smallest permitted singular value of that fit, divided by the square root of the number of poses; for poses in all
 directions it is 0.37."""
+_OBSERVED: Final = 0.01
+"""Largest standard deviation of a calibrated scale factor that tells one factor from another."""
 _UNSEEN: Final = np.full(3, np.nan)
 UNKNOWN: Final = ScaleRatios(float("nan"), _UNSEEN, float("nan"))
 """Ratios of a triad that the data do not determine."""
@@ -167,6 +172,15 @@ def _by_magnitude(force: Array) -> ScaleRatios | None:
     off = 0.5 * (design @ np.concatenate([square, slope]) - 1.0) / level
     axes = size * np.sqrt(level / square)
     return ScaleRatios(float(np.median(axes)), axes, MAD * float(np.median(np.abs(off))))
+
+
+def calibrated_ratios(result: Calibration, sensor: Sensor) -> ScaleRatios:
+    """Ratios of a calibration, ``1 + κ``; unknown unless all three scale factors are observed to 1 %."""
+    part = GROUP_SLICES[f"{sensor}_scale"]
+    axes, sigma = 1.0 + result.errors.vector[part], result.sigma[part]
+    if result.status not in USABLE or not (result.observed[part].all() and np.all(sigma < _OBSERVED)):
+        return UNKNOWN
+    return ScaleRatios(float(np.median(axes)), axes, float(sigma.max()))
 
 
 def stationary_force_scatter(turns: ManoeuvreReadings | None) -> float:

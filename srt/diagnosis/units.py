@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 from srt.diagnosis.findings import Fault, Finding, by_sensor
 from srt.diagnosis.scale_candidates import scale_cause
+from srt.diagnosis.scale_ratios import calibrated_ratios
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
     from srt.diagnosis.evidence import Evidence
+    from srt.diagnosis.scale_candidates import Scales
 
 
 def wrong_scales(evidence: Evidence) -> Iterator[Finding]:
@@ -23,6 +26,24 @@ _BY_GRAVITY: Final = "ratio of stationary specific force to gravity"
 _TURNED: Final = "The measured rotation angles are {ratio:.4g} times the expected ones ({title})"
 _AT_REST: Final = "At rest the accelerometers read {found:.4g} m/s², but {expected:.4g} m/s² is expected"
 _UNIT: Final = "the {}readings look like {{unit}}, declared as {{declared}}; correct {}_unit."
+
+
+def scales_of_result(evidence: Evidence) -> Iterator[Finding]:
+    """Report the cause of scale factors that a calibration found, and that no unit has.
+
+    The readings of rotations by hand show their ratios to some percent only.
+    """
+    before, _ = scale_cause(evidence)
+    # What stops the calibration was found before it.
+    if set(before.faults) <= _COMMON and (result := evidence.result) is not None:
+        ratios = (calibrated_ratios(result, "gyro"), calibrated_ratios(result, "accel"))
+        for finding in scale_findings(evidence, SCALES, ratios):
+            if finding.fault not in before.faults:
+                yield finding
+
+
+_COMMON: Final = frozenset({"sample_rate", "gyro_factor", "accel_factor"})
+"""Causes that are a warning: the factor may be one of the unit."""
 
 
 def _scale(name: str, title: str, criterion: str, message: str) -> Fault:
@@ -46,13 +67,15 @@ _LSB: Final = by_sensor(
 _FACTOR: Final = by_sensor(
     "factor",
     "All [gyros|accelerometers] have a wrong scale by one factor",
-    "[rotation angles|stationary specific force] wrong by one factor on all axes, [while the Earth rate contradicts a "
-    "wrong sample rate|by more than gravity varies over the Earth]",
+    "[rotation angles|stationary specific force], or the scale factors of the calibration, wrong by one factor on all "
+    "axes, [while the Earth rate contradicts a wrong sample rate|by more than gravity varies over the Earth]: by 8 "
+    "times the scatter of the axes and 5 %, or 58 times and 0.5 %. A smaller factor 1 + ε is ε of every scale factor, "
+    "and nothing tells it from errors of the unit",
     "All [gyro|accelerometer] axes read {ratio:.4g} times [the true rotation|gravity], with a scatter of only "
     "{spread:.2g} between the axes, less than that of independent scale-factor errors: the value of a count or the "
     "unit is probably wrong by this factor; check [gyro_lsb and gyro_unit|accel_lsb and accel_unit].",
     "warning",
-    wrong_scales,
+    scales_of_result,
 )
 SCALES: Final = {
     fault.name: fault
@@ -126,19 +149,18 @@ SCALES: Final = {
             "rotation angles (for increments: stationary specific force) wrong by one factor on all axes, which is not "
             "a power of two",
             "All axes of the {sensor} read {ratio:.4g} times the expected value, with a scatter of only {spread:.2g} "
-            "between the axes: the sample rate is more likely {rate:.5g} Hz than {stated:.5g} Hz; correct "
-            "sample_rate_hz or the time stamps.",
+            "between the axes: {advice}.",
             "warning",
             wrong_scales,
         ),
-        *_FACTOR.values(),
+        *(replace(fault, needs_result=True) for fault in _FACTOR.values()),
     )
 }
 
 
-def scale_findings(evidence: Evidence, faults: Mapping[str, Fault]) -> Iterator[Finding]:
+def scale_findings(evidence: Evidence, faults: Mapping[str, Fault], scales: Scales | None = None) -> Iterator[Finding]:
     """Findings of those of the faults that best explain the ratios of both triads."""
-    best, runner_up = scale_cause(evidence)
+    best, runner_up = scale_cause(evidence, scales)
     for place, name in enumerate(best.faults):
         if name in faults:
             yield Finding(faults[name], best.details[name], runner_up if place == 0 else None)

@@ -39,15 +39,15 @@ A noise figure that is wrong by a factor of three is a wrong figure; labels, win
 
 _MANY: Final = 30
 """Degrees of freedom from which Student's factor of a 95 % interval, 2.04, is taken as the normal one."""
-NOT_IN_RESIDUALS: Final = frozenset({
-    "gyro_dead_band", "gyro_truncated", "accel_truncated", "gyro_axis_stuck", "accel_axis_stuck", "gyro_stuck",
-    "accel_stuck", "sample_rate", "clock_drift", "sensor_time_offset", "gyro_axis_delayed", "accel_axis_delayed",
-    "samples_lost", "units_joined", "earth_rate_absent", "gravity", "latitude", "north", "gyro_bias_drift",
-    "gyro_scale_drift",
+LEFT_TO_RESIDUALS: Final = frozenset({
+    "gap_in_sequence", "gyro_clipped", "accel_clipped",  # these sequences are left out
+    "sequence_missing", "window_short",  # the sigmas are larger, or parameters are not observed
+    "bump", "creep", "noisy_window",  # such a window is integrated, and its noise is in the residuals
+    "wrong_angle", "vibration", "gyro_noise", "accel_noise",  # the estimate uses what was measured, and corrects it
+    "temperature_unit", "temperature_drift",  # no reading is wrong
 })  # fmt: skip
-"""Faults that moved a parameter by more than 3 sigma while the residuals agreed with the noise (outcomes of faults,
-docs/fault-detection.md), and others of their kind: readings that the estimate uses all the same, and wrong statements
-of the site, which are in the truth that all measurements share."""
+"""Warnings that leave the verdict to the residuals. Every other warning makes it doubtful: the readings or statements
+that it names are in the result, and residuals that agree do not show by how much they move it."""
 
 OF_FIXTURE: Final = {
     "turned_angle_rad": "rotations",
@@ -111,7 +111,8 @@ def verdict_on(calibration: Judged) -> Verdict:
     evidence = calibration.verdict
     faults = calibration.diagnostics.faults or ()
     overridden = [f for f in faults if f.effect.startswith("exit")]
-    wrong = [f for f in faults if f.fault in NOT_IN_RESIDUALS - explained_by_drift(calibration)]
+    left = LEFT_TO_RESIDUALS | explained_by_drift(calibration)
+    wrong = [f for f in faults if f.effect == "warning" and f.fault not in left]
     if calibration.status not in USABLE:
         return Verdict(FAILED, _failure(calibration))
     if overridden:
@@ -140,7 +141,7 @@ def _lacking(names: tuple[str, ...]) -> Iterator[str]:
 def explained_by_drift(calibration: Judged) -> set[str]:
     """Faults that a modelled drift explains: with it, the residuals test that there is no other."""
     drift = [row for row in calibration.diagnostics.drift or () if row.modelled]
-    out = {"gyro_bias_drift" for row in drift if row.sensor == "gyro"}
+    out = {f"{row.sensor}_bias_drift" for row in drift}
     return out | {"units_joined" for row in drift if row.form.startswith("step")}
 
 

@@ -30,7 +30,7 @@ MINE = tuple(f.name for stage in STAGES for f in faults.STAGES[stage].faults if 
 
 def examine(recording):
     """Findings of the stages tested here, the first cause first."""
-    return examine_stages(recording, STAGES)
+    return examine_stages(recording, STAGES, calibrating=False)
 
 
 @cache

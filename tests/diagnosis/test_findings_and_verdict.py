@@ -1,0 +1,101 @@
+"""A result is not sound beside a finding that says what is wrong with its readings. Units of a foreign generator."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from foreign_motion import GRADES, drawn_errors, hand_turns
+from foreign_motion import recording as by_hand
+from unstated_noise import on_the_fixture
+
+import srt
+from srt.exceptions import DataError
+from srt.result.verdict import SOUND
+
+SEED = 20264201
+
+
+def spike(unit):
+    """One gyro reading off by 0.5 rad/s in a window."""
+    gyro = unit.gyro.copy()
+    gyro[np.searchsorted(unit.time, np.mean(unit.sequences[5].start_static_s)), 0] += 0.5
+    return replace(unit, gyro=gyro)
+
+
+def spike_in_a_rotation(unit):
+    gyro = unit.gyro.copy()
+    gyro[np.searchsorted(unit.time, unit.sequences[2].start_static_s[1]) + 100, 1] += 0.05
+    return replace(unit, gyro=gyro)
+
+
+def filled(unit, share):
+    """40 samples of a rotation that lie on the line, or hold the value, next to the gap."""
+    first = int(np.searchsorted(unit.time, unit.sequences[7].start_static_s[1])) + 40
+    gyro, accel = unit.gyro.copy(), unit.accel.copy()
+    for x in (gyro, accel):
+        x[first : first + 40] = x[first - 1] + share[:, None] * (x[first + 40] - x[first - 1])
+    return replace(unit, gyro=gyro, accel=accel)
+
+
+def interpolated(unit):
+    return filled(unit, np.arange(1, 41) / 41.0)
+
+
+def stalled(unit):
+    return filled(unit, np.zeros(40))
+
+
+@pytest.mark.parametrize(
+    ("fault", "change"),
+    [
+        ("spikes", spike),
+        ("spikes", spike_in_a_rotation),
+        ("samples_interpolated", interpolated),
+        ("samples_stuck", stalled),
+    ],
+)
+def test_wrong_samples_are_never_sound(fault, change):
+    unit, _ = on_the_fixture(0, "tactical")
+    found = srt.calibrate(change(unit))
+    assert found.diagnostics.faults[0].fault == fault
+    assert found.judgement.word != SOUND
+    assert srt.calibrate(unit).judgement.word == SOUND
+
+
+def turned_by_hand(seed):
+    """A consumer unit in 15 turns by hand: the rotation of gravity shows gyro scales to some percent."""
+    rng = np.random.default_rng((SEED, 8, seed))
+    errors = drawn_errors(GRADES["consumer"], rng)
+    return by_hand(hand_turns(rng, count=15, rest_s=2.0), 5.0, errors, GRADES["consumer"], rng, profile="hand")
+
+
+def test_half_a_count_value_is_refused_by_the_result():
+    unit = turned_by_hand(0)
+    half = replace(unit, gyro=0.5 * unit.gyro)
+    assert srt.inspect(half).diagnosis.refusal is None
+    with pytest.raises(DataError, match=r"near a factor of 0\.5") as refused:
+        srt.calibrate(half)
+    assert refused.value.fault == "gyro_lsb"
+    assert srt.calibrate(half, checks=False).status == "converged"
+    assert srt.calibrate(half, force=True).judgement.word != SOUND
+
+
+@pytest.mark.parametrize(("sensor", "factor"), [("gyro", 1.01), ("accel", 1.05)])
+def test_equal_scale_errors_are_not_sound(sensor, factor):
+    """Errors of 0.01 %, one sigma, do not make three axes 1 % off alike."""
+    unit, _ = on_the_fixture(0, "navigation")
+    found = srt.calibrate(replace(unit, **{sensor: factor * getattr(unit, sensor)}))
+    assert found.diagnostics.faults[0].fault == f"{sensor}_factor"
+    assert found.judgement.word != SOUND
+
+
+def test_time_stamps_of_a_file_are_no_sample_rate():
+    """A factor of 1.3 on the gyros: with stamps, no sample rate is proposed; a stated one is."""
+    unit, _ = on_the_fixture(0, "consumer")
+    off = replace(unit, gyro=1.3 * unit.gyro)
+    for stated, proposed in ((None, False), (50.0, True)):
+        first = srt.calibrate(replace(off, sample_rate_hz=stated)).diagnostics.faults[0]
+        assert first.fault == "sample_rate"
+        assert ("Hz" in first.sentence) == proposed
