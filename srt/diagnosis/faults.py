@@ -22,7 +22,6 @@ from srt.diagnosis import (
     site,
     timing,
     units,
-    vibration,
     window_disturbances,
     words,
 )
@@ -114,7 +113,7 @@ STAGES: Final = {
         "Stationary windows",
         (
             window_disturbances.UNSETTLED,
-            vibration.VIBRATION,
+            window_disturbances.VIBRATION,
             window_disturbances.BUMP,
             window_disturbances.CREEP,
             window_disturbances.NOISY_WINDOW,
