@@ -189,6 +189,13 @@ class Evidence:
 
     # --- stationary windows ------------------------------------------------------------------------------------------
 
+    def window_place(self, window: int, later_s: float = 0.0) -> dict[str, object]:
+        """Start of a window (or a time after it), s, and title of its sequence, as fields of a message."""
+        data = self._data
+        k = int(np.flatnonzero((data.start == window) | (data.end == window))[0])
+        first = int(data.windows.samples[window, 0])
+        return {"time": float(self.recording.time[first]) - self.dt + later_s, "sequence": self.title(k)}
+
     @cached_property
     def stationary_rate(self) -> Array:
         """Mean gyro reading of each window, shape (W, 3), rad/s."""
@@ -240,14 +247,16 @@ class Evidence:
     @cached_property
     def turning_windows(self) -> Mask:
         """True for each window in which the unit rotates as in a manoeuvre, shape (W,): its label is wrong."""
-        return turning_windows(self._data)
+        seen = self.raw_integrals
+        return np.zeros(0, dtype=np.bool_) if self.data is None or seen is None else turning_windows(self.data, seen)
 
     @cached_property
     def label_shift(self) -> LabelShift | None:
         """Shift of the labels in time; None if they are not shifted."""
-        if self.data is None or not self.has_labels:
+        data, seen = self.data, self.raw_integrals
+        if data is None or seen is None or not self.has_labels:
             return None
-        return label_shift(self.data, self.contiguous, self.turning_windows)
+        return label_shift(data, seen, self.contiguous, self.turning_windows)
 
     # --- rotations ---------------------------------------------------------------------------------------------------
 
@@ -378,11 +387,15 @@ class Evidence:
     @cached_property
     def result(self) -> Calibration | None:
         """Calibration of the recording with the options; None if the estimator fails."""
+        return self.calibrated(self.options)
+
+    def calibrated(self, options: Options) -> Calibration | None:
+        """Calibration of the recording with other options; None if the estimator fails."""
         from srt.estimation.registry import automatic_estimator, find_estimator
 
         try:
             recording = self._with_labels
-            return find_estimator(automatic_estimator(recording))(recording, self.options)
+            return find_estimator(automatic_estimator(recording))(recording, options)
         except (DataError, np.linalg.LinAlgError):
             return None
 

@@ -23,7 +23,6 @@ from srt.diagnosis import (
     timing,
     truncation,
     units,
-    vibration,
     window_disturbances,
     words,
 )
@@ -116,7 +115,7 @@ STAGES: Final = {
         "Stationary windows",
         (
             window_disturbances.UNSETTLED,
-            vibration.VIBRATION,
+            window_disturbances.VIBRATION,
             window_disturbances.BUMP,
             window_disturbances.CREEP,
             window_disturbances.NOISY_WINDOW,

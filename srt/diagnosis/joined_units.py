@@ -11,13 +11,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from scipy.linalg import solve_triangular
 from scipy.special import fdtrc
 
 from srt.diagnosis.cause_comparison import Cause, compare
 from srt.diagnosis.false_alarms import FALSE_ALARM
 from srt.diagnosis.findings import Fault
-from srt.diagnosis.stationary_rates import BIAS, DRIFT
+from srt.diagnosis.stationary_rates import BIAS, DRIFT, whitened
 from srt.diagnosis.triad_fits import LEAST_FREEDOM
 from srt.sequences.stationary_windows import MIN_TURN_RAD
 
@@ -28,7 +27,7 @@ if TYPE_CHECKING:
     from srt.diagnosis.evidence import Evidence
     from srt.diagnosis.findings import Finding
     from srt.diagnosis.stationary_rates import StationaryRates
-    from srt.types import Array, Indices
+    from srt.types import Array
 
 _LEAST_SEQUENCES: Final = 3
 """Fewest sequences on each side of a step: a change of a single sequence is a disturbance."""
@@ -42,33 +41,29 @@ def units_joined(evidence: Evidence) -> Iterator[Finding]:
     Statistic: reduction of the squared residuals by a step, of rates, of specific forces or of angles. Distribution: F,
     with the number of stepping parameters and the degrees of freedom of the residuals.
     """
-    rates, data = evidence.stationary_rates, evidence.data
-    if rates is None or data is None or not evidence.has_labels or _has_poses(evidence):
+    rates, data, turned = evidence.stationary_rates, evidence.data, evidence.raw_integrals
+    if rates is None or data is None or turned is None or not evidence.has_labels:
+        return
+    if np.any(turned.absolute.max(axis=1) < MIN_TURN_RAD):
         return  # static poses without a rotation are placed less accurately: their readings differ by more than noise
+    cuts = range(_LEAST_SEQUENCES, data.K - _LEAST_SEQUENCES + 1)
     order = np.argsort(data.windows.samples[data.start, 0])
     place = np.zeros(len(data.windows.samples), dtype=np.intp)
     place[data.start[order]] = place[data.end[order]] = np.arange(data.K)
-    place = place[rates.window]
-    time = 0.5 * (rates.start + rates.end)
-    share = (time - time.min()) / np.ptp(time)
-    cuts = range(_LEAST_SEQUENCES, data.K - _LEAST_SEQUENCES + 1)
-    shapes = [("gyro_bias_drift", share, 3), *(("gyro_bias_drift", np.exp(-share / slow), 3) for slow in _SLOWNESS)]
-    shapes += [("units_joined", (place >= cut).astype(np.float64), len(cuts)) for cut in cuts]
-    every = (_gyros(evidence, rates, shapes), _forces(evidence, rates, shapes), _angles(evidence, rates.window, shapes))
-    ranked = [found for found in every if found]
+    drifts = _drifts(0.5 * (rates.start + rates.end))
+    shapes = np.array([*drifts, *(place[rates.window] >= cut for cut in cuts)], dtype=np.float64)
+    choices = [len(drifts)] * len(drifts) + [len(cuts)] * len(cuts)
+    every = (_gyros(evidence, rates), _forces(evidence, rates), _angles(evidence, rates))
+    ranked = [_explained(*residuals[:2], residuals[2] @ shapes.T, choices) for residuals in every if residuals]
     if not ranked or not cuts:
         return
     score = np.sum([[e.score for e in explained[1:]] for explained in ranked], axis=0)
-    drifts = 1 + len(_SLOWNESS)
-    best = drifts + int(np.argmax(score[drifts:]))
+    best = len(drifts) + int(np.argmax(score[len(drifts) :]))
+    more = float(score[best] - score[: len(drifts)].max())
     doubt = min(_probability(explained[0], explained[1 + best]) for explained in ranked)
-    if doubt < FALSE_ALARM / (len(ranked) * len(cuts)) and score[best] - score[:drifts].max() > -np.log(FALSE_ALARM):
-        at = cuts[best - drifts]
-        yield UNITS_JOINED.found(
-            before=evidence.title(int(order[at - 1])),
-            after=evidence.title(int(order[at])),
-            ratio=float(score[best] - score[:drifts].max()),
-        )
+    if doubt < FALSE_ALARM / (len(ranked) * len(cuts)) and more > -np.log(FALSE_ALARM):
+        before, after = (evidence.title(int(k)) for k in order[cuts[best - len(drifts)] - 1 :][:2])
+        yield UNITS_JOINED.found(before=before, after=after, ratio=more)
 
 
 UNITS_JOINED: Final = Fault(
@@ -83,10 +78,10 @@ UNITS_JOINED: Final = Fault(
 )
 
 
-def _has_poses(evidence: Evidence) -> bool:
-    """True if some sequence is a static pose without a rotation."""
-    turned = evidence.raw_integrals
-    return turned is None or bool(np.any(turned.absolute.max(axis=1) < MIN_TURN_RAD))
+def _drifts(time: Array) -> list[Array]:
+    """Shapes of a drift over the times: linear, and exponential."""
+    share = (time - time.min()) / max(float(np.ptp(time)), 1e-300)
+    return [share, *(np.exp(-share / slow) for slow in _SLOWNESS)]
 
 
 def _probability(null: Explanation, step: Explanation) -> float:
@@ -97,42 +92,52 @@ def _probability(null: Explanation, step: Explanation) -> float:
     return float(fdtrc(more, step.freedom, (null.square - step.square) / more / (step.square / step.freedom)))
 
 
-def _explained(values: Array, nuisance: Array, shapes: list[tuple[str, Array, int]], moved: Array) -> list[Explanation]:
-    """Explanation without a change, then one per shape (change over time), in their order.
-
-    ``moved @ shape`` are the columns of a shape.
-    """
+def _explained(values: Array, nuisance: Array, changes: Array, choices: list[int]) -> list[Explanation]:
+    """Explanation without a change, then one for each change, whose columns have the shape (n, k, changes)."""
     causes = [Cause("", np.zeros((len(values), 0)), {"place": 0})]
-    causes += [
-        Cause(fault, moved @ shape, {"place": 1 + place}, choices)
-        for place, (fault, shape, choices) in enumerate(shapes)
-    ]
+    causes += [Cause("change", changes[:, :, i], {"place": 1 + i}, several) for i, several in enumerate(choices)]
     return sorted(compare(values, causes, nuisance), key=lambda explanation: explanation.cause.details["place"])
 
 
-def _gyros(evidence: Evidence, rates: StationaryRates, shapes: list[tuple[str, Array, int]]) -> list[Explanation]:
-    """Explanations of the stationary rates; empty without a stated bias instability."""
+# Residuals of equal variance, nuisance columns, and the effect of a separate change in each window, (n, k, W).
+
+
+def _gyros(evidence: Evidence, rates: StationaryRates) -> tuple[Array, Array, Array] | None:
+    """Stationary rates, which a bias changes; None without a stated bias instability."""
     if evidence.recording.noise.gyro_bias_instability is None:
-        return []
-    W, columns = len(rates.rate), rates.columns
-    fixed = np.delete(columns, np.r_[DRIFT], axis=2)
-    roots = [np.linalg.cholesky(rates.covariance[axis]) for axis in range(3)]
-
-    def whitened(table: Array) -> Array:
-        return np.concatenate([solve_triangular(L, table[:, axis], lower=True) for axis, L in enumerate(roots)])
-
-    # Whitened effect of a separate bias in each window, shape (3 W, 3, W).
-    own = (columns[:, :, BIAS, None] * np.eye(W)[:, None, None, :]).reshape(W, 3, -1)
-    return _explained(whitened(rates.rate), whitened(fixed), shapes, whitened(own).reshape(3 * W, 3, W))
+        return None
+    own = rates.columns[:, :, BIAS][..., None] * np.eye(len(rates.rate))[:, None, None, :]
+    fixed = np.delete(rates.columns, DRIFT, axis=2)
+    return whitened(rates.covariance, rates.rate), whitened(rates.covariance, fixed), whitened(rates.covariance, own)
 
 
-def _angles(evidence: Evidence, windows: Indices, shapes: list[tuple[str, Array, int]]) -> list[Explanation]:
-    """Explanations of the measured angles by scale-factor changes; empty without a fixture or with few rotations."""
+def _forces(evidence: Evidence, rates: StationaryRates) -> tuple[Array, Array, Array] | None:
+    """Magnitudes of specific force with a mean for each upward face; None without a stated bias instability."""
+    data, instability = evidence.data, evidence.recording.noise.accel_bias_instability
+    force = evidence.stationary_force[rates.window]
+    size = np.linalg.norm(force, axis=1)
+    if data is None or instability is None or np.any(size == 0.0):
+        return None
+    up = force / size[:, None]
+    axis = np.argmax(np.abs(up), axis=1)
+    _, face = np.unique(2 * axis + (np.take_along_axis(up, axis[:, None], axis=1)[:, 0] > 0.0), return_inverse=True)
+    faces = np.eye(int(face.max()) + 1)[face]
+    T = rates.end - rates.start
+    white = float(np.mean(data.noise.accel_white**2)) / T + 2.0 * (float(np.mean(data.noise.accel_edge)) / T) ** 2
+    # Attitude errors of the fixture act only through the misalignments: a relative sigma of 1e-8 allows for them.
+    covariance = instability**2 * (up @ up.T) * rates.flicker + np.diag(white + 1e-16 * size**2)
+    own = faces[:, :, None] * np.eye(len(up))[:, None, :]
+    values, fixed, moved = (whitened(covariance[None], table[:, None]) for table in (size, faces, own))
+    return values, fixed, moved
+
+
+def _angles(evidence: Evidence, rates: StationaryRates) -> tuple[Array, Array, Array] | None:
+    """Measured angles, which a scale factor changes; None without a fixture or with few rotations."""
     data, turns = evidence.data, evidence.measured_angles
     if data is None or turns is None:
-        return []
-    at = data.start[turns.sequence][:, None] == windows
-    return _explained(turns.measured, turns.fixed, shapes, turns.by_axis[:, :, None] * at[:, None, :])
+        return None
+    at = data.start[turns.sequence][:, None] == rates.window
+    return turns.measured, turns.fixed, turns.by_axis[:, :, None] * at[:, None, :]
 
 
 def gyro_scale_drift(evidence: Evidence) -> Iterator[Finding]:
@@ -145,14 +150,11 @@ def gyro_scale_drift(evidence: Evidence) -> Iterator[Finding]:
     if data is None or turns is None:
         return
     time = evidence.recording.time[data.rotation[turns.sequence, 0]]
-    share = (time - time.min()) / max(float(np.ptp(time)), 1e-300)
-    shapes = [share, *(1.0 - np.exp(-share / slow) for slow in _SLOWNESS)]
-    nothing = Cause("", np.zeros((len(share), 0)), {})
-    size = np.linalg.norm(turns.by_axis, axis=1)
-    causes = [Cause("gyro_scale_drift", (size * shape)[:, None], {}, len(shapes)) for shape in shapes]
-    ranked = compare(turns.measured, [nothing, *causes], turns.fixed)
-    null = next(e for e in ranked if not e.cause.fault)
-    best = next(e for e in ranked if e.cause.fault)
+    shapes = np.array(_drifts(time))
+    shapes = np.abs(shapes - shapes[:, [np.argmin(time)]])  # from zero upwards
+    changes = (np.linalg.norm(turns.by_axis, axis=1) * shapes).T[:, None, :]
+    null, *drifts = _explained(turns.measured, turns.fixed, changes, [len(shapes)] * len(shapes))
+    best = max(drifts, key=lambda explanation: explanation.score)
     if _probability(null, best) < FALSE_ALARM / len(shapes):
         change, sigma = 1e6 * float(best.value[0]), 1e6 * float(best.sigma[0])
         yield GYRO_SCALE_DRIFT.found(change_ppm=change, sigma_ppm=sigma)
@@ -167,27 +169,3 @@ GYRO_SCALE_DRIFT: Final = Fault(
     "warning",
     gyro_scale_drift,
 )
-
-
-def _forces(evidence: Evidence, rates: StationaryRates, shapes: list[tuple[str, Array, int]]) -> list[Explanation]:
-    """Explanations of specific-force magnitudes, with a mean per upward face; empty without stated bias instability."""
-    data, instability = evidence.data, evidence.recording.noise.accel_bias_instability
-    if data is None or instability is None:
-        return []
-    force = evidence.stationary_force[rates.window]
-    size = np.linalg.norm(force, axis=1)
-    if np.any(size == 0.0):
-        return []
-    up = force / size[:, None]
-    axis = np.argmax(np.abs(up), axis=1)
-    face = 2 * axis + (up[np.arange(len(up)), axis] > 0.0)
-    faces, which = np.unique(face, return_inverse=True)
-    dummies = np.eye(len(faces))[which]
-    white = float(np.mean(data.noise.accel_white**2)) / (rates.end - rates.start)
-    edge = 2.0 * (float(np.mean(data.noise.accel_edge)) / (rates.end - rates.start)) ** 2
-    covariance = instability**2 * (up @ up.T) * rates.flicker + np.diag(white + edge)
-    # Attitude errors of the fixture act only through the misalignments: a relative sigma of 1e-8 allows for them.
-    L = np.linalg.cholesky(covariance + np.diag(1e-16 * size**2))
-    own = dummies[:, :, None] * np.eye(len(up))[:, None, :]
-    moved = solve_triangular(L, own.reshape(len(up), -1), lower=True).reshape(len(up), len(faces), len(up))
-    return _explained(solve_triangular(L, size, lower=True), solve_triangular(L, dummies, lower=True), shapes, moved)

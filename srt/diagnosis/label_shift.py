@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from srt.diagnosis.rotation_readings import MAD, cross, median, rates_factor
+from srt.diagnosis.rotation_readings import ROTATING, cross, rates_factor
 from srt.exceptions import DataError
 from srt.sequences.rest_detection import BLOCK_S
 from srt.sequences.stationary_windows import find_windows
 
 if TYPE_CHECKING:
+    from srt.diagnosis.rotation_readings import RawIntegrals
     from srt.sequences.preparation import PreparedRecording
     from srt.types import Array, Mask
 
@@ -23,34 +24,19 @@ _BESIDE_S: Final = 2.0 * BLOCK_S
 """Largest error of the edges of the stationary windows found in the samples, s: one or two blocks."""
 _SLACK_S: Final = 0.03
 """Stationary time per window, s, by which a smaller shift may be worse than the best shift and still be preferred."""
-_SOME_WINDOWS: Final = 40
-"""Largest number of windows for which the stationary time after a common shift is computed."""
-_FEW_WINDOWS: Final = 8
-"""Number of windows whose edges give the candidates for the common shift, which is the same for all windows."""
+_SOME_WINDOWS: Final = 16
+"""Largest number of windows whose edges give the candidates for the common shift, which is the same for all windows."""
 _STILL: Final = 0.9
 """Smallest share of the labelled time that is stationary after a common shift."""
 _SIGMAS: Final = 8.0
-"""Smallest rate of a rotation, in sigma of the samples about the median of the window: p = 1e-15."""
-_SHARE_OF_TURN: Final = 0.01
-"""Smallest rate of a rotation, relative to the rate of the sequence: slower motion is a disturbance of a window whose
-label is right."""
+"""Smallest rate of a rotation, in sigma of the samples of the window: p = 1e-15."""
 _FEWEST: Final = 2
 """Fewest samples of rotation in a window: a single one may be due to a channel that is sampled early or late."""
 _LEAST_RAD: Final = 1e-3
 """Smallest angle of a rotation in a window, rad: the accuracy of a fixture."""
-_MOST: Final = 0.5
-"""Share of the sequences with rotation in a window, above which the labels are shifted: a lagging channel affects only
-a third of them."""
 _IN_A_ROW: Final = 5
-"""Number of successive sequences with rotation in a window, from which the labels are also shifted: the clock of the
-labels may drift relative to that of the samples."""
-_REACH_S: Final = 0.5
-"""Time in the window next to the rotation that is searched, s; block means show larger shifts."""
-_ONE_SENSE: Final = 0.8
-"""Smallest ratio of net angle to path for a rotation: an oscillating fixture swings back."""
-_SEEN: Final = 0.5
-"""Smallest share of the angle that the direction of gravity must confirm, if the axis is not vertical: a low-pass
-filter of the gyros also makes their readings end late."""
+"""Number of successive sequences with rotation in a window, from which the labels are shifted, as they are with more
+than half of all sequences: the clock of the labels may drift relative to that of the samples."""
 
 
 class LabelShift(NamedTuple):
@@ -60,84 +46,73 @@ class LabelShift(NamedTuple):
     windows: int
 
 
-def label_shift(data: PreparedRecording, contiguous: Mask, turning: Mask) -> LabelShift | None:
+def label_shift(data: PreparedRecording, seen: RawIntegrals, contiguous: Mask, turning: Mask) -> LabelShift | None:
     """Shift of the labels; None if they are not shifted.
 
     Parameters
     ----------
     data : PreparedRecording
+    seen : RawIntegrals
     contiguous : ndarray of bool, shape (K,)
         True for each sequence without a gap.
     turning : ndarray of bool, shape (W,)
         True for each window in which the unit rotates.
     """
-    found = _block_shift(data, turning)
-    return _rotation_at_edges(data, contiguous) if found is None else found
+    found = _block_shift(data, turning) if turning.any() else None
+    return _rotation_at_edges(data, seen, contiguous) if found is None else found
 
 
 def _block_shift(data: PreparedRecording, turning: Mask) -> LabelShift | None:
     """Shift of the labels from block means, a coarse search; None if the labels are not shifted."""
-    recording = data.recording
-    if not turning.any():
-        return None
+    time, dt = data.recording.time, data.recording.nominal_interval_s
     try:
-        still = find_windows(recording)
+        rest, labelled = (
+            np.stack([time[rows[:, 0]] - dt, time[rows[:, 1] - 1]], axis=1)
+            for rows in (find_windows(data.recording), data.windows.samples)
+        )
     except DataError:
         return None
-    time, dt, samples = recording.time, recording.nominal_interval_s, data.windows.samples
-    rest = np.stack([time[still[:, 0]] - dt, time[still[:, 1] - 1]], axis=1)
-    labelled = np.stack([time[samples[:, 0]] - dt, time[samples[:, 1] - 1]], axis=1)
-    shift = _common_shift(labelled, rest)
-    if shift is not None:
-        return LabelShift(shift, int(turning.sum()))
-    single = _intrusions(labelled[turning], rest)
-    single = single[np.abs(single) > _BESIDE_S]
-    return LabelShift(float(np.median(single)), int(single.size)) if single.size else None
-
-
-def _common_shift(labelled: Array, rest: Array) -> float | None:
-    """Smallest common time by which all labels are late, s, whose correction makes the windows stationary."""
     some = labelled[np.unique(np.linspace(0, len(labelled) - 1, _SOME_WINDOWS).astype(int))]
     # The best shift is one of those that move an edge of a label to an edge of a stationary window.
-    late = np.unique(np.append((some[:_FEW_WINDOWS, None, :, None] - rest[None, :, None, :]).ravel(), 0.0))
-    edges = rest.ravel()
+    late = np.unique(np.append((some[:, None, :, None] - rest[None, :, None, :]).ravel(), 0.0))
     still_until = np.repeat(np.concatenate([[0.0], np.cumsum(rest[:, 1] - rest[:, 0])]), 2)[1:-1]
-    until = np.interp(some[None] - late[:, None, None], edges, still_until)
+    until = np.interp(some[None] - late[:, None, None], rest.ravel(), still_until)
     at_rest = np.sum(until[:, :, 1] - until[:, :, 0], axis=1)
     enough = late[at_rest >= at_rest.max() - _SLACK_S * len(some)]
     best = float(enough[np.argmin(np.abs(enough))])
-    if at_rest.max() < _STILL * float(np.sum(some[:, 1] - some[:, 0])) or abs(best) <= _BESIDE_S:
-        return None
-    return best
+    if at_rest.max() >= _STILL * np.sum(some[:, 1] - some[:, 0]) and abs(best) > _BESIDE_S:
+        return LabelShift(best, int(turning.sum()))
+    single = _intrusions(labelled[turning], rest)
+    return LabelShift(float(np.median(single)), int(single.size)) if single.size else None
 
 
 def _intrusions(labelled: Array, rest: Array) -> Array:
-    """Time by which each label is late (negative: early), s, relative to the stationary window it overlaps most."""
-    out = []
-    for a, b in labelled.tolist():
-        shared = np.minimum(b, rest[:, 1]) - np.maximum(a, rest[:, 0])
-        low, high = rest[int(np.argmax(shared))].tolist()
-        late, early = max(0.0, b - high), max(0.0, low - a)
-        # The label is not wrong if its window has a bump in it, or if it is too long on both sides.
-        beside = np.clip(np.minimum(b, rest[:, 1]) - np.maximum(a, rest[:, 0]), 0.0, None).sum() - shared.max()
-        if shared.max() > 0.0 and min(late, early) <= _BESIDE_S and beside < 0.5 * max(late, early):
-            out.append(late if late > early else -early)
-    return np.array(out)
+    """Time by which single labels are late (negative: early), s, against the stationary window they overlap most."""
+    shared = np.minimum(labelled[:, 1, None], rest[:, 1]) - np.maximum(labelled[:, 0, None], rest[:, 0])
+    best = np.argmax(shared, axis=1)
+    most = shared.max(axis=1)
+    late, early = np.maximum(labelled[:, 1] - rest[best, 1], 0.0), np.maximum(rest[best, 0] - labelled[:, 0], 0.0)
+    # The label is not wrong if its window has a bump in it, or if it is too long on both sides.
+    beside = np.maximum(shared, 0.0).sum(axis=1) - most
+    size = np.maximum(late, early)
+    wrong = (most > 0.0) & (np.minimum(late, early) <= _BESIDE_S) & (beside < 0.5 * size) & (size > _BESIDE_S)
+    return np.asarray(np.where(late > early, late, -early)[wrong])
 
 
-def _rotation_at_edges(data: PreparedRecording, contiguous: Mask) -> LabelShift | None:
+def _rotation_at_edges(data: PreparedRecording, seen: RawIntegrals, contiguous: Mask) -> LabelShift | None:
     """Rotation at the inner edges of most start windows or of most end windows; None if there is none."""
     turns = np.flatnonzero(contiguous)
-    found = [_edge(data, k, sense) for sense in (1, -1) for k in turns.tolist()]
-    duration = np.array([one[0] for one in found]).reshape(2, -1)
+    found = np.array([[_edge(data, seen, k, sense) for k in turns.tolist()] for sense in (1, -1)]).reshape(2, -1, 7)
+    duration, angle, change = found[:, :, 0], found[:, :, 1:4], found[:, :, 4:]
     if duration.size == 0:
         return None
     both = duration > 0.0
-    angle, change = (np.array([one[i] for one in found]).reshape(2, -1, 3) for i in (1, 2))
-    shown = np.einsum("skc,skc->s", angle, change)
-    expected = np.einsum("skc,skc->s", angle, angle)
-    common = (both.mean(axis=1) > _MOST) | (_longest_runs(both) >= _IN_A_ROW)
-    real = common & ((shown > _SEEN * expected) | (expected == 0.0))
+    runs = np.array([max(map(len, "".join("01"[x] for x in row).split("0"))) for row in both.tolist()])
+    common = (both.mean(axis=1) > 0.5) | (runs >= _IN_A_ROW)
+    # The direction of gravity must confirm half of the angle, if the axis is not vertical: a low-pass filter of the
+    # gyros also makes their readings end late.
+    shown, expected = np.einsum("skc,skc->s", angle, change), np.einsum("skc,skc->s", angle, angle)
+    real = common & ((shown > 0.5 * expected) | (expected == 0.0))
     if not real.any():
         return None
     side = int(np.argmax(np.where(real, both.sum(axis=1), 0)))
@@ -145,44 +120,33 @@ def _rotation_at_edges(data: PreparedRecording, contiguous: Mask) -> LabelShift 
     return LabelShift(late, int(both[real].sum()))
 
 
-def _longest_runs(rows: Mask) -> Array:
-    """Length of the longest run of True in each row."""
-    out = []
-    for row in rows:
-        ends = np.flatnonzero(np.diff(np.concatenate(([False], row, [False]))))
-        out.append(np.diff(ends)[::2].max(initial=0))
-    return np.array(out)
-
-
-def _edge(data: PreparedRecording, sequence: int, sense: int) -> tuple[float, Array, Array]:
-    """Duration of rotation at the inner edge of a window, and the expected and measured change of specific force.
+def _edge(data: PreparedRecording, seen: RawIntegrals, sequence: int, sense: int) -> Array:
+    """Duration of rotation at the inner edge of a window, and the expected and measured change of specific force, (7,).
 
     The window is the start window for ``sense`` 1, the end window for -1. All values are zero if the angle is less than
     the smallest one.
     """
-    nothing = 0.0, np.zeros(3), np.zeros(3)
     recording, factor = data.recording, rates_factor(data.recording)
     dt = recording.nominal_interval_s
     a, b = data.windows.samples[(data.start if sense > 0 else data.end)[sequence]].tolist()
-    first, stop = data.rotation[sequence].tolist()
-    most = min((b - a) // 4, round(_REACH_S / dt))
-    if most <= _FEWEST or stop <= first:
+    most = (b - a) // 4
+    nothing = np.zeros(7)
+    if most <= _FEWEST or seen.speed[sequence] == 0.0:
         return nothing
-    rate = recording.gyro[a:b] * factor
-    middle = median(rate.T)
-    off = (rate[-most:][::-1] if sense > 0 else rate[:most]) - middle  # from the rotation into the window
-    fastest = float(np.quantile(np.abs(recording.gyro[first:stop] * factor).max(axis=1), 0.9))
-    if not np.all(np.abs(off[:_FEWEST]).max(axis=1) > _SHARE_OF_TURN * fastest):
+    inner = slice(a + most, b - most)
+    rest = recording.gyro[inner].mean(axis=0)
+    near = recording.gyro[b - most : b][::-1] if sense > 0 else recording.gyro[a : a + most]
+    off = (near - rest) * factor  # from the rotation into the window
+    # Slower motion is a disturbance of a window whose label is right.
+    slowest = ROTATING * seen.speed[sequence]
+    if np.abs(off[:_FEWEST]).max(axis=1).min() <= slowest:
         return nothing
-    sigma = MAD * median(np.abs(rate - middle).T)
-    loud = np.any(np.abs(off) > np.maximum(_SIGMAS * sigma, _SHARE_OF_TURN * fastest), axis=1)
+    least = np.maximum(_SIGMAS * recording.gyro[inner].std(axis=0) * factor, slowest)
+    loud = np.any(np.abs(off) > least, axis=1)
     count = most if loud.all() else int(np.argmin(loud))
     turned = off[:count].sum(axis=0) * dt
-    path = float(np.linalg.norm(off[:count], axis=1).sum()) * dt
-    size = float(np.linalg.norm(turned))
-    if count < _FEWEST or size < _LEAST_RAD or size < _ONE_SENSE * path:
+    if count < _FEWEST or np.linalg.norm(turned) < _LEAST_RAD:
         return nothing
-    force = recording.accel[a:b] * factor
-    rest = median(force.T)
-    at_edge = force[-1] if sense > 0 else force[0]
-    return count * dt, -sense * cross(turned, rest), at_edge - rest
+    force = recording.accel[inner].mean(axis=0) * factor
+    at_edge = recording.accel[b - 1 if sense > 0 else a] * factor
+    return np.concatenate([[count * dt], -sense * cross(turned, force), at_edge - force])

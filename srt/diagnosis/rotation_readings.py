@@ -29,9 +29,9 @@ _MARGIN_S: Final = 0.5
 """Stationary time used before and after a rotation, s."""
 _ROUNDS: Final = 12
 """Number of reweightings of a robust fit."""
-_ROTATING: Final = 0.05
-"""Ratio of the range of the rates in a window to that in the rotations, above which the window is not stationary: bumps
-and creep are slower."""
+ROTATING: Final = 0.05
+"""Smallest rate in a window, relative to that of the rotations, at which the unit is not at rest: bumps and creep are
+slower."""
 _BY_NOISE: Final = 4e-6
 """False-alarm probability, for one recording, that noise alone classifies a window as rotating."""
 ROUNDING: Final = 1e-9
@@ -42,8 +42,6 @@ _SLOWEST_RAD_S: Final = 0.05
 """Slowest rotation of a manoeuvre, rad/s: 180° in a minute."""
 _OTHER_UNIT: Final = 8.0
 """Ratio of the largest rate of an axis to the median of the three axes, above which it is in another unit."""
-_MANY_WINDOWS: Final = 12
-"""Fewest windows for a fit of g-sensitivity: three times its four unknowns, one bias and three slopes."""
 
 
 def rates_factor(recording: Recording) -> float:
@@ -68,43 +66,34 @@ def invert_readings(matrix: Array, readings: Array) -> Array:
     return np.asarray(readings @ np.linalg.inv(matrix).T)
 
 
-@cache
-def nominal_end_attitude(sequence: RotationSequence) -> Array:
-    """Nominal attitude at the end of a sequence, B_End to B_Strt, shape (3, 3); read-only."""
-    return end_attitude(sequence)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class RawIntegrals:
-    """Raw readings of each sequence: gyros integrated over the rotations, accelerometers averaged over the windows.
+class RawIntegrals(NamedTuple):
+    """Raw gyro readings of each sequence, integrated over the rotation.
 
     Attributes
     ----------
     signed, absolute : ndarray, shape (K, 3), rad
-        Integrals of the gyro readings less the mean of both windows, and of their absolute values.
-    before, after : ndarray, shape (K, 3), m/s²
-        Mean accelerometer readings of the start window and of the end window.
+        Integrals of the readings less the mean of both windows, and of their absolute values.
+    speed : ndarray, shape (K,), rad/s
+        Mean rate; zero without a rotation.
     """
 
     signed: Array
     absolute: Array
-    before: Array
-    after: Array
+    speed: Array
 
 
 def raw_integrals(data: PreparedRecording) -> RawIntegrals:
     """Integrals of all sequences."""
     recording, rest = data.recording, data.windows.gyro_mean
-    signed, absolute = np.empty((data.K, 3)), np.empty((data.K, 3))
+    interval, bias = recording.interval_s, 0.5 * (rest[data.start] + rest[data.end])
+    signed, absolute = np.empty((2, data.K, 3))
     for k, (a, b) in enumerate(data.rotation.tolist()):
-        bias = 0.5 * (rest[data.start[k]] + rest[data.end[k]])
-        interval = recording.interval_s
         steps: float | Array = interval if isinstance(interval, float) else interval[a:b, None]
-        angle = recording.gyro[a:b] * (steps if recording.kind == "rate" else 1.0) - bias * steps
+        angle = recording.gyro[a:b] * (steps if recording.kind == "rate" else 1.0) - bias[k] * steps
         signed[k] = angle.sum(axis=0)
         absolute[k] = np.abs(angle, out=angle).sum(axis=0)
-    force = data.windows.accel_mean
-    return RawIntegrals(signed, absolute, force[data.start], force[data.end])
+    duration = np.maximum(np.diff(data.rotation, axis=1)[:, 0], 1) * recording.nominal_interval_s
+    return RawIntegrals(signed, absolute, absolute.sum(axis=1) / duration)
 
 
 @cache
@@ -112,7 +101,7 @@ def nominal_integrals(sequence: RotationSequence) -> tuple[Array, Array, Array, 
     """Integrals of a sequence for a perfect IMU, signed and absolute (rad); unit vector up in B before and after."""
     vectors = sequence.axes * sequence.angles_rad[:, None]
     up = -nominal_attitude(sequence)[2]
-    return vectors.sum(axis=0), np.abs(vectors).sum(axis=0), up, nominal_end_attitude(sequence).T @ up
+    return vectors.sum(axis=0), np.abs(vectors).sum(axis=0), up, end_attitude(sequence).T @ up
 
 
 def _bias_per_force(data: PreparedRecording) -> Array:
@@ -122,10 +111,8 @@ def _bias_per_force(data: PreparedRecording) -> Array:
     attitudes of the rotation differ from those of its windows.
     """
     force = data.windows.accel_mean
-    if len(force) < _MANY_WINDOWS:
-        return np.zeros((3, 3))
     design = np.hstack([force / data.gravity, np.ones((len(force), 1))])
-    if np.linalg.matrix_rank(design, tol=0.1) < design.shape[1]:
+    if len(force) < 3 * design.shape[1] or np.linalg.matrix_rank(design, tol=0.1) < design.shape[1]:
         return np.zeros((3, 3))
     return robust_fit(design, data.windows.gyro_mean)[:3].T / data.gravity
 
@@ -190,40 +177,30 @@ def block_averages(data: PreparedRecording, contiguous: Mask) -> BlockAverages |
     )
 
 
-def turning_windows(data: PreparedRecording) -> Mask:
+def turning_windows(data: PreparedRecording, seen: RawIntegrals) -> Mask:
     """True for windows in which the unit rotates as in a manoeuvre, shape (W,): their labels are wrong.
 
     Slower motion has other causes, see :mod:`srt.diagnosis.window_disturbances`. Statistic: half the range of the rates
     of a window over the noise of a block. Distribution: normal, six times as many tests as blocks.
     """
-    recording = data.recording
-    size = max(1, round(BLOCK_S / recording.nominal_interval_s))
-    samples = data.windows.samples
-    in_turns, in_windows = np.empty(data.K), np.zeros((len(samples), 3))
-    scatter, blocks_in_windows = np.zeros((len(samples), 3)), 0
-    for k, (s, e) in enumerate(zip(data.start.tolist(), data.end.tolist(), strict=True)):
-        first, last = int(samples[s, 0]), int(samples[e, 1])
-        count = (last - first) // size
-        blocks = recording.gyro[first : first + count * size].reshape(count, size, 3)
-        # The median, so that a spike is not taken for a rotation.
-        means = median(np.moveaxis(blocks, 1, 2))
-        in_turns[k] = _rate_range(means).max()
-        for w in (s, e):
-            inside = slice(-(-(int(samples[w, 0]) - first) // size), (int(samples[w, 1]) - first) // size)
-            in_windows[w] = _rate_range(means[inside])
-            if len(means[inside]):
-                rows = means[inside].T
-                scatter[w] = MAD * median(np.abs(rows - median(rows)[:, None]))
-            blocks_in_windows += len(means[inside])
-    # Without rotations (static poses only) the median is noise: the slowest rotation is its lower limit.
-    slowest = _SLOWEST_RAD_S / rates_factor(recording)
-    slowest = _ROTATING * max(float(np.median(in_turns)), slowest)
-    noise = 2.0 * limit("normal", tests=max(1, 6 * blocks_in_windows), shared=_BY_NOISE) * np.median(scatter, axis=0)
-    return np.asarray(np.any(in_windows > np.maximum(slowest, noise), axis=1))
-
-
-def _rate_range(means: Array) -> Array:
-    return np.asarray(means.max(axis=0) - means.min(axis=0)) if len(means) else np.zeros(3)
+    recording, samples = data.recording, data.windows.samples
+    size, factor = max(1, round(BLOCK_S / recording.nominal_interval_s)), rates_factor(recording)
+    # Without rotations (static poses only), the slowest rotation is the lower limit.
+    slowest = 2.0 * ROTATING * max(float(np.median(seen.speed)), _SLOWEST_RAD_S)
+    span, scatter = np.zeros((2, len(samples), 3))
+    if not any(np.ptp(recording.gyro[a:b], axis=0).max() * factor > slowest for a, b in samples.tolist()):
+        return np.zeros(len(samples), dtype=np.bool_)
+    for w, (a, b) in enumerate(samples.tolist()):
+        count = (b - a) // size
+        if count:
+            blocks = recording.gyro[a : a + count * size].reshape(count, size, 3)
+            # The median, so that a spike is not taken for a rotation.
+            means = median(np.moveaxis(blocks, 1, 2)).T * factor
+            span[w] = np.ptp(means, axis=1)
+            scatter[w] = MAD * median(np.abs(means - median(means)[:, None]))
+    tests = max(1, 6 * int(np.sum((samples[:, 1] - samples[:, 0]) // size)))
+    noise = 2.0 * limit("normal", tests=tests, shared=_BY_NOISE) * np.median(scatter, axis=0)
+    return np.asarray(np.any(span > np.maximum(slowest, noise), axis=1))
 
 
 class Rotations(NamedTuple):
@@ -246,27 +223,24 @@ class Rotations(NamedTuple):
 
 def find_rotations(data: PreparedRecording | None, path: BlockAverages | None) -> Rotations:
     """Rotations in the block averages."""
-    numbers, nominal, turned = [np.zeros(0, dtype=np.intp)], [np.zeros((0, 3))], [np.zeros((0, 3))]
-    if data is None or path is None or len(path.rate) == 0:
-        return Rotations(numbers[0], nominal[0], turned[0])
-    largest = np.abs(path.rate).max(axis=0)
-    typical = float(np.median(largest))
-    # An axis in a smaller unit, as deg/s, would have the largest reading in rotations about the others.
-    unit = np.where(largest > _OTHER_UNIT * typical, largest / max(typical, 1e-300), 1.0)
-    for s, e in pairwise(path.starts.tolist()):
-        k = int(path.sequence[s])
-        sequence = data.catalogue[k]
-        if sequence is None:
-            continue
-        size = np.abs(path.rate[s:e]) / unit
-        speed = size.max(axis=1)
-        mark = np.where(speed > MOVING * speed.max(), np.argmax(size, axis=1), -1)
-        cuts = leg_borders(mark, through_stops=False)[:-1]
-        if len(cuts) == len(sequence.rotations):
-            numbers.append(np.full(len(cuts), k))
-            nominal.append(sequence.axes * sequence.angles_rad[:, None])
-            turned.append(np.add.reduceat(path.rate[s:e], cuts, axis=0) * path.step_s)
-    return Rotations(np.concatenate(numbers), np.concatenate(nominal), np.concatenate(turned))
+    found = [Rotations(np.zeros(0, dtype=np.intp), np.zeros((0, 3)), np.zeros((0, 3)))]
+    if data is not None and path is not None:
+        largest = np.abs(path.rate).max(axis=0, initial=0.0)
+        typical = max(float(np.median(largest)), 1e-300)
+        # An axis in a smaller unit, as deg/s, would have the largest reading in rotations about the others.
+        size = np.abs(path.rate) / np.where(largest > _OTHER_UNIT * typical, largest / typical, 1.0)
+        speed, axis = size.max(axis=1), np.argmax(size, axis=1)
+        for s, e in pairwise(path.starts.tolist()):
+            k = int(path.sequence[s])
+            sequence = data.catalogue[k]
+            if sequence is None:
+                continue
+            mark = np.where(speed[s:e] > MOVING * speed[s:e].max(), axis[s:e], -1)
+            cuts = leg_borders(mark, through_stops=False)[:-1]
+            if len(cuts) == len(sequence.rotations):
+                turned = np.add.reduceat(path.rate[s:e], cuts, axis=0) * path.step_s
+                found.append(Rotations(np.full(len(cuts), k), sequence.axes * sequence.angles_rad[:, None], turned))
+    return Rotations(*(np.concatenate(columns) for columns in zip(*found, strict=True)))
 
 
 def robust_fit(x: Array, y: Array) -> Array:

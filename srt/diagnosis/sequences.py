@@ -9,10 +9,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from srt.diagnosis.findings import Fault
-from srt.diagnosis.rotation_readings import (
-    invert_readings,
-    nominal_integrals,
-)
+from srt.diagnosis.rotation_readings import invert_readings, nominal_integrals
 from srt.estimation.rotation_accuracy import scatter_ratio
 from srt.model import closed_form
 from srt.model.table1 import SEQUENCES
@@ -36,8 +33,6 @@ _AGREE: Final = 0.5
 error due to lost samples or asymmetric scale factors, but nothing of a rotation by a wrong angle."""
 _RAW_SCALE: Final = 0.015
 """Scale-factor error of uncalibrated MEMS gyros, 1-sigma."""
-_NOTHING: Final = 1e-12
-"""Specific force below that of any stationary accelerometer, m/s²: avoids a division by zero."""
 _SHORT: Final = 0.5
 """Ratio of the length of a window to the median length, below which it is short: its mean is noisier by √2."""
 
@@ -124,31 +119,25 @@ WRONG_ANGLE: Final = Fault(
 def _exchanged(evidence: Evidence) -> dict[int, str]:
     """Names of the executed sequences where the label states another one, by the number of the sequence."""
     data, seen = evidence.data, evidence.raw_integrals
-    assert data is not None
-    assert seen is not None
-    places = [k for k, name in enumerate(data.ids) if name in SEQUENCES]
-    if not places:
+    names = list(SEQUENCES)
+    places = [] if data is None else [k for k, name in enumerate(data.ids) if name in SEQUENCES]
+    if data is None or seen is None or not places:
         return {}
     table = [nominal_integrals(sequence) for sequence in SEQUENCES.values()]
-    signed, absolute, before, after = (np.array([row[i] for row in table]) for i in range(4))
-    names = list(SEQUENCES)
+    signed, absolute, before, after = (np.array(column) for column in zip(*table, strict=True))
     own = np.array([names.index(data.ids[k]) for k in places])
     # Exchanged labels do not change the total rotation about each axis, which gives the scales of the raw readings.
     stated = absolute[own].sum(axis=0)
     scale = np.where(stated > 1.0, seen.absolute[places].sum(axis=0) / np.maximum(stated, 1.0), 1.0)
-    gravity = float(np.median(np.linalg.norm(np.concatenate([seen.before, seen.after]), axis=1)))
+    poses = np.concatenate([evidence.stationary_force[data.start], evidence.stationary_force[data.end]], axis=1)
+    gravity = float(np.median(np.linalg.norm(poses.reshape(-1, 3), axis=1)))
     if not (np.all(scale > 0.0) and gravity > 0.0):
         return {}
-    distance = np.zeros((len(places), len(names)))
-    for measured, nominal, unit in (
-        (seen.signed / scale, signed, math.pi),
-        (seen.absolute / scale, absolute, math.pi),
-        (seen.before / gravity, before, 1.0),
-        (seen.after / gravity, after, 1.0),
-    ):
-        distance += np.sum((measured[places][:, None] - nominal) ** 2, axis=2) / unit**2
-    best = np.argmin(distance, axis=1)
-    rows = np.arange(len(places))
+    turn = math.pi * scale
+    measured = np.hstack([seen.signed / turn, seen.absolute / turn, poses / gravity])
+    nominal = np.hstack([signed / math.pi, absolute / math.pi, before, after])
+    distance = np.sum((measured[places][:, None] - nominal) ** 2, axis=2)
+    best, rows = np.argmin(distance, axis=1), np.arange(len(places))
     off = (best != own) & (distance[rows, own] > _FAR) & (distance[rows, best] < 0.5 * _FAR)
     swapped = Counter(own[off].tolist()) == Counter(best[off].tolist())
     # Some sequences of Table 1 differ only in sense. If two such sequences were not exchanged, one was executed in the
@@ -173,33 +162,36 @@ def _wrong_angles(evidence: Evidence, known: Mask, excess: Array) -> Iterator[Fi
     if off.size and evidence.lag is not None:
         # A lagging gyro measures the end of a rotation during the next rotation of the sequence.
         off = off[np.bincount(numbers)[numbers[off]] == 1]
-    left = _end_mismatch(evidence)
-    off = off[[left.get(int(k), math.inf) < _AGREE * abs(e) for k, e in zip(numbers[off], excess[off], strict=True)]]
-    if off.size == 0:
-        return
-    leg = int(off[np.argmax(np.abs(excess[off]))])
-    expected = _signed(nominal[leg])
-    yield WRONG_ANGLE.found(
-        title=_turn_title(evidence, leg),
-        found=math.degrees(expected + math.copysign(1.0, expected) * excess[leg]),
-        expected=math.degrees(expected),
-        count=len(off),
-    )
+    if off.size:
+        off = off[_end_mismatch(evidence)[numbers[off]] < _AGREE * np.abs(excess[off])]
+    if off.size:
+        leg = int(off[np.argmax(np.abs(excess[off]))])
+        expected = _signed(nominal[leg])
+        yield WRONG_ANGLE.found(
+            title=_turn_title(evidence, leg),
+            found=math.degrees(expected + math.copysign(1.0, expected) * excess[leg]),
+            expected=math.degrees(expected),
+            count=len(off),
+        )
 
 
-def _end_mismatch(evidence: Evidence) -> dict[int, float]:
-    """Angle between the vertical propagated by the gyros and the measured one, at the end of each sequence, rad."""
+def _end_mismatch(evidence: Evidence) -> Array:
+    """Angle between the vertical propagated by the gyros and the measured one, at the end of each sequence, (K,), rad.
+
+    Infinite where it is not known.
+    """
     data, path, turns = evidence.data, evidence.stabilised_force, evidence.block_averages
     if data is None or path is None or turns is None:
-        return {}
+        return np.full(0 if data is None else data.K, np.inf)
     _, accel, bias = evidence.raw_triads
     last = turns.starts[1:] - 1
     sequences = turns.sequence[last]
     measured = invert_readings(accel, evidence.stationary_force[data.end[sequences]] - bias)
-    measured /= np.maximum(np.linalg.norm(measured, axis=1, keepdims=True), _NOTHING)
+    measured /= np.maximum(np.linalg.norm(measured, axis=1, keepdims=True), 1e-300)
+    out = np.full(data.K, np.inf)
     carried = np.einsum("kab,kb->ka", path.attitude[last], measured)
-    angle = np.linalg.norm(carried - path.up[last], axis=1)
-    return dict(zip(sequences.tolist(), angle.tolist(), strict=True))
+    out[sequences] = np.linalg.norm(carried - path.up[last], axis=1)
+    return out
 
 
 def _signed(rotation: Array) -> float:
@@ -220,17 +212,16 @@ def _turn_title(evidence: Evidence, leg: int) -> str:
 
 def sequence_missing(evidence: Evidence) -> Iterator[Finding]:
     """Find the parameters that the closed form cannot estimate from the sequences present."""
-    ids = _catalogue_ids(evidence)
-    if not ids:
+    data, ids = evidence.data, _catalogue_ids(evidence)
+    if data is None or not ids:
         return
-    fixed = set(evidence.options.fixed_names)
+    fixed = evidence.options.fixed_names
     lost = [n for n in closed_form.missing_parameters(closed_form.formulas(set(ids))) if n not in fixed]
     if not lost:
         return
     missing = [name for name in SEQUENCES if name not in ids]
     several = len(missing) > 1
-    data = evidence.data
-    moves = data is not None and recorded_moves(data.recording, data.labels)
+    moves = recorded_moves(data.recording, data.labels)
     yield SEQUENCE_MISSING.found(
         missing=f"Sequences {', '.join(missing)} are" if several else f"Sequence {missing[0]} is",
         found=len(SEQUENCES) - len(missing),
@@ -253,10 +244,9 @@ SEQUENCE_MISSING: Final = Fault(
 
 def sequence_repeated(evidence: Evidence) -> Iterator[Finding]:
     """Find sequences that were executed more than once."""
-    often = {name: count for name, count in Counter(_catalogue_ids(evidence)).items() if count > 1}
+    often = [f"{name} ({n} times)" for name, n in Counter(_catalogue_ids(evidence)).items() if n > 1]
     if often:
-        listed = ", ".join(f"{name} ({count} times)" for name, count in often.items())
-        yield SEQUENCE_REPEATED.found(sequences=listed)
+        yield SEQUENCE_REPEATED.found(sequences=", ".join(often))
 
 
 SEQUENCE_REPEATED: Final = Fault(
@@ -278,21 +268,14 @@ def _catalogue_ids(evidence: Evidence) -> list[str]:
 
 def window_short(evidence: Evidence) -> Iterator[Finding]:
     """Compare the window lengths with their median, of Table 1 only: rests of other protocols differ as planned."""
-    data = evidence.data
-    if data is None or not _catalogue_ids(evidence) or evidence.label_shift is not None:
+    data, seen = evidence.data, evidence.recognition
+    by_chance = not evidence.has_labels and seen is not None and seen.by_chance
+    if data is None or not _catalogue_ids(evidence) or by_chance or evidence.label_shift is not None:
         return
     duration = data.windows.duration_s
-    typical = float(np.median(duration))
-    w = int(np.argmin(duration))
-    if duration[w] >= _SHORT * typical:
-        return
-    k = int(np.flatnonzero((data.start == w) | (data.end == w))[0])
-    yield WINDOW_SHORT.found(
-        time=float(evidence.recording.time[data.windows.samples[w, 0]] - evidence.dt),
-        duration=float(duration[w]),
-        typical=typical,
-        sequence=evidence.title(k),
-    )
+    typical, w = float(np.median(duration)), int(np.argmin(duration))
+    if duration[w] < _SHORT * typical:
+        yield WINDOW_SHORT.found(duration=float(duration[w]), typical=typical, **evidence.window_place(w))
 
 
 WINDOW_SHORT: Final = Fault(

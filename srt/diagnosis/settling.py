@@ -16,7 +16,7 @@ import numpy as np
 from srt.diagnosis.cause_comparison import Cause, compare
 from srt.diagnosis.false_alarms import limit
 from srt.diagnosis.findings import Fault
-from srt.diagnosis.window_averages import ACCEL, block_sigma
+from srt.diagnosis.window_averages import ACCEL
 from srt.model.table1 import AXES
 
 if TYPE_CHECKING:
@@ -24,22 +24,13 @@ if TYPE_CHECKING:
 
     from srt.diagnosis.evidence import Evidence
     from srt.diagnosis.findings import Finding
-    from srt.diagnosis.window_averages import WindowAverages
     from srt.types import Array
 
 _TIMES_S: Final = (1.0, 2.0, 4.0, 8.0)
 """Time constants that are tried, s: for a true value that differs by a factor of up to 1.4, the pattern still has a
 correlation above 0.95."""
-_FEWEST: Final = 6
-"""Fewest windows after a rotation for an estimate of the scatter."""
-_LEAST_LAG: Final = 0.05
-"""Smallest lag L0 - f, in units of gravity, at which a window counts as a window after a rotation."""
-_SMALLEST: Final = 1e-7
-"""Smallest share for a finding, 0.1 µg for a change of 1 g: rounding of noise-free readings makes patterns, too."""
-_LARGEST: Final = 0.1
-"""Largest share for a finding: a larger deviation is motion."""
-_REACH: Final = 5.0
-"""Time before the window from which the lag is computed, in time constants."""
+_SHARES: Final = (1e-7, 0.1)
+"""Smallest and largest share for a finding: 0.1 µg for 1 g is rounding, and a larger deviation is motion."""
 
 
 def accel_settling(evidence: Evidence) -> Iterator[Finding]:
@@ -48,27 +39,19 @@ def accel_settling(evidence: Evidence) -> Iterator[Finding]:
     Statistic: share that settles over its standard deviation. Distribution: t, with the degrees of freedom of the
     projections of windows and channels on the decay.
     """
-    averages = evidence.window_averages
-    if averages is None:
-        return
     found = []
     for time_s in _TIMES_S:
-        patterns = _patterns(evidence, averages, time_s)
-        if patterns is None:
+        values, columns = _patterns(evidence, time_s)
+        if not values.size:
             return
-        values, columns = patterns
-        details = {"time_s": time_s}
-        causes = [
-            Cause("accel_settling", columns.sum(axis=1, keepdims=True), {**details, "channel": "The accelerometers"})
-        ]
-        causes += [
-            Cause("accel_settling", columns[:, i, None], {**details, "channel": f"accel_{axis}"}, 3)
-            for i, axis in enumerate(AXES)
-        ]
+        of = [(columns.sum(axis=1, keepdims=True), "The accelerometers", 1)]
+        of += [(columns[:, i, None], f"accel_{axis}", 3) for i, axis in enumerate(AXES)]
+        causes = [Cause("accel_settling", one, {"time_s": time_s, "channel": who}, n) for one, who, n in of]
         found += compare(values, causes)
     best = max(found, key=lambda explanation: explanation.score)
     share, sigma = float(best.value[0]), float(best.sigma[0])
-    if _LARGEST > abs(share) > max(_SMALLEST, limit("t", best.freedom, tests=len(found), both_sides=True) * sigma):
+    least = limit("t", best.freedom, tests=len(found), both_sides=True) * sigma
+    if _SHARES[1] > abs(share) > max(_SHARES[0], least):
         yield ACCEL_SETTLING.found(share_ppm=1e6 * share, sigma_ppm=1e6 * sigma, **best.cause.details)
 
 
@@ -83,51 +66,41 @@ ACCEL_SETTLING: Final = Fault(
 )
 
 
-def _patterns(evidence: Evidence, averages: WindowAverages, time_s: float) -> tuple[Array, Array] | None:
+def _patterns(evidence: Evidence, time_s: float) -> tuple[Array, Array]:
     """Projections of the readings of the windows on the decay, (n,), and their values for a share of 1, (n, 3).
 
-    Both are divided by the standard deviation of the projections due to noise. None with too few windows.
+    Both are divided by the standard deviation of the projections due to noise.
+    """
+    data, averages = evidence.data, evidence.window_averages
+    values, columns = [np.zeros(0)], [np.zeros((0, 3))]
+    if data is None or averages is None:
+        return values[0], columns[0]
+    end = {int(w): k for k, w in enumerate(data.end.tolist()) if evidence.contiguous[k]}
+    sigma = np.median(averages.sigma[:, ACCEL], axis=0)
+    longest = int(np.max(data.windows.samples[data.end, 0] - data.windows.samples[data.start, 0]))
+    past = np.exp(-evidence.dt / time_s * np.arange(max(longest, 0), -1, -1))
+    for windows, means in averages.groups:
+        decay = np.exp(-averages.step_s * np.arange(means.shape[1]) / time_s)
+        decay *= -time_s / averages.step_s * np.expm1(-averages.step_s / time_s)  # mean over a block
+        decay -= decay.mean()
+        size = float(np.linalg.norm(decay))
+        for w, blocks in zip(averages.window[windows].tolist(), means[:, :, ACCEL], strict=True):
+            if w in end:
+                values.append(decay @ blocks / (size * sigma))
+                columns.append(np.diag(size * _lag(evidence, end[w], past) / sigma))
+    return np.concatenate(values), np.concatenate(columns)
+
+
+def _lag(evidence: Evidence, sequence: int, past: Array) -> Array:
+    """Lag L - f at the start of the window after a sequence, shape (3,), m/s².
+
+    ``past`` is the decay since the samples before, the latest last.
     """
     data = evidence.data
     assert data is not None
-    end = {int(w): k for k, w in enumerate(data.end.tolist()) if evidence.contiguous[k]}
-    sigma = np.median(block_sigma(averages)[:, ACCEL], axis=0)
-    values: list[Array] = []
-    columns: list[Array] = []
-    lags: list[Array] = []
-    for windows, means in averages.groups:
-        after = [(g, end[int(w)]) for g, w in enumerate(averages.window[windows]) if int(w) in end]
-        if not after:
-            continue
-        which, sequence = np.array(after).T
-        t = averages.step_s * (np.arange(means.shape[1]) + 0.5)
-        decay = time_s / averages.step_s * np.exp(-t / time_s) * 2.0 * np.sinh(0.5 * averages.step_s / time_s)
-        decay -= decay.mean()
-        size = float(np.linalg.norm(decay))
-        values.append(np.einsum("b,gbc->gc", decay / size, means[which][:, :, ACCEL]) / sigma)
-        lags.append(_lags(evidence, sequence, time_s))
-        columns.append(size * lags[-1] / sigma)
-    if not values:
-        return None
-    value, column, lag = (np.concatenate(parts) for parts in (values, columns, lags))
-    if np.count_nonzero(np.abs(lag).max(axis=1) > _LEAST_LAG * data.gravity) < _FEWEST:
-        return None
-    return value.ravel(), (column[:, :, None] * np.eye(3)).reshape(-1, 3)
-
-
-def _lags(evidence: Evidence, sequences: Array, time_s: float) -> Array:
-    """Lag L - f at the start of the window after each sequence, shape (n, 3), m/s²."""
-    data = evidence.data
-    assert data is not None
-    samples, dt = data.windows.samples, evidence.dt
-    out = np.empty((len(sequences), 3))
-    # Weights of a first-order lag. Earlier readings are taken as the mean of the first window.
-    weights = -np.expm1(-dt / time_s) * np.exp(-dt / time_s * np.arange(round(_REACH * time_s / dt))[::-1])
-    for row, k in enumerate(sequences.tolist()):
-        first, stop = int(samples[data.start[k], 0]), int(samples[data.end[k], 0])
-        weight = weights[-(stop - first) :]
-        begin = stop - len(weight)
-        before = evidence.stationary_force[data.start[k]]
-        out[row] = weight @ evidence.force[begin:stop] + (1.0 - weight.sum()) * before
-        out[row] -= evidence.stationary_force[data.end[k]]
-    return out
+    start, end = data.start[sequence], data.end[sequence]
+    first, stop = data.windows.samples[start, 0], data.windows.samples[end, 0]
+    # Earlier readings are taken as the mean of the first window.
+    past = past[first - stop - 1 :]
+    lagged = np.diff(past) @ evidence.force[first:stop] + past[0] * evidence.stationary_force[start]
+    return np.asarray(lagged - evidence.stationary_force[end])

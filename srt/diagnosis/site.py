@@ -77,36 +77,29 @@ def earth_rate(evidence: Evidence) -> Iterator[Finding]:
     degree of freedom and those of the stationary rates.
     """
     site, fixture = evidence.recording.site, evidence.recording.fixture
-    if site.latitude_rad is None or fixture is None:
-        return
     fit, earth = evidence.stationary_rate_fit, evidence.earth_rate
-    if fit is None or fit.horizontal is None or earth is None:
+    factor = earth_rate_factor(earth)
+    if site.latitude_rad is None or fixture is None or fit is None or earth is None or factor is None:
         return
     largest = float(limit("F", 1, fit.freedom))
-    vertical_sigma, horizontal_sigma = earth.sigma.tolist()
-    x, y = fit.horizontal.tolist()
-    size = float(np.hypot(x, y))
 
     def misfit(latitude_rad: Array) -> Array:
-        down, level = -EARTH_RATE_RAD_S * np.sin(latitude_rad), EARTH_RATE_RAD_S * np.cos(latitude_rad)
-        out: Array = ((fit.vertical - down) / vertical_sigma) ** 2 + ((size - level) / horizontal_sigma) ** 2
-        return out
+        true = EARTH_RATE_RAD_S * np.stack([-np.sin(latitude_rad), np.cos(latitude_rad)], axis=-1)
+        return np.asarray(np.sum(((earth.found - true) / earth.sigma) ** 2, axis=-1))
 
     latitudes = np.arange(-90.0, 90.0 + 0.5 * _GRID_DEG, _GRID_DEG) * DEG
     by_latitude = misfit(latitudes)
     best = int(np.argmin(by_latitude))
-    latitude = site.latitude_rad
-    absent = (fit.vertical / vertical_sigma) ** 2 + (size / horizontal_sigma) ** 2
-    if float(by_latitude[best]) - absent > largest:
+    if float(by_latitude[best] - np.sum((earth.found / earth.sigma) ** 2)) > largest:
         yield EARTH_RATE_ABSENT.found(
-            found=float(np.hypot(fit.vertical, size) / DEG_PER_H),
-            sigma=float(np.hypot(vertical_sigma, horizontal_sigma) / DEG_PER_H),
+            found=float(np.hypot(*earth.found) / DEG_PER_H),
+            sigma=float(np.hypot(*earth.sigma) / DEG_PER_H),
             expected=float(EARTH_RATE_RAD_S / DEG_PER_H),
         )
         return
-    factor = earth_rate_factor(earth)
-    by_clock = factor is not None and factor.misfit < by_latitude[best] - largest
-    if not by_clock and float(misfit(np.array([latitude]))[0] - by_latitude[best]) > largest:
+    latitude = site.latitude_rad
+    by_clock = factor.misfit < by_latitude[best] - largest
+    if not by_clock and float(misfit(np.array(latitude)) - by_latitude[best]) > largest:
         near = latitudes[by_latitude <= by_latitude[best] + 1.0]
         yield LATITUDE.found(
             found=float(latitudes[best] / DEG),
@@ -114,16 +107,17 @@ def earth_rate(evidence: Evidence) -> Iterator[Finding]:
             stated=float(latitude / DEG),
         )
         latitude = float(latitudes[best])
-    if fixture.heading_rad is None:
+    if fixture.heading_rad is None or fit.horizontal is None:
         return
     # In base axes, the azimuth of north is minus the heading.
-    seen = float(np.arctan2(-y, x))
-    off = float(np.angle(np.exp(1j * (seen - fixture.heading_rad))))
+    x, y = fit.horizontal.tolist()
+    off = float(np.angle(np.exp(1j * (np.arctan2(-y, x) - fixture.heading_rad))))
+    size, sigma = float(earth.found[1]), float(earth.sigma[1])
     level = EARTH_RATE_RAD_S * float(np.cos(latitude))
-    if 2.0 * size * level * (1.0 - np.cos(off)) / horizontal_sigma**2 > largest:
+    if 2.0 * size * level * (1.0 - np.cos(off)) / sigma**2 > largest:
         yield NORTH.found(
             found=float((fixture.heading_rad + off) / DEG),
-            sigma=float(min(horizontal_sigma / size, np.pi) / DEG),
+            sigma=float(min(sigma / size, np.pi) / DEG),
             stated=float(fixture.heading_rad / DEG),
         )
 

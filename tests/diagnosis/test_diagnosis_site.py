@@ -153,7 +153,8 @@ def test_rates_at_rest_are_taken_apart():
     imu = ImuModel(gyro_g_sensitivity=-gamma / g)
     fit = Labelled(sims.read_out(motion, SensorErrors(), imu)).stationary_rate_fit
     down, level = -EARTH_RATE_RAD_S * math.sin(LATITUDE_RAD), EARTH_RATE_RAD_S * math.cos(LATITUDE_RAD)
-    np.testing.assert_allclose(fit.gamma(down), gamma, rtol=0.0, atol=2e-4 * EARTH_RATE_RAD_S)
+    found = fit.g_sensitivity + (fit.vertical - down) * np.eye(3)
+    np.testing.assert_allclose(found, gamma, rtol=0.0, atol=2e-4 * EARTH_RATE_RAD_S)
     np.testing.assert_allclose(
         fit.horizontal, level * np.array([math.cos(0.3), -math.sin(0.3)]), rtol=0.0, atol=2e-4 * EARTH_RATE_RAD_S
     )
