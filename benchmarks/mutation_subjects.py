@@ -250,6 +250,19 @@ SUBJECTS = (
         ),
     ),
     Subject(
+        "one faulty group",
+        "srt/estimation/goodness_of_fit.py",
+        ("tests/estimation/test_goodness_of_fit.py",),
+        (),
+        (
+            ("chi_square, degrees_of_freedom) - 2.0 *", "chi_square, degrees_of_freedom) + 2.0 *"),
+            ("likelihood_gain(own, freedom,", "likelihood_gain(own, 1,"),
+            ("not is_misfit(rest, others)) and", "True) and"),
+            ("gain > against", "gain > -math.inf"),
+            ("len(tests) if free and tests else 1", "1"),
+        ),
+    ),
+    Subject(
         "accuracy of the rotations",
         "srt/estimation/rotation_accuracy.py",
         ("tests/estimation/test_rotation_accuracy.py",),

@@ -102,7 +102,7 @@ def test_a_wobble_as_large_as_the_angles_is_doubtful_and_named():
 
 @pytest.mark.parametrize("estimator", ["closed-form", "least-squares"])
 def test_a_fixture_as_stated_is_not_named(estimator):
-    for row in of_units("fixture of 1 mrad as stated", estimator):
+    for row in of_units("fixture, no drift", estimator):
         assert row["word"] == "sound"
         assert row["named"] == ""
 

@@ -10,7 +10,6 @@ from foreign_motion import GRADES, Turn, drawn_errors, hand_turns, recording, wi
 from scipy.stats import chi2
 
 import srt
-from srt.estimation.goodness_of_fit import contradicting_group
 from srt.exceptions import InputError
 
 
@@ -58,13 +57,3 @@ def test_a_rest_in_which_the_unit_turns_slowly_accuses_no_turn():
     z, sigma = ((found.errors.vector - truth) / found.sigma)[seen], found.sigma[seen]
     nees = z @ np.linalg.solve(found.covariance[np.ix_(seen, seen)] / np.outer(sigma, sigma), z)
     assert nees < chi2.isf(1e-3, seen.sum())
-
-
-def test_in_hand_the_limit_of_a_contradiction_is_that_of_all_turns():
-    """A turn with p = 1e-5 of eighteen is accused on a fixture, where a label can be wrong, and not in hand."""
-    tests = [(37.0, 8), *[(8.0, 8)] * 17]
-    chi_square, freedom = (sum(values) for values in zip(*tests, strict=True))
-    number, p = contradicting_group(tests, chi_square, freedom)
-    assert number == 0
-    assert 1e-4 / 18 < p < 1e-4
-    assert contradicting_group(tests, chi_square, freedom, free=True) is None
