@@ -12,8 +12,11 @@ from srt.exceptions import DataError, SrtError
 from srt.recording.reading import READING_KEYS, read
 from srt.result.verdict import USABLE, explained_by_drift
 from srt.sequences.protocol_matching import with_protocol
+from srt.sequences.recognition import leave_out
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from srt.diagnosis.inspection import Inspection
     from srt.estimation.registry import Progress
     from srt.noise.noise_terms import NoiseTerms
@@ -35,6 +38,7 @@ def calibrate(
     *,
     checks: bool = True,
     force: bool = False,
+    without_turns: Sequence[str] = (),
     options: Options | None = None,
     progress: Progress | None = None,
     **choices: Any,
@@ -54,6 +58,8 @@ def calibrate(
         faults stop the calibration; others become warnings. False: estimation alone, and a warning says so.
     force : bool
         Calibrate in spite of fatal faults.
+    without_turns : sequence of str
+        Turns, poses or sequences to leave out: numbers of those without an id, as "22", and ids, as "1a".
     options : Options, optional
     progress : callable, optional
         Called after every iteration with its number and the largest correction.
@@ -68,13 +74,18 @@ def calibrate(
     Raises
     ------
     InputError
-        Unknown estimator or option, or a source that cannot be read.
+        Unknown estimator or option, a turn to leave out that there is not, or a source that cannot be read.
     DataError
         A fatal fault, or data that do not support a result, with the likely cause.
     """
     stated = {name: choices.pop(name) for name in READING_KEYS & set(choices)}
     options = chosen_options(options, choices)
     recording = with_protocol(read(source, **stated))
+    if without_turns:
+        recording, titles = leave_out(recording, without_turns)
+        result = calibrate(recording, estimator, checks=checks, force=force, options=options, progress=progress)
+        voided = {**dict.fromkeys(titles, "left out on request"), **result.provenance.voided}
+        return replace(result, provenance=replace(result.provenance, voided=voided))
     if not checks:
         result = estimate(recording, estimator, options, progress)
         return replace(result, warnings=(*result.warnings, UNCHECKED))

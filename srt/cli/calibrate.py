@@ -47,7 +47,7 @@ def choice_option(flag: str, text: str) -> Callable[[FC], FC]:
 
 
 GROUPS = {
-    "Fixture and sensors": ("no_asymmetry", "hold", "gyro_bias", "no_fixture_states", "ignore_moves"),
+    "Fixture and sensors": ("no_asymmetry", "without_turn", "hold", "gyro_bias", "no_fixture_states", "ignore_moves"),
     "Fleet": ("workers", "scheduler"),
     "Expert": (
         "average", "down", "window_attitude", "step", "start", "max_playbacks", "loss", "filter", "prior", "live",
@@ -82,6 +82,12 @@ USUAL = (
     "--protocol",
     metavar="NAME",
     help="Protocol of the test in place of labels: a shipped one (srt list protocols), or FILE.toml.",
+)
+@click.option(
+    "--without-turn",
+    multiple=True,
+    metavar="N",
+    help="Leave out a turn or pose by its number, or all runs of a sequence by its id.",
 )
 @click.option("--truth", type=NamedPath(path_type=Path), help="truth.json of a simulated recording: show errors.")
 @click.option("-q", "--quiet", is_flag=True, help="No progress and no table; warnings and errors only.")
@@ -146,6 +152,7 @@ def calibrate(
     force: bool,
     trust: bool,
     protocol: str | None,
+    without_turn: tuple[str, ...],
     **choices: Any,
 ) -> int:
     """Calibrate the unit of each RECORDING, a folder with recording.toml and samples.
@@ -185,6 +192,10 @@ def calibrate(
             "--protocol belongs to few recordings: for a fleet, name it in each recording.toml.",
         ),
         (
+            bool(without_turn) and (merge or len(jobs) > 1),
+            "--without-turn belongs to one recording: calibrate the others apart.",
+        ),
+        (
             fleet and tables,
             "--details, --budget and --verdict belong to the tables of few recordings: a fleet has one for all.",
         ),
@@ -204,7 +215,7 @@ def calibrate(
     if fleet:
         engine = FleetEngine(workers, scheduler)
         return run_fleet(jobs, estimator, options, engine=engine, output=output, quiet=quiet, force=force)
-    display = Display(true_errors, details, budget, verdict, quiet, force, trust, known)
+    display = Display(true_errors, details, budget, verdict, quiet, force, trust, known, without_turn)
     if merge:
         return run_merging(jobs, estimator, options, display, output, plot)
     return run_each(jobs, estimator, options, display, output)
@@ -334,7 +345,14 @@ def run_job(job: Job, estimator: str, options: Options, display: Display) -> Cal
 
     recording = display.load(job.recording)
     with iteration_progress(job.name, quiet=display.quiet) as progress:
-        calibration = srt.calibrate(recording, estimator, options=options, progress=progress, force=display.force)
+        calibration = srt.calibrate(
+            recording,
+            estimator,
+            force=display.force,
+            without_turns=display.without,
+            options=options,
+            progress=progress,
+        )
     if job.output is not None:
         calibration.save(job.output)
     if not display.quiet:

@@ -42,7 +42,8 @@ class Display:
     """Parts of a calibration that are printed.
 
     Beside them, ``force``: calibrate in spite of faults of the recording; ``trust``: accept calibration files that were
-    changed after they were written; ``protocol``: of the recordings, in place of their labels.
+    changed after they were written; ``protocol``: of the recordings, in place of their labels; ``without``: turns and
+    sequences to leave out.
     """
 
     truth: SensorErrors | None = None
@@ -53,6 +54,7 @@ class Display:
     force: bool = False
     trust: bool = False
     protocol: Protocol | None = None
+    without: tuple[str, ...] = ()
 
     def load(self, path: Path) -> Recording:
         """Load a recording, with the protocol that replaces its labels."""

@@ -154,17 +154,20 @@ def _birge_ratio(result: SolverResult) -> float:
 
 
 def _advice(data: PreparedRecording) -> str:
-    """Advice on a sequence that contradicts all others; one that has no label can only be given less weight."""
+    """Advice on a sequence that contradicts all others; the braces are for the option that leaves it out."""
     rated = ", and the stated rates about its axis" if any(label.rate for label in data.labels) else ""
-    if data.recording.sequences and data.recording.protocol is None:
-        return (
-            f"check its label, windows and rotation{rated}, and repeat it, or leave it out: remove its [[sequence]] "
-            "from recording.toml."
-        )
     return (
-        f"check its windows and rotation{rated}, and repeat it, or give it less weight: "
-        "'--estimator graph --loss cauchy'."
+        f"check its label, windows and rotation{rated}, and repeat it, or leave it out: '{{}}'. "
+        "'--estimator graph --loss cauchy' gives it less weight."
     )
+
+
+def _leaving_out(name: str) -> str:
+    """Option of the command that leaves out a turn, pose, move or sequence."""
+    if name.startswith("move "):
+        return "--ignore-moves"
+    bare = name.removeprefix("turn ").removeprefix("pose ")
+    return f'--without-turn "{bare}"' if " " in bare else f"--without-turn {bare}"
 
 
 def _status(
@@ -184,7 +187,8 @@ def _status(
         numbered = suspect.sequence.startswith(("turn ", "pose ", "move "))
         which = suspect.sequence.capitalize() if numbered else f"Sequence {suspect.sequence}"
         return "inconsistent", (
-            f"{which}{again} contradicts all others ({p_value_text(suspect.probability)}): {advice}"
+            f"{which}{again} contradicts all others ({p_value_text(suspect.probability)}): "
+            f"{advice.format(_leaving_out(suspect.sequence))}"
         )
     by_fixture = any(result.unmodelled) and not any(result.unmodelled.of_sensors)
     fits = not is_misfit(result.chi_square, result.degrees_of_freedom)

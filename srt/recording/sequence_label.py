@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 from srt.exceptions import InputError
@@ -38,6 +38,8 @@ class SequenceLabel:
         1-sigma relative error of the stated rates, one for the whole recording.
     steady_s : (float, float) or None
         Window, limits as above, in which the rate is constant.
+    number : int or None
+        Place among all labels of the recording, from 1, where some are left out; None where none is.
 
     Raises
     ------
@@ -57,6 +59,7 @@ class SequenceLabel:
     rate: tuple[str, float] | None = None
     rate_sigma: float | None = None
     steady_s: tuple[float, float] | None = None
+    number: int | None = field(default=None, compare=False)
 
     @classmethod
     def of_pose(

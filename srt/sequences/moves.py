@@ -41,8 +41,14 @@ def recorded_moves(recording: Recording, labels: Iterable[SequenceLabel]) -> tup
     return tuple(
         SequenceLabel(before.end_static_s, after.start_static_s)
         for before, after in pairwise(ordered)
-        if before.id is not None and after.id is not None and _is_move(recording, before, after)
+        if before.id is not None and after.id is not None and _are_next(before, after)
+        if _is_move(recording, before, after)
     )
+
+
+def _are_next(before: SequenceLabel, after: SequenceLabel) -> bool:
+    """True if no sequence between the two was left out."""
+    return before.number is None or after.number is None or after.number == before.number + 1
 
 
 def _is_move(recording: Recording, before: SequenceLabel, after: SequenceLabel) -> bool:

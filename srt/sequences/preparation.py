@@ -123,7 +123,10 @@ class PreparedRecording:
     @cached_property
     def ids(self) -> tuple[str, ...]:
         """Id of each sequence; free turns and poses are numbered."""
-        names = [label.id or f"{'pose' if label.pose else 'turn'} {k + 1}" for k, label in enumerate(self.labels)]
+        names = [
+            label.id or f"{'pose' if label.pose else 'turn'} {label.number or k + 1}"
+            for k, label in enumerate(self.labels)
+        ]
         fixed = np.flatnonzero(~self.is_move).tolist()
         before, after = ({int(which[k]): names[k] for k in fixed} for which in (self.end, self.start))
         for k in np.flatnonzero(self.is_move).tolist():

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from srt.arguments import require_type
-from srt.exceptions import DataError
+from srt.exceptions import DataError, InputError
 from srt.model.table1 import AXES, SEQUENCES
 from srt.recording.recording import Recording, SequenceLabel
 from srt.result.diagnostics import RecognisedSequence, RecognisedSequences
@@ -30,7 +30,7 @@ from srt.sequences.manoeuvres import (
 from srt.sequences.protocol_matching import with_protocol
 from srt.sequences.rest_detection import resolution_floor
 from srt.sequences.sequence_matching import ENOUGH_TURNS, QUARTER_TURN_WORDS, SequenceReading, promising_mappings
-from srt.sequences.stationary_windows import best_join, find_windows, trimmed, window_times
+from srt.sequences.stationary_windows import best_join, find_turns, find_windows, trimmed, window_times
 
 if TYPE_CHECKING:
     from collections.abc import Sequence as SequenceOf
@@ -276,6 +276,39 @@ def label_sequences(recording: Recording) -> tuple[Recording, Recognition | None
             "converted, or label the sequences."
         )
     return labelled(recording, found.labels), found
+
+
+def leave_out(recording: Recording, names: SequenceOf[str]) -> tuple[Recording, tuple[str, ...]]:
+    """Leave out turns, poses or sequences, labelled or recognised; the others keep their numbers.
+
+    Parameters
+    ----------
+    recording : Recording
+    names : sequence of str
+        Number of a turn or pose without an id, "22", or id, "1a", of which all runs are left out.
+
+    Returns
+    -------
+    recording : Recording
+        With the labels that are left.
+    titles : tuple of str
+        Names in messages of what is left out.
+
+    Raises
+    ------
+    InputError
+        A name that no label has.
+    DataError
+        As :func:`label_sequences`.
+    """
+    labels = label_sequences(recording)[0].sequences or find_turns(recording)
+    numbered = [replace(label, number=k) for k, label in enumerate(labels, 1)]
+    known = [label.id or str(label.number) for label in numbered]
+    for name in sorted(set(names) - set(known)):
+        raise InputError(f"There is no turn or sequence {name!r} to leave out; the recording has {', '.join(known)}.")
+    left = tuple(label for label, name in zip(numbered, known, strict=True) if name not in names)
+    titles = tuple(label.title for label, name in zip(numbered, known, strict=True) if name in names)
+    return recording.with_sequences(left), titles
 
 
 def _result(recording: Recording, windows: Indices, turns: SequenceOf[Manoeuvre], best: SequenceReading) -> Recognition:

@@ -419,11 +419,20 @@ def turned_by_hand(folder):
 
 def test_advice_on_a_turn_that_contradicts_is_a_command_that_works(tmp_path, capfd):
     errors = turned_by_hand(tmp_path)
-    assert main(["calibrate", str(tmp_path / "labelled"), "-q"]) == 1
-    assert "leave it out: remove its [[sequence]] from recording.toml" in capfd.readouterr().err
-    assert main(["calibrate", str(tmp_path / "free"), "-q"]) == 1
-    err = capfd.readouterr().err
-    assert "Turn 7 contradicts all others" in err
+    file = tmp_path / "without.json"
+    for name in ("labelled", "free"):
+        # A turn shares its windows with the next one, which may be named first.
+        advised = []
+        while main(["calibrate", str(tmp_path / name), "-q", "-o", str(file), *advised]) == 1 and len(advised) < 6:
+            err = capfd.readouterr().err
+            advised += re.search("'(--without-turn .*?)'", err)[1].split()
+        assert {"7", "8"} >= set(advised[1::2])
+        assert "8" in advised[1::2]
+        found = srt.load_calibration(file)
+        assert found.judgement.word == "sound"
+        assert list(found.provenance.voided.values()) == ["left out on request"] * (len(advised) // 2)
+        # Of 27 normal errors, one in a thousand has one beyond 4.2 sigma.
+        assert np.nanmax(np.abs((found.errors.vector - errors) / found.sigma)[found.observed]) <= 4.2
     advised = re.search("'(--estimator .*?)'", err)[1].split()
     pytest.importorskip("gtsam")
     file = tmp_path / "unit.json"

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 import srt
+from srt.exceptions import InputError
 from srt.recording.recording import Fixture, Recording, SequenceLabel
 from srt.sequences.moves import recorded_moves
+from srt.sequences.recognition import leave_out
 from srt.sequences.stationary_windows import MIN_TURN_RAD
 
 DT = 0.01
@@ -71,3 +73,17 @@ def test_no_move_over_a_gap():
     kept = (moved.time < 6.0) | (moved.time > 7.0)
     cut = replace(moved, time=moved.time[kept], gyro=moved.gyro[kept], accel=moved.accel[kept])
     assert moves_of(cut) == 0
+
+
+def test_no_move_passes_over_a_sequence_that_is_left_out():
+    """The turn of the sequence between two others is none of a move; the others keep their places."""
+    moved = readings(1.5)
+    first, second = moved.sequences
+    middle = SequenceLabel((3.2, 3.4), (12.6, 12.8), id="3")
+    left, titles = leave_out(moved.with_sequences((first, middle, second)), ["3"])
+    assert [label.number for label in left.sequences] == [1, 3]
+    assert titles == (middle.title,)
+    assert moves_of(left) == 0
+    assert moves_of(leave_out(moved, [])[0]) == 1
+    with pytest.raises(InputError, match="no turn or sequence '4' to leave out; the recording has 1, 2"):
+        leave_out(moved, ["4"])

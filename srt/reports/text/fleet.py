@@ -9,7 +9,7 @@ import numpy as np
 from srt.comparison.outliers import FALSE_ALARMS, MINIMUM_UNITS
 from srt.reports.text.tables import decimals_for, fixed, text_table, wrap
 from srt.result.verdict import probability_text
-from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, GROUP_SLICES, GROUPS, NAMES, SYMBOLS
+from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, GROUP_SLICES, GROUPS, N_PARAMETERS, NAMES, SYMBOLS
 
 if TYPE_CHECKING:
     from srt.comparison.fleet import Fleet, FleetUnit
@@ -50,22 +50,23 @@ def fleet_text(fleet: Fleet) -> str:
 
 
 def state_table(fleet: Fleet) -> str:
-    """Table of the units: status, verdict, chi-square of the measurements, number of warnings, outlying parameters."""
+    """Table of the units: status, verdict, parameters measured of 27, chi-square, warnings, outlying parameters."""
     rows = []
     for number, unit in enumerate(fleet.units):
-        cells = [unit.name, unit.serial or "", _STATUS.get(unit.status, unit.status), "", "", "", "", ""]
+        cells = [unit.name, unit.serial or "", _STATUS.get(unit.status, unit.status), *[""] * 6]
         if unit.calibration is not None:
             test = unit.calibration.verdict
-            cells[3:7] = [
+            cells[3:8] = [
                 unit.calibration.judgement.word,
+                str(int(unit.calibration.observed.sum())),
                 fixed(test.chi_square / test.degrees_of_freedom, 2) if test and test.degrees_of_freedom else "-",
                 (test and probability_text(test.probability)) or "-",
                 str(len(unit.calibration.warnings)),
             ]
-            cells[7] = _outlying(fleet, number) if unit.sound else "not tested"
+            cells[8] = _outlying(fleet, number) if unit.sound else "not tested"
         rows.append(cells)
-    headers = ["unit", "serial", "status", "verdict", "chi2/\ndof", "p", "notes", "outlying"]
-    return text_table(headers, rows, "llllrrrl")
+    headers = ["unit", "serial", "status", "verdict", f"of\n{N_PARAMETERS}", "chi2/\ndof", "p", "notes", "outlying"]
+    return text_table(headers, rows, "llllrrrrl")
 
 
 def size_table(fleet: Fleet) -> str:
