@@ -230,16 +230,18 @@ def samples_interpolated(evidence: Evidence) -> Iterator[Finding]:
     """
     if not evidence.noisy_channels.reshape(2, 3).any(axis=1).all():
         return
-    columns = evidence.columns
-    rounding = ROUNDING * np.abs(columns).max(axis=1, keepdims=True)
-    step = np.diff(columns)
-    straight = np.all(np.abs(np.diff(step)) <= rounding, axis=0)
-    straight &= np.count_nonzero(np.abs(step[:, 1:]) > rounding, axis=0) > 1
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], straight, [False]))))
-    lengths = np.diff(edges)[::2]
+    at = np.arange(evidence.columns.shape[1] - 2)
+    slopes = np.zeros(len(at), dtype=np.intp)
+    for column in evidence.columns:
+        rounding, step = ROUNDING * float(np.abs(column).max()), column[at + 1] - column[at]
+        straight = np.abs(column[at + 2] - column[at + 1] - step) <= rounding
+        at, slopes = at[straight], slopes[straight] + (np.abs(step[straight]) > rounding)
+    at = at[slopes > 1]
+    ends = np.flatnonzero(np.diff(at, prepend=-2) > 1)
+    lengths = np.diff(ends, append=len(at))
     if lengths.max(initial=0) + 2 < _LINE:
         return
-    first = int(edges[::2][np.argmax(lengths)])
+    first = int(at[ends[np.argmax(lengths)]])
     yield SAMPLES_INTERPOLATED.found(
         time=float(evidence.recording.time[first]),
         count=int(lengths.max()) + 2,

@@ -364,7 +364,7 @@ class Evidence:
     @cached_property
     def wrapped_readings(self) -> dict[str, tuple[int, Indices]]:
         """First axis of a triad that wraps, and the numbers of the samples after its jumps, by sensor."""
-        return wrapped_readings({"gyro": self.rate, "accel": self.force}, self.recording, self.data)
+        return wrapped_readings(self.columns, self.recording, self.data)
 
     @cached_property
     def spikes(self) -> Spikes:

@@ -76,7 +76,13 @@ def find_spikes(columns: Array, data: PreparedRecording, contiguous: Mask) -> Sp
     """
     x = columns
     off = np.zeros_like(x)
-    off[:, 2:-2] = x[:, 2:-2] - (4.0 * (x[:, 1:-3] + x[:, 3:-1]) - x[:, :-4] - x[:, 4:]) / 6.0
+    inner = off[:, 2:-2]
+    np.add(x[:, 1:-3], x[:, 3:-1], out=inner)
+    inner *= -4.0
+    inner += x[:, :-4]
+    inner += x[:, 4:]
+    inner /= 6.0
+    inner += x[:, 2:-2]
     size, windows, sequences = np.abs(off), data.windows.samples, np.flatnonzero(contiguous)
     start, end = windows[data.start[sequences]], windows[data.end[sequences]]
     parts = [start + np.array([2, 0]), end - np.array([0, 2])]
@@ -89,10 +95,10 @@ def find_spikes(columns: Array, data: PreparedRecording, contiguous: Mask) -> Sp
     noise = np.array([_noise(size[:, a:b]) for a, b in spans.tolist()])
     # In rotations, saturated readings or evenly spaced pulses hardly scatter. The median excludes disturbed windows.
     least = np.maximum(np.median(noise[: 2 * len(sequences)], axis=0), _step(columns, data))
-    above = size > _SIGMAS * np.maximum(least, ROUNDING * np.abs(x).max(axis=1))[:, None]
+    limits = _SIGMAS * np.maximum(noise, np.maximum(least, ROUNDING * np.abs(x).max(axis=1)))
     found = [
-        np.argwhere(above[:, a:b] & (size[:, a:b] > _SIGMAS * own[:, None])) + np.array([0, a])
-        for (a, b), own in zip(spans.tolist(), noise, strict=True)
+        np.argwhere(size[:, a:b] > own[:, None]) + np.array([0, a])
+        for (a, b), own in zip(spans.tolist(), limits, strict=True)
     ]
     channel, sample = np.concatenate(found).T
     slopes = np.diff(x[channel[:, None], sample[:, None] + (-2, -1, 1, 2)]) * (1.0, 0.5, 1.0)

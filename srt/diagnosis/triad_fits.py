@@ -36,16 +36,9 @@ LEAST_FREEDOM: Final = 8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LinearFit:
-    """Least-squares fit of readings to nominal vectors, ``reading ≈ matrix @ nominal + offset``.
+    """Least-squares fit of readings, shape (n, 3), to nominal vectors: ``reading ≈ matrix @ nominal + offset``.
 
-    Attributes
-    ----------
-    matrix : ndarray, shape (3, 3)
-        Identity for a perfect IMU in the nominal frame.
-    offset : ndarray, shape (3,)
-    residual : ndarray, shape (n, 3)
-    rank : int
-        Rank of the nominal vectors; 3 if they span space.
+    The matrix is identity for a perfect IMU in the nominal frame; ``rank`` is that of the nominal vectors.
     """
 
     matrix: Array
@@ -110,15 +103,9 @@ def raw_triads(rotations: Rotations, poses: tuple[Array, Array], gravity: float)
 class MeasuredAngles(NamedTuple):
     """Rotations without outliers.
 
-    Attributes
-    ----------
-    sequence : ndarray of int, shape (L,)
-        Number of the sequence of each rotation.
-    measured : ndarray, shape (L,), rad
-    by_axis : ndarray, shape (L, 3), rad
-        Magnitudes of the components of the nominal rotation: columns of the scale factors.
-    fixed : ndarray, shape (L, 6), rad
-        Columns of the scale factors and asymmetries.
+    ``sequence`` is the number of the sequence of each of L rotations, ``measured`` its angle, rad; ``by_axis``, shape
+    (L, 3), are the magnitudes of the components of the nominal rotation (columns of the scale factors), and ``fixed``,
+    shape (L, 6), the columns of scale factors and asymmetries, rad.
     """
 
     sequence: Indices

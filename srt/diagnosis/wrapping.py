@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from collections.abc import Mapping
+from srt.diagnosis.rotation_readings import rates_factor
 
+if TYPE_CHECKING:
     from srt.recording.recording import Recording
     from srt.sequences.preparation import PreparedRecording
     from srt.types import Array, Indices
@@ -31,24 +31,22 @@ _FEWEST: Final = 10
 
 
 def wrapped_readings(
-    tables: Mapping[str, Array], recording: Recording, data: PreparedRecording | None
+    columns: Array, recording: Recording, data: PreparedRecording | None
 ) -> dict[str, tuple[int, Indices]]:
     """First axis of a triad that wraps, and the numbers of the samples after its jumps, by sensor.
 
     Parameters
     ----------
-    tables : mapping of str to ndarray
-        Readings of "gyro" and "accel" as rates, shape (n, 3), rad/s and m/s².
+    columns : ndarray, shape (6, n)
+        Stored readings.
     recording : Recording
     data : PreparedRecording or None
     """
     found: dict[str, tuple[int, Indices]] = {}
-    for sensor, table in tables.items():
-        for axis, column in enumerate(np.ascontiguousarray(table.T)):
-            jumps = _jumps(column, recording, data, sensor)
-            if len(jumps) >= 2:
-                found[sensor] = axis, jumps
-                break
+    for channel, column in enumerate(columns):
+        sensor = ("gyro", "accel")[channel // 3]
+        if sensor not in found and (jumps := _jumps(column, recording, data, sensor)).size:
+            found[sensor] = channel % 3, jumps
     return found
 
 
@@ -61,19 +59,22 @@ def _jumps(column: Array, recording: Recording, data: PreparedRecording | None, 
     """
     low, high = float(column.min()), float(column.max())
     step = np.diff(column)
+    large = np.flatnonzero(np.abs(step) > 0.5 * max(-low, high)) + 1
+    fastest = _MOTION[sensor] * recording.nominal_interval_s / rates_factor(recording)
     for a, b in ((low, high), (0.0, low), (0.0, high)):
         size = abs(b - a)
-        if size < _MOTION[sensor] * recording.nominal_interval_s or size < (1.0 - _EDGE) * max(-low, high):
+        if large.size == 0 or size < fastest or size < (1.0 - _EDGE) * max(-low, high):
             continue
         wraps = a != 0.0 and abs(high + low) <= _SYMMETRY * size
         if wraps:
             # The reading continues at its slope after the jump. A spike deviates by 1.5 times its size from the slope.
-            jump = np.abs(step[1:-1] - 0.5 * (step[:-2] + step[2:]))
-            jumps = np.flatnonzero(np.abs(jump - size) < _EDGE * size) + 2
+            inner = large[(large > 1) & (large < len(step))]
+            jump = np.abs(step[inner - 1] - 0.5 * (step[inner - 2] + step[inner]))
+            jumps = inner[np.abs(jump - size) < _EDGE * size]
         else:
-            jumps = np.flatnonzero(np.abs(step) > (1.0 - 2.0 * _EDGE) * size) + 1
-            apart = np.abs(column[jumps[:, None] + np.array([-1, 0])][:, :, None] - np.array([a, b]))
-            jumps = jumps[np.all(apart.min(axis=2) < _EDGE * size, axis=1)]
+            apart = np.abs(column[large[:, None] + np.array([-1, 0])][:, :, None] - np.array([a, b]))
+            jumps = large[np.all(apart.min(axis=2) < _EDGE * size, axis=1)]
+            jumps = jumps[np.abs(step[jumps - 1]) > 0.5 * size]
         jumps = jumps[~np.isin(jumps, recording.gaps)]
         if data is not None:
             first, last = data.windows.samples[data.start, 0], data.windows.samples[data.end, 1]
