@@ -26,20 +26,18 @@ _EYE: Final = np.eye(3)
 
 def axis_permutations(evidence: Evidence) -> Iterator[Finding]:
     """Find signed permutations of both triads relative to the labels, if the rotation of gravity confirms them."""
-    gyro, accel = gyro_axes(evidence), accel_axes(evidence)
-    relation = None
-    if gyro is None or accel is None or not (_is(gyro, _EYE) and _is(accel, _EYE)):
-        relation = evidence.gravity_relation
-        relation = None if relation is None else nearest_axes(relation)
-    if gyro is None or accel is None:
-        if relation is not None and not _is(relation, _EYE):
-            yield _relative_finding(relation)
+    gyro, accel = _labelled_axes(evidence)
+    if gyro is not None and accel is not None and _is(gyro, _EYE) and _is(accel, _EYE):
         return
-    if _is(gyro, _EYE) and _is(accel, _EYE):
-        return
-    if relation is not None and not _is(relation, np.linalg.det(accel) * accel @ gyro.T):
-        return  # the rotation of gravity contradicts the permutations: the labels are wrong, not the axes
-    yield _permutation_finding(gyro, accel)
+    relation = None if evidence.gravity_relation is None else nearest_axes(evidence.gravity_relation)
+    if gyro is not None and accel is not None:
+        # If the rotation of gravity contradicts the permutations, the labels are wrong, not the axes.
+        if relation is None or _is(relation, np.linalg.det(accel) * accel @ gyro.T):
+            yield _permutation_finding(gyro, accel)
+    elif relation is not None and not _is(relation, _EYE):
+        # The simplest fault that explains K. An improper Pg makes K improper; an improper Pa makes K = -Pa, a proper K.
+        accel_fault = _one_sensor("accel", -relation) if np.linalg.det(relation) > 0.0 else None
+        yield accel_fault or _permutation_finding(relation.T, _EYE)
 
 
 SIGN_CONVENTION: Final = by_sensor(
@@ -100,25 +98,15 @@ FRAMES_DISAGREE: Final = Fault(
 
 
 def _is(first: Array, second: Array) -> bool:
+    """True if no element differs by 0.5: for the unit rows of two axes, by an angle of 30°."""
     return bool(np.abs(first - second).max() < 0.5)
-
-
-def _relative_finding(relation: Array) -> Finding:
-    """Fault of the gyros relative to the accelerometers; without labels, the simplest fault that explains K."""
-    proper = np.linalg.det(relation) > 0.0
-    # An improper Pg makes K improper (determinant -1). An improper Pa makes K = -Pa, which is proper.
-    if not proper:
-        return _permutation_finding(relation.T, _EYE)
-    other = _one_sensor("accel", -relation)
-    return other if other is not None else _permutation_finding(relation.T, _EYE)
 
 
 def _permutation_finding(gyro: Array, accel: Array) -> Finding:
     """Fault for the signed permutations of gyros and accelerometers."""
-    if _is(accel, _EYE) and (one := _one_sensor("gyro", gyro)) is not None:
-        return one
-    if _is(gyro, _EYE) and (one := _one_sensor("accel", accel)) is not None:
-        return one
+    for sensor, own, other in (("gyro", gyro, accel), ("accel", accel, gyro)):
+        if _is(other, _EYE) and (one := _one_sensor(sensor, own)) is not None:
+            return one
     maps = {"gyro_mapping": mapping(gyro), "accel_mapping": mapping(accel)}
     if np.linalg.det(accel) < 0.0 and (_is(gyro, accel) or _is(gyro, -accel)):
         return LEFT_HANDED.found(**maps)
@@ -143,8 +131,6 @@ def _one_sensor(sensor: str, axes: Array) -> Finding | None:
 _UNEXPLAINED_BY_LABELS: Final = 0.3
 """Largest share of the power of the readings that the fit to the labels may leave unexplained: it leaves a few per cent
 of correct readings, but most of the power if the labels are wrong."""
-_AXIS_TOLERANCE: Final = 0.5
-"""Largest deviation of an element of a unit row from that of the nearest axis: 0.5 is an angle of 30°."""
 
 
 def nearest_axes(matrix: Array) -> Array | None:
@@ -153,33 +139,21 @@ def nearest_axes(matrix: Array) -> Array | None:
     if not (np.all(np.isfinite(length)) and np.all(length > 0.0)):
         return None
     rows = matrix / length
-    largest = np.argmax(np.abs(rows), axis=1)
-    if len(set(largest.tolist())) < 3:
-        return None
-    nearest = np.zeros((3, 3))
-    nearest[range(3), largest] = np.sign(rows[range(3), largest])
-    return nearest if np.abs(rows - nearest).max() < _AXIS_TOLERANCE else None
+    nearest = np.trunc(rows / np.abs(rows).max(axis=1, keepdims=True))
+    return nearest if _is(rows, nearest) and np.all(np.abs(nearest).sum(axis=0) == 1.0) else None
 
 
-def gyro_axes(evidence: Evidence) -> Array | None:
-    """Signed permutation Pg of the gyros from the labelled rotations; None if they do not determine it."""
-    if evidence.data is None or evidence.gyro_fit.rank < 3:
-        return None
-    _, _, turned = evidence.rotations
-    return nearest_axes(evidence.gyro_fit.matrix) if _fits(evidence.gyro_fit.residual, turned) else None
-
-
-def accel_axes(evidence: Evidence) -> Array | None:
-    """Signed permutation Pa of the accelerometers from the labelled poses; None if they do not determine it."""
-    if evidence.data is None or evidence.accel_fit.rank < 3:
-        return None
-    _, reading = evidence.poses
-    fit = evidence.accel_fit
-    return nearest_axes(fit.matrix) if _fits(fit.residual, reading - fit.offset) else None
-
-
-def _fits(residual: Array, reading: Array) -> bool:
-    return bool(np.sum(residual**2) <= _UNEXPLAINED_BY_LABELS * np.sum(reading**2))
+def _labelled_axes(evidence: Evidence) -> list[Array | None]:
+    """Signed permutations Pg of the gyros and Pa of the accelerometers from the labels; None if not determined."""
+    if evidence.data is None:
+        return [None, None]
+    fits = ((evidence.gyro_fit, evidence.rotations.turned), (evidence.accel_fit, evidence.poses[1]))
+    return [
+        nearest_axes(fit.matrix)
+        if fit.rank == 3 and np.sum(fit.residual**2) <= _UNEXPLAINED_BY_LABELS * np.sum((reading - fit.offset) ** 2)
+        else None
+        for fit, reading in fits
+    ]
 
 
 def mapping(axes: Array) -> str:

@@ -27,16 +27,9 @@ CLOSE: Final = math.log(20.0)
 class Cause:
     """Cause and the pattern of the residuals that it predicts.
 
-    Attributes
-    ----------
-    fault : str
-        Key of the catalogue of faults; empty for no fault.
-    columns : ndarray, shape (n, k)
-        Effect of each of the k fitted parameters on the residuals.
-    details : dict
-        Values for the message.
-    choices : int
-        Number of places, axes or times among which the columns were chosen.
+    ``fault`` is the key of the catalogue, empty for no fault; ``columns``, shape (n, k), are the effects of the k
+    fitted parameters on the n residuals; ``details`` are values for the message; ``choices`` is the number of places,
+    axes or times among which the columns were chosen.
     """
 
     fault: str
@@ -47,19 +40,10 @@ class Cause:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Explanation:
-    """Cause with its score and the fit of its columns.
+    """Cause with its score (logarithm of the likelihood, less the penalty) and the fit of its columns.
 
-    Attributes
-    ----------
-    cause : Cause
-    score : float
-        Logarithm of the likelihood, less the penalty.
-    value, sigma : ndarray, shape (k,)
-        Coefficients of the columns, and their standard deviations from the scatter of the remaining residuals.
-    square : float
-        Sum of squares of the remaining residuals (RSS).
-    freedom : int
-        Degrees of freedom of the remaining residuals.
+    ``value`` and ``sigma``, shape (k,), are the coefficients of the columns and their standard deviations from the
+    scatter of the remaining residuals, which have the sum of squares ``square`` with ``freedom`` degrees of freedom.
     """
 
     cause: Cause
@@ -81,30 +65,21 @@ def compare(values: Array, causes: Iterable[Cause], nuisance: Array | None = Non
     nuisance : ndarray, shape (n, p), optional
         Columns of nuisance parameters that are fitted together with every cause.
     """
-    common = np.zeros((len(values), 0)) if nuisance is None else nuisance
-    basis = _basis(common)
-    left = values - basis @ (basis.T @ values)
-    found = [_explanation(left, cause, cause.columns - basis @ (basis.T @ cause.columns), basis) for cause in causes]
+    n, basis = len(values), np.zeros((len(values), 0))
+    if nuisance is not None and nuisance.shape[1]:
+        U, size, _ = np.linalg.svd(nuisance, full_matrices=False)
+        basis = U[:, size > 1e-9 * size.max(initial=0.0)]
+    left, found = values - basis @ (basis.T @ values), []
+    for cause in causes:
+        columns = cause.columns - basis @ (basis.T @ cause.columns)
+        k = columns.shape[1]
+        freedom = n - basis.shape[1] - k
+        # Directions that the nuisance columns explain as well are left out.
+        inverse = np.linalg.pinv(columns, rcond=np.finfo(float).eps * n) if k else np.zeros((0, n))
+        value = inverse @ left
+        rest = left - columns @ value
+        square = max(float(rest @ rest), 1e-300)
+        sigma = np.linalg.norm(inverse, axis=1) * math.sqrt(square / max(1, freedom))
+        score = -0.5 * n * math.log(square / n) - 0.5 * k * math.log(n) - math.log(cause.choices)
+        found.append(Explanation(cause, score, value, np.asarray(sigma), square, freedom))
     return sorted(found, key=lambda explanation: -explanation.score)
-
-
-def _basis(columns: Array) -> Array:
-    """Orthonormal basis of the span of the columns."""
-    if columns.shape[1] == 0:
-        return columns
-    U, size, _ = np.linalg.svd(columns, full_matrices=False)
-    return np.asarray(U[:, size > 1e-9 * size.max(initial=0.0)])
-
-
-def _explanation(left: Array, cause: Cause, columns: Array, basis: Array) -> Explanation:
-    n, k = columns.shape
-    freedom = n - basis.shape[1] - k
-    # Directions that the nuisance columns explain as well are left out.
-    inverse = np.linalg.pinv(columns, rcond=np.finfo(float).eps * n) if k else np.zeros((0, n))
-    value = inverse @ left
-    rest = left - columns @ value
-    square = max(float(rest @ rest), 1e-300)
-    variance = np.einsum("kn,kn->k", inverse, inverse)
-    sigma = np.sqrt(variance * square / max(1, freedom))
-    score = -0.5 * n * math.log(square / n) - 0.5 * k * math.log(n) - math.log(cause.choices)
-    return Explanation(cause, score, value, np.asarray(sigma), square, freedom)

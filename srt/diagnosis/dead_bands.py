@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -24,23 +24,14 @@ if TYPE_CHECKING:
 _MANY: Final = 30
 """Fewest readings just outside a dead band: without a dead band, as many are expected inside it, and the probability of
 none is 1e-13."""
-_ZEROS: Final = 0.3
-"""Smallest ratio of zeros to the readings just outside a dead band: the motion may be faster inside the band."""
-_BESIDE: Final = 1.5
-"""Largest median size of the readings after zeros, relative to the threshold, if a slow motion passes the dead band."""
 _BAND_STEPS: Final = 2.5
 """Smallest ratio of the smallest nonzero reading to the quantization step for a dead band; without one, it is 1."""
 _FREQUENT: Final = 0.3
 """Smallest count of a frequent value, relative to that of the most frequent value."""
 _NEAR: Final = 10.0
 """Largest reading, relative to the smallest nonzero one, in the search for a grid of pulses."""
-_DEAD_SHARE: Final = 0.5
-"""Smallest share of zeros in the stationary readings of a channel with a dead band."""
-_DEAD_PULSES: Final = 1.5
-"""Smallest such ratio at rest if the pulse size is stated, so that the step is known."""
-_DEAD_EDGE: Final = 0.1
-"""Smallest ratio of the smallest to the median size of the nonzero stationary readings for a dead band: the readings
-outside the band begin at its edge."""
+_MOSTLY: Final = 0.5
+"""Share of the readings that lie on a grid of pulses, and of the stationary readings that a dead band sets to zero."""
 
 
 def dead_bands(evidence: Evidence) -> Iterator[Finding]:
@@ -49,13 +40,39 @@ def dead_bands(evidence: Evidence) -> Iterator[Finding]:
     Wrapped readings lie on several grids, so that their quantization step is not found. Gyros without noise may read
     zero at rest: those of a recording with noisy accelerometers have noise.
     """
-    for sensor, unit, name in (("gyro", 1.0, "{}"), ("accel", MICRO_G, "{}_ug")):
+    data, noise = evidence.data, evidence.recording.noise
+    for sensor, table, pulse, unit, name in (
+        ("gyro", evidence.rate, noise.gyro_quantization, 1.0, "{}"),
+        ("accel", evidence.force, noise.accel_quantization, MICRO_G, "{}_ug"),
+    ):
         if sensor in evidence.wrapped_readings or (sensor == "gyro" and not evidence.noisy_channels[3:].any()):
             continue
-        found = _suppressed(evidence, sensor) or (_zero_at_rest(evidence) if sensor == "gyro" else None)
-        if found is not None:
-            sizes = {name.format("threshold"): found.threshold / unit, name.format("step"): found.step / unit}
-            yield DEAD_BAND[sensor].found(channel=f"{sensor}_{AXES[found.axis]}", count=found.zeros, **sizes)
+        zeros = np.count_nonzero(table == 0.0, axis=0)
+        step = None
+        for axis in np.flatnonzero((zeros >= _MANY // 3) & (zeros < len(table))).tolist():
+            size = np.abs(table[:, axis])
+            size = size[size > 0.0]
+            threshold = float(size.min())
+            near = size[size < _NEAR * threshold]
+            at_rest = np.ones(1)
+            if sensor == "gyro" and data is not None:
+                at_rest = np.abs(np.concatenate([table[a:b, axis] for a, b in data.windows.samples.tolist()]))
+            shown = at_rest[at_rest > 0.0]
+            # If readings at rest lie between pulses in some window, they come as near to zero as can be.
+            resting = len(shown) < (1.0 - _MOSTLY) * len(at_rest)
+            resting &= len(shown) == 0 or float(np.median(shown)) < _NEAR * threshold
+            # If most readings are multiples of the threshold, it is the quantization step.
+            passing = np.count_nonzero(near < 2.0 * threshold) >= _MANY
+            if not (passing or resting) or _on_grid(size, threshold):
+                continue
+            step = smallest_step(table[:: max(1, len(table) // SAMPLES)]) if step is None else step
+            values, counts = np.unique(near, return_counts=True)
+            common = float(values[np.argmax(counts >= _FREQUENT * counts.max())])
+            grid = max(float(step[axis]), (pulse or 0.0) / evidence.dt, common if _on_grid(near, common) else 0.0)
+            if threshold > _BAND_STEPS * grid:
+                sizes = {name.format("threshold"): threshold / unit, name.format("step"): grid / unit}
+                yield DEAD_BAND[sensor].found(channel=f"{sensor}_{AXES[axis]}", count=int(zeros[axis]), **sizes)
+                break
 
 
 DEAD_BAND: Final = by_sensor(
@@ -70,76 +87,7 @@ DEAD_BAND: Final = by_sensor(
 )
 
 
-class SuppressedReadings(NamedTuple):
-    """Axis without readings between zero and a threshold.
-
-    Attributes
-    ----------
-    axis, zeros : int
-        Number of the axis, and number of its readings that are zero.
-    threshold, step : float
-        Magnitude of the smallest nonzero reading, and quantization step, rad/s or m/s².
-    """
-
-    axis: int
-    zeros: int
-    threshold: float
-    step: float
-
-
-def _suppressed(evidence: Evidence, sensor: str) -> SuppressedReadings | None:
-    """First axis of a triad ("gyro" or "accel") whose readings pass through zero, but are never small and nonzero."""
-    table = evidence.rate if sensor == "gyro" else evidence.force
-    step = smallest_step(table[:: max(1, len(table) // SAMPLES)])
-    pulse = getattr(evidence.recording.noise, f"{sensor}_quantization") or 0.0
-    for axis in range(3):
-        size = np.abs(table[:, axis])
-        zeros = int(np.count_nonzero(size == 0.0))
-        if zeros < _ZEROS * _MANY or zeros == len(size):
-            continue
-        threshold = float(size[size > 0.0].min())
-        beyond = int(np.count_nonzero((size > 0.0) & (size < 2.0 * threshold)))
-        multiple = size[size > 0.0] / threshold
-        if np.mean(np.abs(multiple - np.rint(multiple)) < WHOLE) > 0.5:
-            continue  # the threshold is the step of most readings; the others were interpolated
-        grid = max(float(step[axis]), pulse / evidence.dt, _grid(size[(size > 0.0) & (size < _NEAR * threshold)]))
-        # Zeros that stand for lost samples have neighbours of any size.
-        beside = size[np.minimum(np.flatnonzero(size == 0.0) + 1, len(size) - 1)]
-        passing = zeros >= _ZEROS * beyond or float(np.median(beside)) < _BESIDE * threshold
-        if beyond >= _MANY and passing and threshold > _BAND_STEPS * grid:
-            return SuppressedReadings(axis, zeros, threshold, grid)
-    return None
-
-
-def _grid(small: Array) -> float:
-    """Smallest of the frequent values of small readings; 0 if most readings are not multiples of it."""
-    values, counts = np.unique(small, return_counts=True)
-    common = float(values[np.argmax(counts >= _FREQUENT * counts.max())])
-    multiple = small / common
-    return common if np.mean(np.abs(multiple - np.rint(multiple)) < WHOLE) > 0.5 else 0.0
-
-
-def _zero_at_rest(evidence: Evidence) -> SuppressedReadings | None:
-    """First gyro that reads zero in most stationary samples, and otherwise far more than its quantization step."""
-    assert evidence.data is not None
-    windows = evidence.data.windows.samples.tolist()
-    stationary = np.concatenate([evidence.rate[a:b] for a, b in windows])
-    share = np.mean(stationary == 0.0, axis=0)
-    for axis in np.flatnonzero(share > _DEAD_SHARE).tolist():
-        size = np.abs(evidence.rate[:, axis])
-        # Readings at the largest size are left out: a saturation limit is not a multiple of the quantization step.
-        moving = evidence.rate[(size > 0.0) & (size < size.max())]
-        if len(moving) < _MANY:
-            continue
-        threshold = float(size[size > 0.0].min())
-        shown = np.abs(stationary[stationary[:, axis] != 0.0, axis])
-        if shown.size and threshold < _DEAD_EDGE * float(np.median(shown)):
-            continue  # the nonzero readings reach down to zero: pulses, with noise in some window
-        if shown.size and np.all(np.abs(shown / threshold - np.rint(shown / threshold)) < WHOLE):
-            continue  # all readings are multiples of the smallest one: pulses
-        # In corrected samples, which mix the pulses of several axes, readings differ by less than a pulse.
-        pulse = (evidence.recording.noise.gyro_quantization or 0.0) / evidence.dt
-        step = max(pulse, float(smallest_step(moving[-SAMPLES:])[axis]))
-        if threshold > (_DEAD_PULSES if pulse else _BAND_STEPS) * step:
-            return SuppressedReadings(axis, int(np.count_nonzero(size == 0.0)), threshold, step)
-    return None
+def _on_grid(sizes: Array, step: float) -> bool:
+    """True if most readings are multiples of a step."""
+    multiple = sizes / step
+    return bool(np.mean(np.abs(multiple - np.rint(multiple)) < WHOLE) > _MOSTLY)

@@ -97,10 +97,20 @@ class Evidence:
         """Accelerometer readings, shape (n, 3), m/s²."""
         return self.recording.accel if self.per_rate == 1.0 else self.recording.accel * self.per_rate
 
-    @property
-    def columns(self) -> list[Array]:
-        """Stored values of the six channels, gyros first, shape (n,) each."""
-        return [table[:, axis] for table in (self.recording.gyro, self.recording.accel) for axis in range(3)]
+    @cached_property
+    def columns(self) -> Array:
+        """Stored values of the six channels, gyros first, shape (6, n)."""
+        return np.concatenate([self.recording.gyro.T, self.recording.accel.T])
+
+    @cached_property
+    def repeats(self) -> Mask:
+        """True for each sample that equals the previous one, shape (9, n - 1).
+
+        The rows are for all channels, the gyros, the accelerometers, and each of the six channels.
+        """
+        single = self.columns[:, 1:] == self.columns[:, :-1]
+        triads = single.reshape(2, 3, -1).all(axis=1)
+        return np.concatenate([triads.all(axis=0, keepdims=True), triads, single])
 
     @cached_property
     def noisy_channels(self) -> Mask:
@@ -108,8 +118,8 @@ class Evidence:
         if self.data is None:
             return np.zeros(6, dtype=np.bool_)
         a, b = self.data.windows.samples[0].tolist()
-        parts = [column[a:b] for column in self.columns]
-        return np.array([np.std(np.diff(part)) > ROUNDING * np.abs(part).max(initial=0.0) > 0.0 for part in parts])
+        part = self.columns[:, a:b]
+        return np.asarray(np.std(np.diff(part), axis=1) > ROUNDING * np.abs(part).max(axis=1))
 
     # --- recognised and labelled sequences ---------------------------------------------------------------------------
 
@@ -222,6 +232,14 @@ class Evidence:
     @property
     def _poses(self) -> tuple[Array, Array]:
         return (np.zeros((0, 3)), np.zeros((0, 3))) if self.data is None else self.poses
+
+    @cached_property
+    def labelled_inputs(self) -> tuple[Array, Array]:
+        """Labelled rotations of the gyros on a fixture, and rest, (L + 1, 3), rad; specific force of the poses, g."""
+        if self.data is None or self.recording.fixture is None:
+            return np.zeros((0, 3)), np.zeros((0, 3))
+        turned = [s.axes * s.angles_rad[:, None] for s in self.data.catalogue if s is not None]
+        return np.concatenate([np.zeros((1, 3)), *turned]), self.poses[0] / self.recording.site.gravity_m_s2
 
     @cached_property
     def window_averages(self) -> WindowAverages | None:
@@ -355,16 +373,14 @@ class Evidence:
     @cached_property
     def wrapped_readings(self) -> dict[str, tuple[int, Indices]]:
         """First axis of a triad that wraps, and the numbers of the samples after its jumps, by sensor."""
-        contiguous = np.zeros(0, dtype=np.bool_) if self.data is None else self.contiguous
-        tables = {"gyro": self.rate, "accel": self.force}
-        return wrapped_readings(tables, self.recording, self.data, contiguous, self.sequence_at)
+        return wrapped_readings(self.columns, self.recording, self.data)
 
     @cached_property
     def spikes(self) -> Spikes:
         """Spikes inside the sequences, also those of samples that repeat."""
         if self.data is None:
             return NO_SPIKES
-        found = find_spikes(self.data, self.contiguous)
+        found = find_spikes(self.columns, self.data, self.contiguous)
         # Shifted labels include fast moves of the fixture, which look like spikes of the gyros.
         moves = np.any(found.channel < 3) and self.turning_windows.sum() >= MISPLACED
         return found[found.channel >= 3] if moves else found

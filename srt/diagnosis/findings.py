@@ -25,22 +25,10 @@ Check = Callable[["Evidence"], Iterator["Finding"]]
 class Fault:
     """One fault that a recording can have.
 
-    Attributes
-    ----------
-    name : str
-        Key for scripts and files.
-    title : str
-        The fault in a few words.
-    criterion : str
-        Data that show the fault.
-    message : str
-        Sentence of what was found, where, what is expected, and what to do. The finding fills the fields in braces.
-    effect : Effect
-        Effect on reading and calibration.
-    check : callable or None
-        Check that finds the fault; None if the reader refuses it.
-    needs_result : bool
-        True if the check uses a calibration of the recording.
+    ``name`` is the key for scripts and files, ``title`` the fault in a few words, ``criterion`` the data that show it,
+    ``message`` the sentence of what was found, where, what is expected, and what to do, with the fields of a finding in
+    braces, and ``check`` the check that finds it, None if the reader refuses it. A check with ``needs_result`` uses a
+    calibration of the recording.
     """
 
     name: str
@@ -69,13 +57,8 @@ def by_sensor(name: str, title: str, criterion: str, message: str, effect: Effec
 class Finding:
     """One fault found in a recording.
 
-    Attributes
-    ----------
-    cause : Fault
-    details : dict
-        Values in the sentence, in SI units unless the key ends in another unit.
-    runner_up : RunnerUp or None
-        Second most likely fault, if it explains the data nearly as well.
+    ``details`` are the values in the sentence, in SI units unless the key ends in another unit. ``runner_up`` is the
+    second most likely fault, if it explains the data nearly as well.
     """
 
     cause: Fault

@@ -73,12 +73,9 @@ def recognised_manoeuvres(recording: Recording, found: Recognition) -> Manoeuvre
 
 
 def gravity_relation(recording: Recording, turns: ManoeuvreReadings) -> Array | None:
-    """Matrix K of ``df/dt = f × (K ω̃)`` over all rotations, by least squares.
+    """Matrix K of ``df/dt = f × (K ω̃)`` over all rotations, by least squares, shape (3, 3).
 
-    Returns
-    -------
-    ndarray, shape (3, 3), or None
-        None if the rotations do not cover all axes, or no K explains the readings.
+    None if the rotations do not cover all axes, or no K explains the readings.
     """
     size = max(1, round(_BLOCK_S / recording.nominal_interval_s))
     seconds = recording.nominal_interval_s * size

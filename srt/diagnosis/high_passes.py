@@ -27,21 +27,35 @@ rotations extend into the windows, and less of a drift."""
 _LONGEST_S: Final = 200.0
 """Longest time constant of a filter, s: accelerometers that settle by 1e-3 of gravity within a window look like a
 filter with a time constant of 1e4 s."""
-_SHORTEST_S: Final = {"gyro": 0.5, "accel": 0.01}
-"""Shortest time constant of a filter, s: gyros behind a faster one would hardly read a rotation, and a shorter decay in
-a window is the end of a rotation."""
+_SHORTEST_S: Final = (0.5, BLOCK_S)
+"""Shortest time constant of a filter of gyros and accelerometers, s: gyros behind a faster one would hardly read a
+rotation, and a shorter decay in a window is the end of a rotation."""
 _FEWEST_WINDOWS: Final = 4
 """Fewest windows for a finding: fewer may show the relation by chance."""
-_LEAST: Final = {"gyro": 1e-3, "accel": 0.1}
-"""Smallest rms deviation of the readings from their mean in a window, rad/s and m/s², for a decay after rotations."""
 
 
 def high_passed(evidence: Evidence) -> Iterator[Finding]:
     """Test the readings in the windows for a decrease in proportion to their own time integral."""
-    for sensor, fault in (("gyro", GYRO_HIGH_PASSED), ("accel", GRAVITY_REMOVED)):
-        time_s = _time_constant(evidence, sensor)
-        if time_s is not None:
-            yield fault.found(time_s=time_s)
+    if evidence.data is None:
+        return
+    size = max(1, round(BLOCK_S / evidence.dt))
+    windows = [(a, (b - a) // size) for a, b in evidence.data.windows.samples.tolist() if b - a >= 3 * size]
+    if len(windows) < _FEWEST_WINDOWS:
+        return
+    for fault, table, shortest_s in zip(
+        (GYRO_HIGH_PASSED, GRAVITY_REMOVED), (evidence.rate, evidence.force), _SHORTEST_S, strict=True
+    ):
+        readings: list[Array] = []
+        integrals: list[Array] = []
+        for a, count in windows:
+            mean = np.einsum("bsc->bc", table[a : a + count * size].reshape(count, size, 3)) / size
+            integral = size * evidence.dt * (np.cumsum(mean, axis=0) - 0.5 * mean)
+            readings.append(mean - mean.mean(axis=0))
+            integrals.append(integral - integral.mean(axis=0))
+        y, x = np.concatenate(readings).ravel(), np.concatenate(integrals).ravel()
+        power, square, product = float(y @ y), float(x @ x), float(x @ y)
+        if product * product > _EXPLAINED * power * square and shortest_s < -square / product < _LONGEST_S:
+            yield fault.found(time_s=-square / product)
 
 
 GYRO_HIGH_PASSED: Final = Fault(
@@ -65,32 +79,3 @@ GRAVITY_REMOVED: Final = Fault(
     "exit 1",
     high_passed,
 )
-
-
-def _time_constant(evidence: Evidence, sensor: str) -> float | None:
-    """Time constant of the filter, s; None if there is none."""
-    data = evidence.data
-    if data is None or len(data.windows.samples) < _FEWEST_WINDOWS:
-        return None
-    size = max(1, round(BLOCK_S / evidence.dt))
-    table = evidence.rate if sensor == "gyro" else evidence.force
-    readings: list[Array] = []
-    integrals: list[Array] = []
-    for a, b in data.windows.samples.tolist():
-        count = (b - a) // size
-        if count < 3:
-            continue
-        mean = np.einsum("bsc->bc", table[a : a + count * size].reshape(count, size, 3)) / size
-        integral = size * evidence.dt * (np.cumsum(mean, axis=0) - 0.5 * mean)
-        readings.append(mean - mean.mean(axis=0))
-        integrals.append(integral - integral.mean(axis=0))
-    if len(readings) < _FEWEST_WINDOWS:
-        return None
-    y, x = np.concatenate(readings).ravel(), np.concatenate(integrals).ravel()
-    power, square = float(y @ y), float(x @ x)
-    if power < _LEAST[sensor] ** 2 * len(y) or square == 0.0:
-        return None
-    slope = float(x @ y) / square
-    explained = slope**2 * square / power
-    fits = -1.0 / _SHORTEST_S[sensor] < slope < -1.0 / _LONGEST_S and explained > _EXPLAINED
-    return -1.0 / slope if fits else None

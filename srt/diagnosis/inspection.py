@@ -13,6 +13,7 @@ import numpy as np
 from srt.constants import DEG, DEG_PER_H, STANDARD_GRAVITY_M_S2
 from srt.diagnosis import diagnose
 from srt.diagnosis.faults import FAULTS
+from srt.diagnosis.rotation_readings import rates_factor
 from srt.exceptions import DataError, MissingExtraError
 from srt.model.rotations import from_rotation_vector, prefix_product, rotation_vector, to_matrix
 from srt.model.table1 import AXES
@@ -63,15 +64,22 @@ def inspect(recording: Recording, *, calibrating: bool = False, units: dict[str,
     try:
         check_interval(recording)
         recognition = recognise(recording)
-        windows, summary = recognition.windows, _summary(recording, recognition)
+        windows, summary = recognition.windows, recognition.summary
+        turns = tuple(_turn(recording, turn) for turn in recognition.turns)
     except DataError as error:
-        recognition, summary = None, str(error)
+        recognition, summary, turns = None, str(error), ()
         rest = longest_rest(recording)
         windows = np.array([] if rest is None else [rest], dtype=np.intp).reshape(-1, 2)
+    if recognition is not None and recording.fixture is None:
+        if recognition.by_chance:
+            summary = f"{len(turns)} free rotations between {len(windows)} stationary windows; no fixture is stated."
+            turns = tuple(replace(turn, sequence=None, confidence=0.0, reason="") for turn in turns)
+        else:
+            summary += (
+                " No fixture is stated, so that a calibration uses them as free rotations: state the fixture if one "
+                "was used."
+            )
     noise, allan = _noise(recording, windows)
-    turns = () if recognition is None else tuple(_turn(recording, turn) for turn in recognition.turns)
-    if recognition is not None and _is_free(recording, recognition):
-        turns = tuple(replace(turn, sequence=None, confidence=0.0, reason="") for turn in turns)
     return Inspection(
         kind=recording.kind,
         units={} if units is None else units,
@@ -89,18 +97,7 @@ def inspect(recording: Recording, *, calibrating: bool = False, units: dict[str,
 
 
 def declared_units(path: str | PathLike[str]) -> dict[str, str]:
-    """Units that ``recording.toml`` declares.
-
-    Parameters
-    ----------
-    path : path-like
-        Recording that can be read.
-
-    Returns
-    -------
-    dict
-        Units of ``gyro``, ``accel`` and ``time``; empty if there is no ``recording.toml``.
-    """
+    """Units that the ``recording.toml`` of a readable recording declares; empty if there is none."""
     toml = Path(path)
     toml = toml / TOML_NAME if toml.is_dir() else toml
     if toml.suffix != ".toml" or not toml.is_file():
@@ -110,36 +107,19 @@ def declared_units(path: str | PathLike[str]) -> dict[str, str]:
     return {name: str(main[f"{name}_unit"]) for name in ("gyro", "accel", "time") if f"{name}_unit" in main}
 
 
-def _is_free(recording: Recording, recognition: Recognition) -> bool:
-    return recording.fixture is None and recognition.by_chance
-
-
-def _summary(recording: Recording, recognition: Recognition) -> str:
-    if _is_free(recording, recognition):
-        turns, rests = len(recognition.turns), len(recognition.windows)
-        return f"{turns} free rotations between {rests} stationary windows; no fixture is stated."
-    if recording.fixture is None:
-        return (
-            f"{recognition.summary} No fixture is stated, so that a calibration uses them as free rotations: state "
-            "the fixture if one was used."
-        )
-    return recognition.summary
-
-
 def _stamps(recording: Recording) -> TimeStampSummary:
     dt, time, gaps = recording.nominal_interval_s, recording.time, recording.gaps
-    steps = np.diff(time)
-    missing = steps[gaps - 1] - dt
+    steps = np.diff(time) - dt
+    missing = steps[gaps - 1]
     longest = int(np.argmax(missing)) if gaps.size else None
-    steps[gaps - 1] = dt
-    deviation = steps - dt
+    steps[gaps - 1] = 0.0
     return TimeStampSummary(
         samples=len(time),
         first_s=float(time[0]) - dt,
         duration_s=float(time[-1] - time[0]) + dt,
         rate_hz=1.0 / dt,
         even=isinstance(recording.interval_s, float),
-        jitter=float(np.sqrt(deviation @ deviation / len(deviation))) / dt,
+        jitter=float(np.sqrt(steps @ steps / len(steps))) / dt,
         gaps=len(gaps),
         missing_s=float(missing.sum()),
         longest_gap_s=None if longest is None else float(missing[longest]),
@@ -151,14 +131,9 @@ def _stillness(recording: Recording, windows: Indices) -> StationarySummary | No
     if len(windows) == 0:
         return None
     dt = recording.nominal_interval_s
-    per_rate = 1.0 if recording.kind == "rate" else 1.0 / dt
-    # The product with a constant vector is the mean; np.mean is slower for short rows.
-    means = np.array(
-        [
-            [np.full(b - a, per_rate / (b - a)) @ table[a:b] for table in (recording.gyro, recording.accel)]
-            for a, b in windows.tolist()
-        ]
-    )
+    tables = (recording.gyro, recording.accel)
+    means = np.array([[table[a:b].mean(axis=0) for table in tables] for a, b in windows.tolist()])
+    means *= rates_factor(recording)
     force = np.linalg.norm(means[:, 1], axis=1) / STANDARD_GRAVITY_M_S2
     lengths = (windows[:, 1] - windows[:, 0]) * dt
     rate = lengths @ means[:, 0] / lengths.sum() / DEG_PER_H
@@ -208,20 +183,17 @@ def _short_figures(recording: Recording, windows: Indices) -> dict[str, dict[str
 
 
 def _turn(recording: Recording, turn: RecognisedManoeuvre) -> ManoeuvreSummary:
-    dt = recording.nominal_interval_s
-    moving = recording.gyro[turn.first : turn.last]
-    fastest = float(np.sqrt(np.einsum("na,na->n", moving, moving).max(initial=0.0)))
-    per_rate, per_angle = (1.0, dt) if recording.kind == "rate" else (1.0 / dt, 1.0)
+    dt, per_rate = recording.nominal_interval_s, rates_factor(recording)
+    moving = recording.gyro[turn.first : turn.last] * per_rate
     start, end = float(recording.time[turn.first] - dt), float(recording.time[turn.last - 1])
-    middle = 0.5 * (start + end)
-    around = (label for label in recording.sequences if label.start_static_s[0] < middle < label.end_static_s[1])
+    around = (s for s in recording.sequences if s.start_static_s[0] < 0.5 * (start + end) < s.end_static_s[1])
     label = next(around, None)
     return ManoeuvreSummary(
         start_s=start,
         end_s=end,
         legs=tuple(_leg(leg) for leg in turn.legs),
-        net=_leg(_net(moving, per_angle)),
-        fastest_deg_s=fastest * per_rate / DEG,
+        net=_leg(_net(moving * dt)),
+        fastest_deg_s=float(np.sqrt(np.einsum("na,na->n", moving, moving).max(initial=0.0))) / DEG,
         sequence=turn.sequence,
         confidence=float(turn.confidence),
         reason=turn.reason,
@@ -239,13 +211,10 @@ def _leg(vector: Array) -> RotationSummary:
     return RotationSummary(AXES[k] if on_axis else None, (x, y, z), angle * sense / DEG)
 
 
-def _net(angles: Array, factor: float) -> Array:
+def _net(angles: Array) -> Array:
     """Rotation vector of the product of successive small rotations, shape (3,), rad; biases are not removed."""
-    size = max(1, len(angles) // _STEPS)
-    whole = len(angles) // size
-    steps = np.einsum("nbc->cn", angles[: whole * size].reshape(whole, size, 3))
-    steps = np.concatenate([steps, angles[whole * size :].T], axis=1) * factor
-    product = prefix_product(from_rotation_vector(steps))[:, -1:]
+    steps = np.add.reduceat(angles, np.arange(0, len(angles), max(1, len(angles) // _STEPS)), axis=0)
+    product = prefix_product(from_rotation_vector(np.ascontiguousarray(steps.T)))[:, -1:]
     vector: Array = rotation_vector(np.moveaxis(to_matrix(product), 2, 0))[0]
     return vector
 
@@ -274,21 +243,9 @@ non-orthogonal axes."""
 class TimeStampSummary:
     """Sampling of a recording according to its time stamps.
 
-    Attributes
-    ----------
-    samples : int
-    first_s, duration_s : float
-        Start of the first sample, and time from it to the last stamp.
-    rate_hz : float
-    even : bool
-        True if the stamps are evenly spaced within their rounding; otherwise each sample has its own interval.
-    jitter : float
-        Rms deviation of the steps of the stamps from the nominal interval, in intervals; gaps are excluded.
-    gaps : int
-    missing_s : float
-        Total duration of the gaps.
-    longest_gap_s, longest_gap_at_s : float or None
-        Duration of the longest gap, and time of the first sample after it.
+    It begins at the start of the first sample. The stamps are ``even`` if they are evenly spaced within their rounding;
+    otherwise each sample has its own interval. The ``jitter`` is the rms deviation of the steps of the stamps from the
+    nominal interval, in intervals, without the gaps. The longest gap is at the first sample after it.
     """
 
     samples: int
@@ -307,16 +264,9 @@ class TimeStampSummary:
 class StationarySummary:
     """Stationary windows, and the sensor readings in them.
 
-    Attributes
-    ----------
-    windows_s : tuple of (float, float)
-        Start of the first sample and stamp of the last sample, by window.
-    total_s : float
-        Total duration of the windows.
-    force_g : (float, float, float)
-        Smallest, median and largest magnitude of the mean specific force of a window.
-    rate_deg_per_h : (float, float, float)
-        Mean readings of gyros x, y and z over all windows.
+    ``windows_s`` has the start of the first sample and the stamp of the last sample of each window; ``force_g`` the
+    smallest, median and largest magnitude of the mean specific force of a window; ``rate_deg_per_h`` the mean readings
+    of gyros x, y and z over all windows.
     """
 
     windows_s: tuple[tuple[float, float], ...]
@@ -334,14 +284,8 @@ class StationarySummary:
 class RotationSummary:
     """Rotation about one axis, as the gyros measure it.
 
-    Attributes
-    ----------
-    axis : str or None
-        Name of the sensor axis; None if the rotation axis is not near a sensor axis.
-    direction : (float, float, float)
-        Unit vector along the rotation axis, in sensor axes.
-    angle_deg : float
-        Angle about the direction; positive if no axis is named.
+    ``axis`` is the name of the sensor axis, None if the rotation axis is not near one; ``direction`` is the unit vector
+    along the rotation axis, in sensor axes. The angle is positive if no axis is named.
     """
 
     axis: str | None
@@ -357,23 +301,9 @@ class RotationSummary:
 class ManoeuvreSummary:
     """Manoeuvre between two stationary windows.
 
-    Attributes
-    ----------
-    start_s, end_s : float
-    legs : tuple of RotationSummary
-        Rotations, each about one sensor axis; many small ones for a rotation by hand.
-    net : RotationSummary
-        Net rotation.
-    fastest_deg_s : float
-        Largest magnitude of the rate.
-    sequence : str or None
-        Recognised sequence (one of the 17); None if none was recognised.
-    confidence : float
-        Confidence of the recognition, 0 to 1.
-    reason : str
-        Reason why no sequence was recognised, or why the confidence is low.
-    labelled : str or None
-        Label in the recording: a sequence id, or "free turn"; None without a label.
+    ``legs`` are the rotations, each about one sensor axis, or many small ones for a rotation by hand; ``sequence`` is
+    the recognised one of the 17, with a confidence from 0 to 1 and the reason why it is low or none was recognised;
+    ``labelled`` is the label in the recording: a sequence id, "free turn" or None.
     """
 
     start_s: float
@@ -399,16 +329,10 @@ class ManoeuvreSummary:
 class NoiseSummary:
     """Noise in the stationary windows, by channel.
 
-    Attributes
-    ----------
-    figures : dict
-        Dictionaries by channel, then by key of the section [imu] of ``recording.toml``. ``value`` is the estimate;
-        ``low`` and ``high`` its 95 % interval, if it is from an Allan deviation; ``below`` the upper limit of a bias
-        instability that the windows are too short to show.
-    stated : dict
-        Values stated in the recording, by the same keys.
-    note : str or None
-        Reason why there is no Allan deviation.
+    ``figures`` are dictionaries by channel, then by key of the section [imu] of ``recording.toml``: ``value`` is the
+    estimate, ``low`` and ``high`` its 95 % interval, if it is from an Allan deviation, and ``below`` the upper limit of
+    a bias instability that the windows are too short to show. ``stated`` has the values of the recording by the same
+    keys, ``note`` the reason why there is no Allan deviation.
     """
 
     figures: dict[str, dict[str, Any]]
@@ -431,24 +355,9 @@ class TemperatureSummary:
 class Inspection(Presented):
     """Content of ``srt inspect``.
 
-    Attributes
-    ----------
-    kind : "rate" or "increment"
-    units : dict
-        Declared units of ``gyro``, ``accel`` and ``time``; empty if unknown.
-    serial : str or None
-    stamps : TimeStampSummary
-    stillness : StationarySummary or None
-        None if no stationary window was found.
-    noise : NoiseSummary or None
-    allan : AllanDeviation or None
-    turns : tuple of ManoeuvreSummary
-    summary : str
-        Result of the recognition in one sentence.
-    temperature : TemperatureSummary or None
-    diagnosis : Diagnosis
-    calibrated : bool
-        True if the checks that need a calibration were run.
+    ``units`` are the declared units of ``gyro``, ``accel`` and ``time``, empty if unknown; ``stillness`` is None if no
+    stationary window was found; ``summary`` is the result of the recognition in one sentence. ``calibrated`` is True if
+    the checks that need a calibration were run.
     """
 
     kind: str

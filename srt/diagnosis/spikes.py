@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from srt.diagnosis.rotation_readings import ROUNDING, rates_factor
+from srt.noise.noise_model import smallest_step
 from srt.noise.quantization import quantization_step
 
 if TYPE_CHECKING:
-    from srt.recording.recording import Recording
     from srt.sequences.preparation import PreparedRecording
     from srt.types import Array, Indices, Mask
 
@@ -27,16 +27,13 @@ _SIGMAS: Final = 7.5
 _JERK: Final = 3.0
 """Smallest deviation of a spike, in units of the range of the slopes of its neighbours; a step or a kink of the motion
 gives at most 1."""
-_QUANTILE: Final = 0.9
-"""Quantile of the magnitudes of the deviations from which the noise is taken: larger ones may be spikes."""
-_NORMAL: Final = 1.6449
-"""The same quantile for a normal distribution, in sigma."""
+_QUANTILE: Final = (0.9, 1.6449)
+"""Quantile of the magnitudes of the deviations from which the noise is taken, as larger ones may be spikes, and that of
+a normal distribution, in sigma."""
 _FOR_NOISE: Final = 500
 """Number of readings from which the noise of a window or rotation is taken."""
 _FEW: Final = 8
 """Number of windows from which the quantization step is taken."""
-_FOR_STEP: Final = 4000
-"""Number of readings of the whole recording from which the step is taken if the windows do not show it."""
 MISPLACED: Final = 2
 """Fewest windows with rotation from which the labels are wrong, and not the unit disturbed."""
 _MEAN_S: Final = 4.0
@@ -64,148 +61,96 @@ class Spikes:
     def __getitem__(self, chosen: Mask) -> Spikes:
         return Spikes(self.sample[chosen], self.channel[chosen], self.jump[chosen])
 
-    def of_repeats(self, recording: Recording) -> Mask:
-        """True for spikes whose sample equals the previous or the next one in all channels, shape (n,)."""
-        same = np.all(np.diff(recording.gyro, axis=0) == 0.0, axis=1)
-        same &= np.all(np.diff(recording.accel, axis=0) == 0.0, axis=1)
+    def of_repeats(self, same: Mask) -> Mask:
+        """True for spikes whose sample equals the previous or the next one in all channels; ``same`` is (N - 1,)."""
         return np.asarray(same[self.sample - 1] | same[self.sample])
 
 
 NO_SPIKES: Final = Spikes(np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.intp), np.zeros(0))
 
 
-def find_spikes(data: PreparedRecording, contiguous: Mask) -> Spikes:
-    """Spikes inside the sequences without a gap, which are the true ones of a mask; bumps are excluded."""
-    parts = [NO_SPIKES]
-    least, windows = _least_noise(data), data.windows.samples
-    for k in np.flatnonzero(contiguous).tolist():
-        (a, turn), (still, b) = windows[data.start[k]].tolist(), windows[data.end[k]].tolist()
-        parts.append(_in_sequence(data.recording, (a, turn, still, b), least))
-    return Spikes(
-        np.concatenate([part.sample for part in parts]),
-        np.concatenate([part.channel for part in parts]),
-        np.concatenate([part.jump for part in parts]),
-    )
+def find_spikes(columns: Array, data: PreparedRecording, contiguous: Mask) -> Spikes:
+    """Spikes inside the sequences without a gap, which are the true ones of a mask; bumps are excluded.
 
-
-def _least_noise(data: PreparedRecording) -> Array:
-    """Lower limit of the noise of each channel, shape (6,): stationary noise, quantization step, or rounding.
-
-    It is needed in rotations, in which saturated readings or evenly spaced pulses hardly scatter.
+    ``columns`` are the readings of all channels, shape (6, N).
     """
-    windows = [(a, min(b, a + _FOR_NOISE)) for a, b in data.windows.samples.tolist() if b - a > 8]
-    if not windows:
-        return np.full(6, np.inf)
-    lengths = sorted({b - a for a, b in windows})
-    groups = [[(a, b) for a, b in windows if b - a == length] for length in lengths]
-    out = []
-    recording, stated = data.recording, data.recording.noise
-    per_pulse = 1.0 if recording.kind == "increment" else 1.0 / recording.nominal_interval_s
-    for table, pulse in (
-        (recording.gyro, stated.gyro_quantization),
-        (recording.accel, stated.accel_quantization),
-    ):
-        # The median excludes disturbed windows.
-        noise = np.median(np.concatenate([_noise_of_windows(table, alike) for alike in groups]), axis=0)
-        some = table[:: max(1, len(table) // _FOR_STEP)]
-        # Corrected readings have finer steps, as the correction mixes the pulses of the axes: a stated pulse is used.
-        step = np.maximum(_step(table, windows, some), (pulse or 0.0) * per_pulse)
-        out.append(np.maximum(np.maximum(noise, step), ROUNDING * np.abs(some).max()))
-    return np.concatenate(out)
-
-
-def _noise_of_windows(table: Array, windows: list[tuple[int, int]]) -> Array:
-    """Standard deviation of the readings in g windows of one length, shape (g, 3)."""
-    together = np.stack([table[a:b] for a, b in windows], axis=1)
-    return _noise(np.abs(_off(together.reshape(len(together), -1)))).reshape(-1, 3)
-
-
-def _step(table: Array, windows: list[tuple[int, int]], some: Array) -> Array:
-    """Quantization step: median over a few windows; from ``some`` for channels that are constant in the windows."""
-    few = windows[:: max(1, len(windows) // _FEW)]
-    steps = np.array([quantization_step(table[a:b]) for a, b in few])
-    seen = np.array([np.median(s[s > 0.0]) if np.any(s > 0.0) else 0.0 for s in steps.T])
-    return seen if np.all(seen > 0.0) else np.where(seen > 0.0, seen, quantization_step(some))
-
-
-def _off(x: Array) -> Array:
-    """Readings less their predictions, without the first two and the last two readings, shape (n - 4, 3)."""
-    beside = x[1:-3] + x[3:-1]
-    beside *= 4.0
-    beside -= x[:-4]
-    beside -= x[4:]
-    beside /= 6.0
-    return np.asarray(x[2:-2] - beside)
+    x = columns
+    off = np.zeros_like(x)
+    inner = off[:, 2:-2]
+    np.add(x[:, 1:-3], x[:, 3:-1], out=inner)
+    inner *= -4.0
+    inner += x[:, :-4]
+    inner += x[:, 4:]
+    inner /= 6.0
+    inner += x[:, 2:-2]
+    size, windows, sequences = np.abs(off), data.windows.samples, np.flatnonzero(contiguous)
+    start, end = windows[data.start[sequences]], windows[data.end[sequences]]
+    parts = [start + np.array([2, 0]), end - np.array([0, 2])]
+    if data.recording.fixture is not None:  # rotations by hand include bumps, as when the unit is set down
+        parts.append(data.rotation[sequences])
+    spans = np.concatenate(parts)
+    spans = spans[spans[:, 1] - spans[:, 0] >= 4]
+    if len(spans) == 0:
+        return NO_SPIKES
+    noise = np.array([_noise(size[:, a:b]) for a, b in spans.tolist()])
+    # In rotations, saturated readings or evenly spaced pulses hardly scatter. The median excludes disturbed windows.
+    least = np.maximum(np.median(noise[: 2 * len(sequences)], axis=0), _step(columns, data))
+    limits = _SIGMAS * np.maximum(noise, np.maximum(least, ROUNDING * np.abs(x).max(axis=1)))
+    found = [
+        np.argwhere(size[:, a:b] > own[:, None]) + np.array([0, a])
+        for (a, b), own in zip(spans.tolist(), limits, strict=True)
+    ]
+    channel, sample = np.concatenate(found).T
+    slopes = np.diff(x[channel[:, None], sample[:, None] + (-2, -1, 1, 2)]) * (1.0, 0.5, 1.0)
+    jump = off[channel, sample]
+    keep = np.abs(jump) > _JERK * np.ptp(slopes, axis=1)
+    there = Spikes(sample[keep], channel[keep], jump[keep])
+    bump = [_is_bump(columns, data, int(i), there) for i in there.sample]
+    return there[~np.array(bump, dtype=np.bool_)]
 
 
 def _noise(size: Array) -> Array:
-    """Standard deviation of each column, from a quantile of the magnitudes ``size``."""
-    some = size[:: max(1, len(size) // _FOR_NOISE)].T.copy()
-    rank = int(_QUANTILE * (some.shape[1] - 1))
-    return np.asarray(np.partition(some, rank, axis=1)[:, rank] / _NORMAL)
+    """Standard deviation of each channel, from a quantile of the magnitudes ``size``."""
+    some = size[:, :: max(1, size.shape[1] // _FOR_NOISE)]
+    rank = int(_QUANTILE[0] * (some.shape[1] - 1))
+    return np.asarray(np.partition(some, rank, axis=1)[:, rank] / _QUANTILE[1])
 
 
-def _in_sequence(recording: Recording, bounds: tuple[int, int, int, int], least: Array) -> Spikes:
-    """Spikes of one sequence with the windows [a, turn) and [still, b) and the rotation between them."""
-    a, turn, still, b = bounds
-    if b - a < 8:
-        return NO_SPIKES
-    tables = (recording.gyro, recording.accel)
-    off = np.concatenate([_off(table[a:b]) for table in tables], axis=1)
-    suspects = []
-    edges = np.array([0, turn - a - 2, still - a - 2, b - a - 4]).clip(0, b - a - 4)
-    by_hand = recording.fixture is None  # rotations by hand include bumps, as when the unit is set down
-    for part_of, (lo, hi) in enumerate(zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True)):
-        if hi - lo < 4 or (by_hand and part_of == 1):
-            continue
-        part = np.abs(off[lo:hi])
-        rows, channels = np.nonzero(part > _SIGMAS * np.maximum(_noise(part), least))
-        suspects.append((rows + lo, channels))
-    rows = np.concatenate([r for r, _ in suspects]) if suspects else np.zeros(0, dtype=np.intp)
-    channels = np.concatenate([c for _, c in suspects]) if suspects else np.zeros(0, dtype=np.intp)
-    sample = a + 2 + rows
-    around = np.array(
-        [[tables[c // 3][i + j, c % 3] for j in (-2, -1, 1, 2)] for i, c in zip(sample, channels, strict=True)]
-    ).reshape(-1, 4)
-    slopes = np.stack(
-        [around[:, 1] - around[:, 0], 0.5 * (around[:, 2] - around[:, 1]), around[:, 3] - around[:, 2]], axis=1
-    )
-    jump = off[rows, channels]
-    keep = np.abs(jump) > _JERK * np.ptp(slopes, axis=1)
-    sample, channels, jump = sample[keep], channels[keep], jump[keep]
-    sound = np.array([not _is_bump(recording, bounds, i, sample, channels, off) for i in sample.tolist()], dtype=bool)
-    return Spikes(sample[sound], channels[sound], jump[sound])
+def _step(columns: Array, data: PreparedRecording) -> Array:
+    """Quantization step of each channel, shape (6,): as stated, and as shown by some windows or the whole recording.
+
+    Corrected readings have finer steps, as the correction mixes the pulses of the axes: a stated pulse is used.
+    """
+    noise, windows = data.recording.noise, data.windows.samples
+    per_pulse = 1.0 / (data.recording.nominal_interval_s * rates_factor(data.recording))
+    stated = np.repeat([noise.gyro_quantization or 0.0, noise.accel_quantization or 0.0], 3) * per_pulse
+    some = [columns[:, a : min(b, a + _FOR_NOISE)].T for a, b in windows[:: max(1, len(windows) // _FEW)].tolist()]
+    shown = np.median([quantization_step(part) for part in some], axis=0)
+    return np.asarray(np.max([stated, shown, smallest_step(columns[:, :: columns.shape[1] // 4000 + 1].T)], axis=0))
 
 
-def _is_bump(
-    recording: Recording,
-    bounds: tuple[int, int, int, int],
-    at: int,
-    sample: Indices,
-    channels: Indices,
-    off: Array,
-) -> bool:
+def _is_bump(columns: Array, data: PreparedRecording, at: int, there: Spikes) -> bool:
     """True if a spike of the gyros in a window is a bump: gravity stays rotated by its angle.
 
     If the accelerometers cannot measure this angle, a spike of several gyros counts as a bump.
     """
-    a, turn, still, b = bounds
-    together = channels[sample == at]
-    if np.any(together >= 3) or turn <= at < still:
+    own = there.sample == at
+    window = next((w for w in data.windows.samples.tolist() if w[0] <= at < w[1]), None)
+    if window is None or np.any(there.channel[own] >= 3):
         return False
-    first, last = (a, turn) if at < turn else (still, b)
-    most = max(1, round(_MEAN_S / recording.nominal_interval_s))
-    before, after = slice(max(first, at - most), at), slice(at + 1, min(last, at + 1 + most))
-    fewest = min(before.stop - before.start, after.stop - after.start)
+    dt = data.recording.nominal_interval_s
+    most = max(1, round(_MEAN_S / dt))
+    before, after = columns[3:, max(window[0], at - most) : at], columns[3:, at + 1 : min(window[1], at + 1 + most)]
+    fewest = min(before.shape[1], after.shape[1])
+    several = len(np.unique(there.channel[own])) > 1
     if fewest < 2:
-        return len(together) > 1
-    force = recording.accel
-    mean = force[before].mean(axis=0)
-    change = force[after].mean(axis=0) - mean
-    noise = np.std(np.diff(force[before], axis=0), axis=0) / np.sqrt(fewest)
-    angle = off[at - a - 2, :3] * rates_factor(recording) * recording.nominal_interval_s
+        return several
+    mean, angle = before.mean(axis=1), np.zeros(3)
+    change = after.mean(axis=1) - mean
+    noise = np.std(np.diff(before), axis=1) / np.sqrt(fewest)
+    angle[there.channel[own]] = there.jump[own] * rates_factor(data.recording) * dt
     turned = np.cross(mean, angle)
-    sigma = float(np.linalg.norm(noise * turned)) / max(float(np.linalg.norm(turned)), 1e-300)
-    if np.linalg.norm(turned) < _SEEN * sigma:
-        return len(together) > 1
-    return bool(change @ turned > 0.5 * (turned @ turned))
+    square = float(turned @ turned)
+    if square < _SEEN * float(np.linalg.norm(noise * turned)):
+        return several
+    return bool(change @ turned > 0.5 * square)

@@ -25,14 +25,10 @@ class StabilisedForce:
     ----------
     attitude : ndarray, shape (m, 3, 3)
         Attitude at the middle of the block, from the gyros: B to B_Strt.
-    rate : ndarray, shape (m, 3), rad/s
-        Rate in B, less the stationary mean.
-    force : ndarray, shape (m, 3)
-        Specific force in B, in units of gravity.
-    up : ndarray, shape (m, 3)
-        Measured vertical at the start of the block's sequence, unit vectors in B_Strt.
-    up_body : ndarray, shape (m, 3)
-        The same vertical in B at the middle of the block, by the attitude from the gyros.
+    rate, force : ndarray, shape (m, 3), rad/s and units of gravity
+        Rate, less the stationary mean, and specific force in B.
+    up, up_body : ndarray, shape (m, 3)
+        Measured vertical at the start of the block's sequence in B_Strt, and in B at the middle of the block.
     force_start : ndarray, shape (m, 3)
         Specific force in B_Strt, in units of gravity; constant for a perfect IMU.
     """

@@ -23,12 +23,8 @@ if TYPE_CHECKING:
 class Diagnosis:
     """Faults found in a recording.
 
-    Attributes
-    ----------
-    findings : tuple of Finding
-        Findings in the order of the catalogue: each fault before the faults that it causes.
-    judgement : Verdict or None
-        Verdict on the calibration of the recording; None without a calibration.
+    ``findings`` are in the order of the catalogue: each fault before the faults that it causes. ``judgement`` is the
+    verdict on the calibration of the recording; None without a calibration.
     """
 
     findings: tuple[Finding, ...]
@@ -60,16 +56,7 @@ class Diagnosis:
 
 
 class StagedDiagnosis:
-    """Diagnosis of one recording in two parts, before and after its calibration.
-
-    Parameters
-    ----------
-    recording : Recording
-    options : Options, optional
-        Options of the calibration.
-    recognition : Recognition, optional
-        Sequences recognised in the recording, if known already.
-    """
+    """Diagnosis of one recording, before and after its calibration; ``recognition`` if it is known already."""
 
     def __init__(
         self, recording: Recording, options: Options | None = None, recognition: Recognition | None = None

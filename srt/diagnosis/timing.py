@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from srt.diagnosis.channels import SAMPLES
+from srt.diagnosis.false_alarms import limit
 from srt.diagnosis.findings import Fault
 from srt.diagnosis.scale_candidates import TIME_UNITS, USUAL_S
 from srt.diagnosis.units import scale_findings
@@ -19,10 +20,7 @@ if TYPE_CHECKING:
 
     from srt.diagnosis.evidence import Evidence
     from srt.diagnosis.findings import Finding
-    from srt.types import Indices
 
-_FEW_STEPS: Final = 100
-"""Fewest samples for an estimate of the jitter."""
 _PARTS: Final = 10
 """Number of parts of a recording whose mean intervals are compared."""
 _LEAST_DRIFT: Final = 1e-3
@@ -31,8 +29,6 @@ _BURSTS: Final = 0.05
 """Share of long steps above which these are not gaps, but pauses between bursts of samples."""
 _TURNING: Final = 0.2
 """Smallest rate of a rotating unit, relative to the highest rate."""
-_NO_GAP: Final = 8.0
-"""Deviation of a step, in sigma of the jitter, above which it is a gap: p = 1e-15 per step."""
 
 
 def time_unit(evidence: Evidence) -> Iterator[Finding]:
@@ -41,7 +37,7 @@ def time_unit(evidence: Evidence) -> Iterator[Finding]:
     if SHORTEST_INTERVAL_S <= interval <= LONGEST_INTERVAL_S:
         yield from scale_findings(evidence, {TIME_UNIT.name: TIME_UNIT})
         return
-    _, unit, declared = _unit(evidence, interval)
+    _, unit, declared = _unit(evidence)
     why = f"but {SHORTEST_INTERVAL_S:g} to {LONGEST_INTERVAL_S:g} s is expected"
     yield TIME_UNIT.found(interval=interval, why=why, unit=unit, declared=declared)
 
@@ -58,22 +54,20 @@ TIME_UNIT: Final = Fault(
 )
 
 
-def _unit(evidence: Evidence, interval: float) -> tuple[float, str, str]:
+def _unit(evidence: Evidence) -> tuple[float, str, str]:
     """Row of ``TIME_UNITS`` for the time unit with which the interval is a usual one.
 
     If several units give a usual interval, the ratio of the rotation angles (for increments: of gravity) decides. If no
     unit does, the unit with the interval nearest to the usual ones is returned.
     """
-    middle = math.sqrt(USUAL_S[0] * USUAL_S[1])
-    usual = [row for row in TIME_UNITS if USUAL_S[0] <= interval * row[0] <= USUAL_S[1]]
-    if not usual:
-        return min(TIME_UNITS, key=lambda row: abs(math.log(interval * row[0] / middle)))
+    usual = [row for row in TIME_UNITS if USUAL_S[0] <= evidence.dt * row[0] <= USUAL_S[1]]
     rates = evidence.recording.kind == "rate"
     ratio = (evidence.gyro_scales if rates else evidence.accel_scales).typical
-    if len(usual) == 1 or not ratio > 0.0:
-        return usual[0]
-    factor = math.log(ratio) * (-1.0 if rates else 1.0)
-    return min(usual, key=lambda row: abs(math.log(row[0]) - factor))
+    if len(usual) > 1 and ratio > 0.0:
+        factor = 1.0 / ratio if rates else ratio
+    else:
+        factor = math.sqrt(USUAL_S[0] * USUAL_S[1]) / evidence.dt
+    return min(usual or TIME_UNITS, key=lambda row: abs(math.log(row[0] / factor)))
 
 
 def _jitter(evidence: Evidence) -> tuple[float, float]:
@@ -81,14 +75,11 @@ def _jitter(evidence: Evidence) -> tuple[float, float]:
 
     The standard deviation is 0 for stamps that are evenly spaced within their rounding.
     """
-    recording = evidence.recording
-    if recording.sample_rate_hz is not None or len(recording.time) < _FEW_STEPS:
-        return 0.0, evidence.dt
-    gaps, even = recording.gaps, evidence.dt
+    recording, gaps = evidence.recording, evidence.recording.gaps
     bursts = gaps.size > _BURSTS * (len(recording.time) - 1)
-    if isinstance(recording.interval_s, float) and not bursts:
-        return 0.0, even
-    steps = np.diff(recording.time)
+    if recording.sample_rate_hz is not None or (isinstance(recording.interval_s, float) and not bursts):
+        return 0.0, evidence.dt
+    steps, even = np.diff(recording.time), evidence.dt
     # Stamps that are set on the arrival of packets come in bursts. The long steps between the bursts are jitter, not
     # gaps. As the median step is one inside a burst, the interval is the mean step.
     if bursts:
@@ -97,7 +88,8 @@ def _jitter(evidence: Evidence) -> tuple[float, float]:
         steps = np.delete(steps, gaps - 1)
     # Second differences of the stamps exclude a slow drift. For white jitter, their variance is six times that of the
     # jitter.
-    return float(np.sqrt(np.mean(np.diff(steps) ** 2) / 6.0)), even
+    changes = np.diff(steps)
+    return float(np.sqrt(changes @ changes / (6.0 * max(1, len(changes))))), even
 
 
 def stamp_jitter(evidence: Evidence) -> Iterator[Finding]:
@@ -121,20 +113,20 @@ STAMP_JITTER: Final = Fault(
 def clock_drift(evidence: Evidence) -> Iterator[Finding]:
     """Find stamps whose mean interval changes steadily from the first part of the recording to the last.
 
-    Statistic: slope of the mean intervals over its standard deviation. Distribution: nearly normal.
+    Statistic: slope of the mean intervals over its standard deviation, which is from their second differences.
+    Distribution: nearly t with half as many degrees of freedom as there are second differences, which are correlated.
     """
     recording = evidence.recording
     steps = np.delete(np.diff(recording.time), recording.gaps - 1)
-    if recording.sample_rate_hz is not None or len(steps) < _FEW_STEPS * _PARTS:
+    if recording.sample_rate_hz is not None or len(steps) < _PARTS:
         return
     means = np.array([part.mean() for part in np.array_split(steps, _PARTS)])
     place = np.arange(_PARTS) - 0.5 * (_PARTS - 1)
     slope = float(place @ means) / float(place @ place)
     # Second differences of the means exclude the drift. For white noise, their variance is six times that of the means.
-    noise = float(np.diff(means, 2).std()) / math.sqrt(6.0)
-    sigma = noise / math.sqrt(float(place @ place))
+    sigma = float(np.diff(means, 2).std()) / math.sqrt(6.0 * float(place @ place))
     change = slope * (_PARTS - 1) / float(means.mean())
-    if abs(change) > _LEAST_DRIFT and abs(slope) > _NO_GAP * sigma:
+    if abs(change) > _LEAST_DRIFT and abs(slope) > limit("t", 0.5 * (_PARTS - 2), both_sides=True) * sigma:
         yield CLOCK_DRIFT.found(change=100.0 * change, first=1e3 * float(means[0]), last=1e3 * float(means[-1]))
 
 
@@ -151,16 +143,34 @@ CLOCK_DRIFT: Final = Fault(
 
 
 def gap_in_sequence(evidence: Evidence) -> Iterator[Finding]:
-    """Find gaps of the time stamps between the first and the last sample of a sequence."""
-    time, gaps = evidence.recording.time, evidence.recording.gaps
+    """Find gaps of the time stamps between the first and the last sample of a sequence.
+
+    Without labels, gaps at rest may lie between sequences: only gaps with rotation on both sides are found. Statistic:
+    deviation of a step over the jitter. Distribution: normal.
+    """
+    time, gaps, gyro = evidence.recording.time, evidence.recording.gaps, evidence.recording.gyro
     if gaps.size == 0:
         return
-    sigma, _ = _jitter(evidence)
-    gaps = gaps[time[gaps] - time[gaps - 1] - evidence.dt > _NO_GAP * sigma]
-    rows, title, more = _inside_labelled(evidence, gaps) if evidence.has_labels else _inside_rotations(evidence, gaps)
+    missing = time[gaps] - time[gaps - 1] - evidence.dt
+    gaps = gaps[missing > limit("normal", tests=len(time)) * _jitter(evidence)[0]]
+    title = "a rotation"
+    if not evidence.has_labels:
+        some = np.linalg.norm(gyro[:: max(1, len(gyro) // SAMPLES)], axis=1)
+        rest, fastest = np.median(some), some.max()
+        size = np.linalg.norm(np.stack([gyro[gaps - 1], gyro[gaps]]), axis=2).min(axis=0)
+        rows = gaps[size - rest > _TURNING * (fastest - rest)]
+    elif evidence.data is None:
+        return
+    else:
+        data = evidence.data
+        first = np.searchsorted(gaps, data.windows.samples[data.start, 0], side="right")
+        void = np.flatnonzero(first < np.searchsorted(gaps, data.windows.samples[data.end, 1], side="left"))
+        rows = gaps[first[void]]
+        title = evidence.title(int(void[0])) if void.size else title
     if rows.size:
+        more = rows.size - 1
         yield GAP_IN_SEQUENCE.found(
-            title=title,
+            title=title[0].upper() + title[1:],
             duration=float(time[rows[0]] - time[rows[0] - 1]) - evidence.dt,
             time=float(time[rows[0]]),
             more=f" (and inside {more} other{'s' if more > 1 else ''})" if more else "",
@@ -176,30 +186,3 @@ GAP_IN_SEQUENCE: Final = Fault(
     "warning",
     gap_in_sequence,
 )
-
-
-def _inside_labelled(evidence: Evidence, gaps: Indices) -> tuple[Indices, str, int]:
-    """Gaps of the first sequence that has gaps, its name, and the number of other sequences with gaps."""
-    data = evidence.data
-    if data is None:
-        return gaps[:0], "", 0
-    first, last = data.windows.samples[data.start, 0], data.windows.samples[data.end, 1]
-    inside = [gaps[(gaps > a) & (gaps < b)] for a, b in zip(first.tolist(), last.tolist(), strict=True)]
-    void = [k for k, rows in enumerate(inside) if rows.size]
-    if not void:
-        return gaps[:0], "", 0
-    title = evidence.title(void[0])
-    return inside[void[0]], title[0].upper() + title[1:], len(void) - 1
-
-
-def _inside_rotations(evidence: Evidence, gaps: Indices) -> tuple[Indices, str, int]:
-    """Gaps with rotation on both sides, "A rotation" as their name, and the number of such gaps after the first one.
-
-    Without labels, gaps in stationary windows may lie between sequences and are no fault.
-    """
-    gyro = evidence.recording.gyro
-    some = np.linalg.norm(gyro[:: max(1, len(gyro) // SAMPLES)], axis=1)
-    rest, fastest = np.median(some), some.max()
-    size = np.linalg.norm(np.stack([gyro[gaps - 1], gyro[gaps]]), axis=2).min(axis=0)
-    rows = gaps[size - rest > _TURNING * (fastest - rest)]
-    return rows, "A rotation", max(0, rows.size - 1)

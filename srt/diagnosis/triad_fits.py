@@ -36,16 +36,9 @@ LEAST_FREEDOM: Final = 8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LinearFit:
-    """Least-squares fit of readings to nominal vectors, ``reading ≈ matrix @ nominal + offset``.
+    """Least-squares fit of readings, shape (n, 3), to nominal vectors: ``reading ≈ matrix @ nominal + offset``.
 
-    Attributes
-    ----------
-    matrix : ndarray, shape (3, 3)
-        Identity for a perfect IMU in the nominal frame.
-    offset : ndarray, shape (3,)
-    residual : ndarray, shape (n, 3)
-    rank : int
-        Rank of the nominal vectors; 3 if they span space.
+    The matrix is identity for a perfect IMU in the nominal frame; ``rank`` is that of the nominal vectors.
     """
 
     matrix: Array
@@ -56,24 +49,23 @@ class LinearFit:
 
 def gyro_fit(rotations: Rotations) -> LinearFit:
     """Fit of measured to nominal rotations: raw gyro matrix in the nominal frame; residuals in rad."""
-    return _fit(rotations.nominal, rotations.turned, with_offset=False)
+    return _fit(rotations.nominal, rotations.turned, np.zeros((len(rotations.nominal), 0)))
 
 
 def accel_fit(poses: tuple[Array, Array]) -> LinearFit:
     """Fit of stationary readings to the nominal specific force: raw accelerometer matrix, and bias in m/s²."""
-    return _fit(*poses, with_offset=True)
+    return _fit(*poses, np.ones((len(poses[0]), 1)))
 
 
-def _fit(x: Array, y: Array, *, with_offset: bool) -> LinearFit:
+def _fit(x: Array, y: Array, offset: Array) -> LinearFit:
     if len(x) == 0:
         return LinearFit(np.eye(3), np.zeros(3), np.zeros((0, 3)), 0)
     scale = float(np.linalg.norm(x, axis=1).mean())
-    design = np.hstack([x / scale, np.ones((len(x), 1))]) if with_offset else x / scale
+    design = np.hstack([x / scale, offset])
     rank = int(np.linalg.matrix_rank(x / scale, tol=_RANK))
     solution = np.linalg.lstsq(design, y, rcond=_RIDGE)[0]
-    matrix = solution[:3].T / scale
-    offset = solution[3] if with_offset else np.zeros(3)
-    return LinearFit(np.asarray(matrix), np.asarray(offset), np.asarray(y - design @ solution), rank)
+    matrix, bias = np.asarray(solution[:3].T / scale), np.asarray(solution[3:].sum(axis=0))
+    return LinearFit(matrix, bias, np.asarray(y - design @ solution), rank)
 
 
 class RawTriads(NamedTuple):
@@ -91,24 +83,18 @@ def raw_triads(rotations: Rotations, poses: tuple[Array, Array], gravity: float)
     determine only one of both triads, the other one is taken as perfect. The matrix is then given without its rotation
     relative to the nominal frame, so that both triads refer to the same frame except for misalignments.
     """
-    gyro: Array = np.eye(3)
-    accel: Array = np.eye(3)
-    bias: Array = np.zeros(3)
     _, nominal, turned = rotations
-    angle = np.linalg.norm(nominal, axis=1, keepdims=True)
-    gyro_seen = bool(len(angle) and np.linalg.matrix_rank(nominal, tol=_RANK) == 3)
-    if gyro_seen:
-        # Rotations are divided by their angles, so that large rotations do not have more weight than small ones.
-        gyro = robust_fit(nominal / angle, turned / angle).T
     vertical, reading = poses
+    # Rotations are divided by their angles, so that large rotations do not have more weight than small ones.
+    angle = np.linalg.norm(nominal, axis=1, keepdims=True)
     design = np.hstack([vertical / gravity, np.ones((len(vertical), 1))])
-    accel_seen = bool(np.linalg.matrix_rank(design, tol=_RANK) == 4)
-    if accel_seen:
-        solution = robust_fit(design, reading)
-        accel, bias = solution[:3].T / gravity, solution[3]
+    systems = ((nominal / angle, turned / angle), (design, reading / gravity))
+    seen = [np.linalg.matrix_rank(x, tol=_RANK) == x.shape[1] for x, _ in systems]
+    fits = [robust_fit(x, y) if own else np.eye(4, 3) for (x, y), own in zip(systems, seen, strict=True)]
+    gyro, accel, bias = fits[0][:3].T, fits[1][:3].T, gravity * fits[1][3]
     if not all(np.linalg.cond(matrix) < _SOUND for matrix in (gyro, accel)):
         return RawTriads(np.eye(3), np.eye(3), np.zeros(3))
-    if not (gyro_seen and accel_seen):
+    if not all(seen):
         # At the beginning of a test: in the nominal frame, only one of the matrices would include the mounting.
         gyro, accel = (polar(matrix, side="left")[1] for matrix in (gyro, accel))
     return RawTriads(gyro, accel, bias)
@@ -117,15 +103,9 @@ def raw_triads(rotations: Rotations, poses: tuple[Array, Array], gravity: float)
 class MeasuredAngles(NamedTuple):
     """Rotations without outliers.
 
-    Attributes
-    ----------
-    sequence : ndarray of int, shape (L,)
-        Number of the sequence of each rotation.
-    measured : ndarray, shape (L,), rad
-    by_axis : ndarray, shape (L, 3), rad
-        Magnitudes of the components of the nominal rotation: columns of the scale factors.
-    fixed : ndarray, shape (L, 6), rad
-        Columns of the scale factors and asymmetries.
+    ``sequence`` is the number of the sequence of each of L rotations, ``measured`` its angle, rad; ``by_axis``, shape
+    (L, 3), are the magnitudes of the components of the nominal rotation (columns of the scale factors), and ``fixed``,
+    shape (L, 6), the columns of scale factors and asymmetries, rad.
     """
 
     sequence: Indices

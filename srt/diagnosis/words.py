@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.diagnosis.channels import SAMPLES
+from srt.diagnosis.channels import MOVED, SAMPLES
 from srt.diagnosis.findings import Fault, by_sensor
 from srt.diagnosis.rotation_readings import ROUNDING
 from srt.model.table1 import AXES
@@ -29,8 +29,6 @@ _BITS: Final = 16
 _PASSED: Final = 20
 """Fewest values of the bits from the stuck bit upwards: for independent readings, such as those of static poses, all of
 them have the bit set with p = 1e-6. For rotations, in which the readings pass all values between, p is far smaller."""
-_HALF_TURN: Final = 0.5
-"""Smallest labelled rotation, rad, and smallest gravity component of a pose, g, whose sign the readings must show."""
 
 
 def wrapped_words(evidence: Evidence) -> Iterator[Finding]:
@@ -60,27 +58,20 @@ WRAPPED: Final = by_sensor(
 
 def words_of_one_polarity(evidence: Evidence) -> Iterator[Finding]:
     """Find channels that often read zero, and never a sign that some labelled rotation or pose requires."""
-    data = evidence.data
-    if data is None or evidence.recording.fixture is None:
-        return
-    turned = [s.axes * s.angles_rad[:, None] for s in data.catalogue if s is not None]
-    stated = {
-        "gyro": np.concatenate(turned) if turned else np.zeros((0, 3)),
-        "accel": evidence.poses[0] / evidence.recording.site.gravity_m_s2,
-    }
-    for sensor, table in (("gyro", evidence.rate), ("accel", evidence.force)):
+    for sensor, table, inputs in zip(
+        ONE_POLARITY, (evidence.rate, evidence.force), evidence.labelled_inputs, strict=True
+    ):
         if sensor in evidence.wrapped_readings:
             continue  # signed words that are read as unsigned ones have no negative values either
-        for axis in range(3):
-            column, expected = table[:, axis], stated[sensor][:, axis]
-            share = float(np.mean(column == 0.0))
-            if share < _ONE_POLARITY or not np.any(expected > _HALF_TURN) or not np.any(expected < -_HALF_TURN):
-                continue
-            for sign, missing in ((1.0, "negative"), (-1.0, "positive")):
-                if np.all(sign * column >= 0.0) and np.any(column != 0.0):
-                    channel = f"{sensor}_{AXES[axis]}"
-                    yield ONE_POLARITY[sensor].found(channel=channel, missing=missing, share=100.0 * share)
-                    return
+        both = np.any(inputs > MOVED, axis=0) & np.any(inputs < -MOVED, axis=0)
+        for axis in np.flatnonzero(both & (table[:: len(table) // SAMPLES + 1] == 0.0).any(axis=0)).tolist():
+            column, share = table[:, axis], float(np.mean(table[:, axis] == 0.0))
+            low, high = float(column.min()), float(column.max())
+            if share >= _ONE_POLARITY and low * high == 0.0 and low != high:
+                missing = "negative" if low == 0.0 else "positive"
+                channel = f"{sensor}_{AXES[axis]}"
+                yield ONE_POLARITY[sensor].found(channel=channel, missing=missing, share=100.0 * share)
+                return
 
 
 ONE_POLARITY: Final = by_sensor(
