@@ -49,14 +49,7 @@ class LabelShift(NamedTuple):
 def label_shift(data: PreparedRecording, seen: RawIntegrals, contiguous: Mask, turning: Mask) -> LabelShift | None:
     """Shift of the labels; None if they are not shifted.
 
-    Parameters
-    ----------
-    data : PreparedRecording
-    seen : RawIntegrals
-    contiguous : ndarray of bool, shape (K,)
-        True for each sequence without a gap.
-    turning : ndarray of bool, shape (W,)
-        True for each window in which the unit rotates.
+    ``contiguous`` (K,) is true for the sequences without a gap, ``turning`` (W,) for the windows with a rotation.
     """
     found = _block_shift(data, turning) if turning.any() else None
     return _rotation_at_edges(data, seen, contiguous) if found is None else found
