@@ -100,7 +100,7 @@ def _rotation_at_edges(data: PreparedRecording, seen: RawIntegrals, contiguous: 
     if duration.size == 0:
         return None
     both = duration > 0.0
-    runs = np.array([max(map(len, "".join("01"[x] for x in row).split("0"))) for row in both.tolist()])
+    runs = np.array([np.diff(np.flatnonzero(np.concatenate([[True], ~row, [True]]))).max() - 1 for row in both])
     common = (both.mean(axis=1) > 0.5) | (runs >= _IN_A_ROW)
     # The direction of gravity must confirm half of the angle, if the axis is not vertical: a low-pass filter of the
     # gyros also makes their readings end late.
