@@ -11,11 +11,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
-from scipy.special import chdtr, chdtrc
+from scipy.special import chdtr, chdtrc, chdtri
 
 from srt.constants import DEG_PER_H, DEG_PER_SQRT_H, MICRO_G
 from srt.diagnosis.false_alarms import FALSE_ALARM, limit
 from srt.diagnosis.findings import Fault, by_sensor
+from srt.diagnosis.triad_fits import MOST_OUTLIERS
 from srt.diagnosis.window_averages import ACCEL, GYRO
 from srt.estimation.options import Options
 from srt.model.table1 import AXES
@@ -202,25 +203,28 @@ def white_noise_test(evidence: Evidence, sensor: Sensor) -> WhiteNoiseTest | Non
     stated = getattr(noise, f"{sensor}_noise")
     if data is None or averages is None or stated is None:
         return None
-    channels, row = (GYRO, 0) if sensor == "gyro" else (ACCEL, 1)
+    channels = GYRO if sensor == "gyro" else ACCEL
     step = np.where(averages.pulses, 0.0, averages.step)[channels]
     if np.any(step > _DOUBT * stated / np.sqrt(evidence.dt)):
         return None  # quantization is so coarse that it changes the noise
-    power, largest = averages.relative_noise()
-    quiet = power[1, row] <= largest[1, 0]
-    octaves = int(np.log2(averages.blocks.max()))
     # Half the squared differences between successive averages, and their number, by octave of the averaging time.
-    total, count = np.zeros((octaves, 3)), np.zeros(octaves)
+    octaves = int(np.log2(averages.blocks.max()))
+    power, pairs = np.zeros((len(averages.window), octaves, 3)), np.full((len(averages.window), octaves), np.nan)
     for windows, means in averages.groups:
-        x = means[quiet[windows], :, channels]
+        x = means[:, :, channels]
         for octave in range(int(np.log2(x.shape[1]))):
             even, odd = x[:, : x.shape[1] // 2 * 2 : 2], x[:, 1::2]
-            total[octave] += 0.5 * np.einsum("wnc,wnc->c", odd - even, odd - even)
-            count[octave] += even.shape[0] * even.shape[1]
+            power[windows, octave] = 0.5 * np.einsum("wnc,wnc->wc", odd - even, odd - even)
+            pairs[windows, octave] = even.shape[1]
             x = 0.5 * (even + odd)
+    summed, own = power.sum(axis=2), 3.0 * pairs
+    typical = np.nanmedian(summed / chdtri(own, 0.5), axis=0)
+    quiet = ~np.any(summed > typical * limit("chi-square", own, tests=own.size), axis=1)
+    quiet |= quiet.mean() < 1.0 - MOST_OUTLIERS
     tau = averages.step_s * np.exp2(np.arange(octaves))
-    used = (count > 0.0) & (tau > 0.999 * _SHORTEST_S)
-    tau, total, count = tau[used, None], total[used], count[used, None]
+    used = np.isfinite(pairs[quiet]).any(axis=0) & (tau > 0.999 * _SHORTEST_S)
+    tau, total = tau[used, None], power[quiet].sum(axis=0)[used]
+    count = np.nansum(pairs[quiet], axis=0)[used, None]
     # Constant readings do not show the noise. Corrected readings are never quite constant: the correction adds parts of
     # the pulses of the other axes.
     pulse = getattr(noise, f"{sensor}_quantization") or 0.0

@@ -49,14 +49,7 @@ class LabelShift(NamedTuple):
 def label_shift(data: PreparedRecording, seen: RawIntegrals, contiguous: Mask, turning: Mask) -> LabelShift | None:
     """Shift of the labels; None if they are not shifted.
 
-    Parameters
-    ----------
-    data : PreparedRecording
-    seen : RawIntegrals
-    contiguous : ndarray of bool, shape (K,)
-        True for each sequence without a gap.
-    turning : ndarray of bool, shape (W,)
-        True for each window in which the unit rotates.
+    ``contiguous`` (K,) is true for the sequences without a gap, ``turning`` (W,) for the windows with a rotation.
     """
     found = _block_shift(data, turning) if turning.any() else None
     return _rotation_at_edges(data, seen, contiguous) if found is None else found
@@ -107,7 +100,7 @@ def _rotation_at_edges(data: PreparedRecording, seen: RawIntegrals, contiguous: 
     if duration.size == 0:
         return None
     both = duration > 0.0
-    runs = np.array([max(map(len, "".join("01"[x] for x in row).split("0"))) for row in both.tolist()])
+    runs = np.array([np.diff(np.flatnonzero(np.concatenate([[True], ~row, [True]]))).max() - 1 for row in both])
     common = (both.mean(axis=1) > 0.5) | (runs >= _IN_A_ROW)
     # The direction of gravity must confirm half of the angle, if the axis is not vertical: a low-pass filter of the
     # gyros also makes their readings end late.

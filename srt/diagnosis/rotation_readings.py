@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -15,8 +15,6 @@ from srt.sequences.preparation import nominal_attitude
 from srt.sequences.rest_detection import BLOCK_S
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from srt.model.table1 import RotationSequence
     from srt.recording.recording import Recording
     from srt.sequences.preparation import PreparedRecording
@@ -244,23 +242,14 @@ def find_rotations(data: PreparedRecording | None, path: BlockAverages | None) -
 
 
 def robust_fit(x: Array, y: Array) -> Array:
-    """Solve ``y ≈ x @ b`` for least absolute deviations, by iteratively reweighted least squares.
+    """Solution b (p, 3) of ``y ≈ x @ b`` for x (n, p) and y (n, 3), with the least sum of lengths of the residuals.
 
-    The solution minimises the sum of the lengths of the residual vectors.
-
-    Parameters
-    ----------
-    x : ndarray, shape (n, p)
-    y : ndarray, shape (n, 3)
-
-    Returns
-    -------
-    ndarray, shape (p, 3)
+    Least absolute deviations by iteratively reweighted least squares.
     """
     weight = np.ones(len(x))
     floor = 1e-9 * float(np.abs(y).max(initial=1e-300))
-    solution: NDArray[np.floating[Any]] = np.zeros((x.shape[1], y.shape[1]))
+    solution: Array = np.zeros((x.shape[1], y.shape[1]))
     for _ in range(_ROUNDS):
         solution = np.asarray(np.linalg.lstsq(x * weight[:, None], y * weight[:, None], rcond=None)[0])
         weight = 1.0 / np.sqrt(np.maximum(np.linalg.norm(y - x @ solution, axis=1), floor))
-    return np.asarray(solution, dtype=np.float64)
+    return solution

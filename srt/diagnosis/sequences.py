@@ -268,8 +268,8 @@ def _catalogue_ids(evidence: Evidence) -> list[str]:
 
 def window_short(evidence: Evidence) -> Iterator[Finding]:
     """Compare the window lengths with their median, of Table 1 only: rests of other protocols differ as planned."""
-    data, seen = evidence.data, evidence.recognition
-    by_chance = not evidence.has_labels and seen is not None and seen.by_chance
+    data, seen = evidence.data, None if evidence.has_labels else evidence.recognition
+    by_chance = seen is not None and seen.by_chance
     if data is None or not _catalogue_ids(evidence) or by_chance or evidence.label_shift is not None:
         return
     duration = data.windows.duration_s

@@ -155,16 +155,9 @@ def lag(seen: TimeOffset, dt: float) -> list[Explanation] | None:
 
 
 class AttitudeStep(NamedTuple):
-    """Step of the gyro-stabilised specific force during a rotation.
+    """Block before which the gyro-stabilised specific force has a step, and its angle, rad.
 
-    Attributes
-    ----------
-    block : int
-        Block of :func:`block_averages` before which the attitude error changes.
-    height : float
-        Angle of the step, rad.
-    duration_s : float
-        Time in which the unit rotates by this angle; negative if the gyros measured too large an angle.
+    The duration is the time in which the unit rotates by this angle; negative if the gyros measured too large an angle.
     """
 
     block: int

@@ -134,10 +134,10 @@ def window_averages(data: PreparedRecording) -> WindowAverages | None:
         middle = np.einsum("nc->c", x[n // 2 :]) / (n - n // 2)
         x -= middle
         late[v] = np.einsum("nc,nc->c", x[n // 2 :], x[n // 2 :]) / (n - n // 2)
-        length = np.minimum(heads, n // 2)[:, None]  # a start part is at most half a window
-        start = x[: int(length[-1, 0])]
-        square, total = (np.cumsum(values, axis=0)[length[:, 0] - 1] for values in (start**2, start))
-        power[v] = (square - total**2 / length) / length
+        for h, length in enumerate(np.minimum(heads, n // 2).tolist()):  # a start part is at most half a window
+            start = x[:length]
+            square, total = np.einsum("nc,nc->c", start, start), np.einsum("nc->c", start)
+            power[v, h] = (square - total**2 / length) / length
     number = np.array([len(m) for m in means])
     groups = tuple(
         (np.flatnonzero(number == n), np.stack([m for m in means if len(m) == n])) for n in np.unique(number)
@@ -149,7 +149,7 @@ def window_averages(data: PreparedRecording) -> WindowAverages | None:
         sigma[g] = MAD / np.sqrt(2.0) * np.median(np.abs(between), axis=1)
     pulses = np.repeat([bool(data.noise.gyro_edge.any()), bool(data.noise.accel_edge.any())], 3)
     some = samples[chosen][:: max(1, V // _SOME_WINDOWS)]
-    step = _quantization(recording, np.stack([some[:, 0], some[:, 0] + heads[-1]], axis=1), pulses)
+    step = _quantization(recording, some, quarter, pulses)
     typical = np.sqrt(np.median(late, axis=0))
     least = np.maximum(np.repeat([GYRO_FLOOR, ACCEL_FLOOR], 3) / np.sqrt(dt), 0.5 * step) ** 2
     return WindowAverages(
@@ -197,9 +197,9 @@ def _freedom(recording: Recording, samples: Indices, heads: Indices) -> Array:
     return np.asarray(3.0 * heads[:, None] / (1.0 + 2.0 * np.maximum(np.median(sums, axis=0), 0.0)))
 
 
-def _quantization(recording: Recording, samples: Indices, pulses: Mask) -> Array:
-    """Quantization step of the readings in the windows as a rate, shape (6,); at least one pulse for pulse counts."""
-    parts = [slice(a, b) for a, b in samples.tolist()]
+def _quantization(recording: Recording, samples: Indices, most: int, pulses: Mask) -> Array:
+    """Quantization step of the first readings of windows as a rate, shape (6,); at least one pulse for pulse counts."""
+    parts = [slice(a, min(b, a + most)) for a, b in samples.tolist()]
     steps = np.array([[*quantization_step(recording.gyro[p]), *quantization_step(recording.accel[p])] for p in parts])
     # The median over the windows: a disturbed window may show finer steps, and a window of constant readings no step.
     seen = np.sort(steps, axis=0)[::-1]

@@ -167,17 +167,10 @@ VIBRATION: Final = Fault(
 
 
 def _oscillation(averages: WindowAverages, *, by_gyros: bool) -> tuple[Mask, Array]:
-    """Windows that oscillate at the start: their variance is far larger there than in the second half.
+    """Windows that oscillate at the start, by length of the start part, (V, H), and by how much, by sensor, (V, 2).
 
     Statistic: variance at the start over that of the noise, averaged over three axes. Distribution: chi-square over its
     degrees of freedom, which follow from the autocorrelation.
-
-    Returns
-    -------
-    oscillating : ndarray of bool, shape (V, H)
-        By window and length of the start part.
-    ratio : ndarray, shape (V, 2)
-        Largest variance of a start part over that of the noise, for gyros and accelerometers.
     """
     late = averages.late_variance
     noise = np.maximum(np.maximum(late, np.median(late, axis=0)), averages.least_variance)

@@ -212,9 +212,8 @@ def noisy(rng, gyro_noise, accel_noise, stated, *, windows=20, quantum=0.0):
 def test_noise_is_measured(quantum):
     """White noise of both sensors, and of pulses a fifth of what a sample walks.
 
-    20 windows of 10 s hold 4000 averages over 0.05 s, and differences of them and of longer ones nearly as many. With
-    1500 left where pulses hide the shortest, one sigma of the noise is 1 / √(2 · 1500) = 2 % of it, and 4.5 of them
-    are 8 %.
+    20 windows of 10 s hold 1600 averages over 0.125 s, and 1500 differences of them and of longer ones. One sigma of
+    the noise is 1 / √(2 · 1500) = 2 % of it, and 4.5 of them are 8 %.
     """
     stated = ImuNoise(gyro_noise=1e-4, accel_noise=1e-3, gyro_quantization=quantum or None)
     evidence = Labelled(noisy(np.random.default_rng(4), 1e-4, 1e-3, stated, quantum=quantum))
