@@ -37,11 +37,11 @@ class Presentation:
 
 PRESENTATIONS: Final = {
     "Recording": Presentation(
-        "reports.text.recording:recording_text", "reports.html:recording_html",
+        "reports.text.recording:recording_text", "reports.text.recording:recording_html",
         "reports.figures.inspection:inspection_figure", "reports.frames:samples_frame",
     ),
     "Calibration": Presentation(
-        "reports.text.calibration_summary:calibration_summary", "reports.html:calibration_html",
+        "reports.text.calibration_summary:calibration_summary", "reports.text.calibration_summary:calibration_html",
         "reports.figures.calibration:calibration_figure", "reports.frames:parameter_frame",
     ),
     "Inspection": Presentation(

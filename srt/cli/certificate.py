@@ -54,7 +54,7 @@ def certificate(
     certificate is written and says so), or the verdict is failed; 2 wrong usage, unreadable or edited input, or a
     recording or an earlier calibration of another unit.
     """
-    from srt.reports.text.tables import wrap
+    from srt.reports.tables import wrap
     from srt.result.verdict import DOUBTFUL
 
     page, document = check_places(calibration_file, output)

@@ -50,7 +50,7 @@ def _list_formats(ctx: click.Context, param: click.Parameter, value: bool) -> No
     if not value or ctx.resilient_parsing:
         return
     from srt.recording.importer_registry import IMPORTERS, importer
-    from srt.reports.text.tables import text_table
+    from srt.reports.tables import text_table
 
     rows = []
     for name in IMPORTERS:

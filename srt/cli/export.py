@@ -28,7 +28,7 @@ def _list(context: click.Context, _: click.Parameter, wanted: bool) -> None:
     if not wanted or context.resilient_parsing:
         return
     from srt.exporters import exporters
-    from srt.reports.text.tables import text_table
+    from srt.reports.tables import text_table
 
     rows = [(name, item.title, ", ".join(item.frames)) for name, item in exporters().items()]
     show(text_table(("target", "what is written", "axes"), rows, "lll"))

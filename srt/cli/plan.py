@@ -141,7 +141,7 @@ def make(
     from srt.planning.plan_text import plan_text, table_1_text, unmet_targets_text
     from srt.planning.planner import table_1_plan
     from srt.recording.atomic_file import atomic_write_text
-    from srt.reports.text.tables import wrap
+    from srt.reports.tables import wrap
 
     task = chosen.task()
     moves = chosen.plan.moves == "recorded"

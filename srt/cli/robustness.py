@@ -83,7 +83,7 @@ def robustness(
     from sims.robustness.tables import sentences
     from srt.comparison.parallel import Engine
     from srt.recording.atomic_file import atomic_write_text
-    from srt.reports.text.tables import wrap
+    from srt.reports.tables import wrap
 
     with count_progress(campaign.name, quiet=quiet) as progress:
         try:
@@ -147,7 +147,7 @@ def show_trial(campaign: Campaign, task: tuple[int, int], output: Path | None) -
     """Repeat one trial; write its recording if asked to, and print its results."""
     from sims.robustness.tables import NOISE_FREE
     from sims.robustness.trial import run_trial
-    from srt.reports.text.tables import wrap
+    from srt.reports.tables import wrap
 
     scenario, values = campaign.unit(*task)
     show("\n".join(f"{key} = {value}" for key, value in values.items()))
@@ -184,7 +184,7 @@ def _narrow(rows: list[tuple[str, ...]]) -> list[tuple[str, ...]]:
 
 def rendered(rows: list[tuple[str, ...]]) -> str:
     """Format a table; the first row is the heading, the first column left-justified."""
-    from srt.reports.text.tables import text_table
+    from srt.reports.tables import text_table
 
     heads = [head.replace(" ", "\n") for head in rows[0]]
     return text_table(heads, rows[1:], "l" + "r" * (len(heads) - 1))

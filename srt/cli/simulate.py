@@ -90,7 +90,7 @@ def write_simulation(simulation: Simulation, folder: Path, *, samples_format: st
 
 def summary(simulation: Simulation, folder: Path, samples_format: str) -> str:
     """Text of a simulation: description, samples, sequences, files."""
-    from srt.reports.text.tables import wrap
+    from srt.reports.tables import wrap
 
     recording, scenario = simulation.recording, simulation.scenario
     interval = recording.nominal_interval_s

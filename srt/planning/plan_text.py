@@ -10,8 +10,8 @@ import numpy as np
 
 from srt.planning.plan_document import format_sigma, symbols
 from srt.planning.timetable import clock
+from srt.reports.tables import decimals_for, fixed, text_table, wrap
 from srt.reports.text.calibration import source_label
-from srt.reports.text.tables import decimals_for, fixed, text_table, wrap
 from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, INDEX, N_PARAMETERS, NAMES, SYMBOLS
 
 if TYPE_CHECKING:

@@ -61,8 +61,7 @@ def comparison_frame(comparison: Comparison) -> pd.DataFrame:
 def certificate_frame(certificate: Certificate) -> pd.DataFrame:
     """Table of the parameters of a certificate, as its texts."""
     table = certificate.parameters
-    frame = pd.DataFrame([[cell.text for cell in row] for row in table.rows], columns=list(table.head))
-    return frame.set_index("parameter")
+    return pd.DataFrame(table.texts, columns=list(table.head)).set_index("parameter")
 
 
 def manoeuvre_frame(inspection: Inspection) -> pd.DataFrame:

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from srt.reports.text.tables import decimals_for, fixed, text_table
+from srt.reports.tables import decimals_for, fixed, text_table
 
 
 @pytest.mark.parametrize(

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 from srt.constants import DEG
 from srt.model.table1 import SEQUENCES
-from srt.reports.text.group_sigmas import group_heads, group_sigmas
-from srt.reports.text.tables import text_table, wrap
+from srt.reports.parameters import group_heads, group_sigmas
+from srt.reports.tables import text_table, wrap
 from srt.sensor_errors import DISPLAY_UNITS, GROUP_SLICES
 
 if TYPE_CHECKING:

@@ -12,7 +12,6 @@ from srt.exceptions import DataError
 from srt.presentation import Presented
 from srt.reports.certificate.laboratory import COVERAGE_FACTOR, Laboratory, equipment_table, references_table
 from srt.reports.certificate.parameter_changes import FALSE_ALARM
-from srt.reports.certificate.tables import CertificateCell, CertificateTable, plain
 from srt.reports.certificate.uncertainty import budget_table, coverage_note
 from srt.reports.certificate.unit_description import (
     SERIAL_LENGTH,
@@ -22,13 +21,23 @@ from srt.reports.certificate.unit_description import (
     temperature,
     unit_description,
 )
+from srt.reports.parameters import (
+    GROUP_STARTS,
+    fixed_by_reason,
+    parameter_cells,
+    rms_over_sigma,
+    sigma_text,
+    symbols,
+    unsolved,
+    value_text,
+)
+from srt.reports.tables import Cell, Table, decimals_for, fixed, plain, table, wrap
 from srt.reports.text.calibration import measured_count, time_base
-from srt.reports.text.tables import decimals_for, fixed, text_table, wrap
 from srt.result.verdict import DOUBTFUL, USABLE, probability_text
-from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, GROUP_SLICES, INDEX, NAMES, SYMBOLS, collapse_names
+from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, INDEX, NAMES, SYMBOLS, collapse_names
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterator
 
     from srt.reports.certificate.acceptance_limits import AcceptanceLimits
     from srt.reports.certificate.calibration_file import CalibrationFile
@@ -37,13 +46,8 @@ if TYPE_CHECKING:
     from srt.reports.certificate.unit_description import Application
     from srt.result.calibration import Calibration, Residual
 
-_DIGITS: Final = 7
-"""Largest number of significant digits of a value; the sigma of noise-free data would require more."""
-_SOLVED: Final = 1e-3
-"""Fraction of sigma below which a component is solved exactly."""
 _VERDICT_LENGTH: Final = 1000
 """Largest length of the verdict, characters."""
-_STARTS: Final = frozenset(part.start for part in GROUP_SLICES.values())
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -62,25 +66,25 @@ class Certificate(Presented):
         Laboratory, customer, operator and conditions, as labels and texts, of those that are stated.
     missing : str
         Sentence on what the laboratory does not state; empty if it states all.
-    equipment : CertificateTable or None
-    references : CertificateTable
+    equipment : Table or None
+    references : Table
     description : tuple of (str, str)
         Unit, date, site, data and software, as labels and texts.
-    parameters : CertificateTable
-    g_sensitivity : CertificateTable or None
+    parameters : Table
+    g_sensitivity : Table or None
         Gyro g-sensitivity with its sigma, if estimated.
-    budget : CertificateTable or None
+    budget : Table or None
         Uncertainty by source.
     decision : str
         Decision rule; empty without limits.
     held : tuple of str
         Fixed parameters and the reasons.
-    residuals : CertificateTable or None
+    residuals : Table or None
         By sequence.
     residual_notes : tuple of str
-    recordings : CertificateTable or None
+    recordings : Table or None
         Recordings of a merged calibration.
-    changes : CertificateTable or None
+    changes : Table or None
         Since an earlier calibration.
     change_notes : tuple of str
     application : Application
@@ -101,18 +105,18 @@ class Certificate(Presented):
     summary: tuple[str, ...]
     parties: tuple[tuple[str, str], ...]
     missing: str
-    equipment: CertificateTable | None
-    references: CertificateTable
+    equipment: Table | None
+    references: Table
     description: tuple[tuple[str, str], ...]
-    parameters: CertificateTable
-    g_sensitivity: CertificateTable | None
-    budget: CertificateTable | None
+    parameters: Table
+    g_sensitivity: Table | None
+    budget: Table | None
     decision: str
     held: tuple[str, ...]
-    residuals: CertificateTable | None
+    residuals: Table | None
     residual_notes: tuple[str, ...]
-    recordings: CertificateTable | None
-    changes: CertificateTable | None
+    recordings: Table | None
+    changes: Table | None
     change_notes: tuple[str, ...]
     application: Application
     limitations: tuple[str, ...]
@@ -202,108 +206,61 @@ def make_certificate(
 
 def parameter_table(
     calibration: Calibration, limits: AcceptanceLimits | None = None, coverage_factor: float = COVERAGE_FACTOR
-) -> CertificateTable:
-    """Table of values, sigmas and expanded uncertainties in display units, with the results of the limits.
-
-    Parameters
-    ----------
-    calibration : Calibration
-    limits : AcceptanceLimits, optional
-        Adds the limit and the result of every parameter that has one.
-    coverage_factor : float
-    """
-    expanded = f"U (k = {coverage_factor:g})"
-    head = (
-        "symbol",
-        "parameter",
-        "value",
-        "sigma",
-        expanded,
-        "unit",
-        *(("result", "limit") if limits is not None else ()),
-    )
+) -> Table:
+    """Table of values, sigmas and expanded uncertainties; limits add the result and the limit of every parameter."""
     met = None if limits is None else limits.met(calibration)
     passed = DOUBTFUL if calibration.judgement.word == DOUBTFUL else "passed"
-    rows = []
-    for i, name in enumerate(NAMES):
-        held = name in calibration.held
-        value, sigma = float(calibration.errors.vector[i]), float(calibration.sigma[i])
-        row = [
-            CertificateCell(SYMBOLS[i]),
-            CertificateCell(name.replace("_", " ")),
-            CertificateCell(*_value(i, value, sigma)),
-            CertificateCell("fixed", mark="held") if held else CertificateCell(*_value(i, sigma, sigma)),
-            CertificateCell("-" if held else _value(i, coverage_factor * sigma, coverage_factor * sigma)[0]),
-            CertificateCell(DISPLAY_UNITS[i]),
-        ]
+    rows: list[list[Cell | str]] = []
+    for i, (symbol, _, value, sigma, unit) in enumerate(parameter_cells(calibration)):
+        expanded = sigma_text(i, coverage_factor * float(calibration.sigma[i]))
+        rows.append([symbol, NAMES[i].replace("_", " "), value, sigma, expanded, unit])
         if limits is not None and met is not None:
             result = "" if not limits.given[i] else passed if met[i] else "failed"
-            shown = "failed (not measured)" if result == "failed" and held else result
-            row += [CertificateCell(shown, mark=result), CertificateCell(_limit(limits, i))]
-        rows.append(tuple(row))
+            shown = "failed (not measured)" if result == "failed" and sigma.mark == "held" else result
+            rows[i] += [Cell(shown, mark=result), _limit(limits, i)]
+    head = ["symbol", "parameter", "value", "sigma", f"U (k = {coverage_factor:g})", "unit"]
+    head += [] if limits is None else ["result", "limit"]
     note = coverage_note(coverage_factor)
     if limits is not None:
         note += f" Limits: {plain(limits.name)}. {limits.decision_rule}"
-    return CertificateTable(
-        "Parameters", head, tuple(rows), "llrrrl" + ("ll" if limits is not None else ""), note, _STARTS
-    )
+    return table(head, rows, "llrrrlll"[: len(head)], title="Parameters", note=note, breaks=GROUP_STARTS)
 
 
-def g_sensitivity_table(calibration: Calibration) -> CertificateTable | None:
-    """Table of the gyro g-sensitivity and its sigma; None if not estimated.
-
-    Parameters
-    ----------
-    calibration : Calibration
-    """
+def g_sensitivity_table(calibration: Calibration) -> Table | None:
+    """Table of the gyro g-sensitivity and its sigma; None if not estimated."""
     stated = calibration.diagnostics.g_sensitivity
     if stated is None:
         return None
     shown = stated.matrix_deg_per_h_per_g.tolist(), stated.sigma_deg_per_h_per_g.tolist()
     rows = []
     for i, axis in enumerate("xyz"):
-        cells = [CertificateCell(f"gyro {axis}")]
+        cells: list[Cell | str] = [f"gyro {axis}"]
         for j in range(3):
-            value, sigma = (table[i][j] for table in shown)
+            value, sigma = (numbers[i][j] for numbers in shown)
             decimals = decimals_for(sigma)
             cells += [
-                CertificateCell(fixed(value, decimals), float(stated.matrix[i, j])),
-                CertificateCell(f"± {fixed(sigma, decimals)}", float(stated.sigma[i, j])),
+                Cell(fixed(value, decimals), float(stated.matrix[i, j])),
+                Cell(f"± {fixed(sigma, decimals)}", float(stated.sigma[i, j])),
             ]
-        rows.append(tuple(cells))
+        rows.append(cells)
     head = ("°/h per g", "along x", "sigma", "along y", "sigma", "along z", "sigma")
-    return CertificateTable("Gyro g-sensitivity", head, tuple(rows), "lrrrrrr")
+    return table(head, rows, "lrrrrrr", title="Gyro g-sensitivity")
 
 
-def change_table(source: CalibrationFile, change: ParameterChanges) -> CertificateTable:
-    """Table of the change of every parameter, over its combined sigma.
-
-    Parameters
-    ----------
-    source : CalibrationFile
-        The newer one.
-    change : ParameterChanges
-    """
-    rows = []
+def change_table(source: CalibrationFile, change: ParameterChanges) -> Table:
+    """Table of the change of every parameter to its value in ``source``, over its combined sigma."""
+    new, old = (s.calibration.errors.vector.tolist() for s in (source, change.old))
+    rows: list[list[Cell | str]] = []
     for i, name in enumerate(NAMES):
-        new, old = (float(s.calibration.errors.vector[i]) for s in (source, change.old))
         sigma, ratio = float(change.sigma[i]), float(change.ratio[i])
-        cells = [CertificateCell(SYMBOLS[i]), CertificateCell(name.replace("_", " "))]
+        title, unit = name.replace("_", " "), DISPLAY_UNITS[i]
         if math.isnan(sigma):
-            nothing = CertificateCell("-")
-            cells += [
-                *[nothing] * 4,
-                CertificateCell(DISPLAY_UNITS[i]),
-                nothing,
-                CertificateCell("not measured in both", mark="held"),
-            ]
-        else:
-            values = ((old, sigma), (new, sigma), (new - old, sigma), (sigma, sigma))
-            cells += [CertificateCell(*_value(i, value, size)) for value, size in values]
-            flagged = bool(change.flagged[i])
-            cells += [CertificateCell(DISPLAY_UNITS[i]), CertificateCell(_signed(ratio), ratio)]
-            cells.append(CertificateCell("changed", mark="changed") if flagged else CertificateCell(""))
-        rows.append(tuple(cells))
+            rows.append([SYMBOLS[i], title, *"----", unit, "-", Cell("not measured in both", mark="held")])
+            continue
+        values = [Cell(value_text(i, value, sigma), value) for value in (old[i], new[i], new[i] - old[i])]
+        flag = Cell("changed", mark="changed") if change.flagged[i] else ""
+        sizes = *values, Cell(sigma_text(i, sigma), sigma)
+        rows.append([SYMBOLS[i], title, *sizes, unit, Cell(_signed(ratio), ratio), flag])
     head = ("symbol", "parameter", "before", "now", "change", "sigma", "unit", "change / sigma", "")
     compared = int(np.sum(~np.isnan(change.sigma)))
     note = (
@@ -311,18 +268,12 @@ def change_table(source: CalibrationFile, change: ParameterChanges) -> Certifica
         f"{change.limit:.2f} sigma is marked: over the {compared} compared parameters, the probability of any false "
         f"mark is at most {FALSE_ALARM:.0%}."
     )
-    return CertificateTable(
-        "As found and as left: change since the last calibration", head, tuple(rows), "llrrrrlrl", note, _STARTS
-    )
+    title = "As found and as left: change since the last calibration"
+    return table(head, rows, "llrrrrlrl", title=title, note=note, breaks=GROUP_STARTS)
 
 
-def residual_table(calibration: Calibration) -> CertificateTable | None:
-    """Table of the residuals by sequence; None without residuals.
-
-    Parameters
-    ----------
-    calibration : Calibration
-    """
+def residual_table(calibration: Calibration) -> Table | None:
+    """Table of the residuals by sequence; None without residuals."""
     if not calibration.residuals:
         return None
     tests = () if calibration.verdict is None else calibration.verdict.sequences
@@ -330,47 +281,37 @@ def residual_table(calibration: Calibration) -> CertificateTable | None:
     by_turn: dict[tuple[str, int], list[Residual]] = {}
     for residual in calibration.residuals:
         by_turn.setdefault((residual.sequence, residual.occurrence), []).append(residual)
-    against = ("chi-square / dof", "p") if judged else ()
-    head = ("sequence", "residuals", "redundant", "rms / sigma", "largest / sigma", "component", *against)
     rows = []
     for turn, residuals in by_turn.items():
-        left = _left(residuals)
-        ratios = [r.value / r.sigma for r in left]
-        cells = [
-            CertificateCell(plain(turn[0]) + (f" ({turn[1]})" if turn[1] > 1 else "")),
-            CertificateCell(str(len(residuals))),
-        ]
-        cells.append(CertificateCell(str(len(left))))
+        left = unsolved(residuals)
+        name = plain(turn[0]) + (f" ({turn[1]})" if turn[1] > 1 else "")
+        cells: list[Cell | str] = [name, str(len(residuals)), str(len(left))]
         if left:
-            worst = int(np.argmax(np.abs(ratios)))
-            rms = math.sqrt(sum(r * r for r in ratios) / len(ratios))
-            component = plain(left[worst].component.replace("_", " "))
-            cells += [
-                CertificateCell(f"{rms:.2f}", rms),
-                CertificateCell(_signed(ratios[worst]), ratios[worst]),
-                CertificateCell(component),
-            ]
+            worst = max(left, key=lambda r: abs(r.value / r.sigma))
+            rms, largest = rms_over_sigma(left), worst.value / worst.sigma
+            component = plain(worst.component.replace("_", " "))
+            cells += [Cell(f"{rms:.2f}", rms), Cell(_signed(largest), largest), component]
         else:
-            cells += [CertificateCell("-"), CertificateCell("-"), CertificateCell("solved for")]
-        if judged:
-            row = judged.get(turn)
-            freedom = 0 if row is None else row.degrees_of_freedom
-            cells += [
-                CertificateCell(f"{row.chi_square:.1f} / {freedom}")
-                if row and freedom
-                else CertificateCell("not checkable"),
-                CertificateCell(probability_text(row.probability) or "-") if row else CertificateCell("-"),
-            ]
-        rows.append(tuple(cells))
+            cells += ["-", "-", "solved for"]
+        row = judged.get(turn)
+        if row is not None and row.degrees_of_freedom:
+            cells += [f"{row.chi_square:.1f} / {row.degrees_of_freedom}", probability_text(row.probability) or "-"]
+        elif judged:
+            cells += ["not checkable", "-" if row is None else probability_text(row.probability) or "-"]
+        rows.append(cells)
     note = (
         "About 1 sigma is expected for each residual that is not zero. Component: the one with the largest residual. "
         "Start down and end down: the vertical specific force before and after the rotations. Horizontal: the change "
         "of the horizontal specific force by the rotations."
-    ) + (
-        " Chi-square tests the sequence against its prediction from all others; p is the probability that noise alone "
-        "gives a larger value." * bool(judged)
     )
-    return CertificateTable("Residuals by sequence", head, tuple(rows), "lrrrrl" + ("rr" if judged else ""), note)
+    if judged:
+        note += (
+            " Chi-square tests the sequence against its prediction from all others; p is the probability that noise "
+            "alone gives a larger value."
+        )
+    head = ["sequence", "residuals", "redundant", "rms / sigma", "largest / sigma", "component"]
+    head += ["chi-square / dof", "p"] if judged else []
+    return table(head, rows, "lrrrrlrr"[: len(head)], title="Residuals by sequence", note=note)
 
 
 def _summary(
@@ -385,7 +326,7 @@ def _summary(
     if limits is not None:
         count = int(limits.given.sum())
         yield (
-            f"{len(failed)} of {_count(count)} with a limit failed: {_symbols(failed)}."
+            f"{len(failed)} of {_count(count)} with a limit failed: {symbols(failed)}."
             if failed
             else f"All {_count(count)} with a limit lie within it, but the calibration is doubtful."
             if calibration.judgement.word == DOUBTFUL
@@ -399,7 +340,7 @@ def _summary(
     if change is not None:
         names = change.names
         yield (
-            f"Since {plain(change.old.name)}, {_count(len(names))} changed significantly: {_symbols(names)}."
+            f"Since {plain(change.old.name)}, {_count(len(names))} changed significantly: {symbols(names)}."
             if names
             else f"Since {plain(change.old.name)}, no parameter changed significantly."
         )
@@ -410,34 +351,24 @@ def _count(number: int, noun: str = "parameter") -> str:
     return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
-def _symbols(names: Iterable[str]) -> str:
-    return " ".join(SYMBOLS[INDEX[name]] for name in names)
-
-
 def _held(calibration: Calibration) -> Iterator[str]:
-    reasons: dict[str, list[str]] = {}
-    for name, reason in calibration.held.items():
-        reasons.setdefault(reason, []).append(f"{SYMBOLS[INDEX[name]]} ({name.replace('_', ' ')})")
-    for reason, names in reasons.items():
-        yield f"{', '.join(names)}: {plain(reason, 400).rstrip('.')}."
+    for reason, names in fixed_by_reason(calibration).items():
+        shown = ", ".join(f"{SYMBOLS[INDEX[name]]} ({name.replace('_', ' ')})" for name in names)
+        yield f"{shown}: {plain(reason, 400).rstrip('.')}."
 
 
 def _residual_notes(calibration: Calibration) -> Iterator[str]:
-    left, count = _left(calibration.residuals), len(calibration.residuals)
+    left, count = unsolved(calibration.residuals), len(calibration.residuals)
     solved = count - len(left)
     if left and solved:
         yield f"{solved} of the {count} residuals are zero, as the parameters were computed from them."
     if left:
-        rms = math.sqrt(sum((r.value / r.sigma) ** 2 for r in left) / len(left))
-        yield f"The root mean square of {'the other ' * (solved > 0)}{len(left)} residuals is {rms:.2f} sigma."
+        others = "the other " * (solved > 0)
+        yield f"The root mean square of {others}{len(left)} residuals is {rms_over_sigma(left):.2f} sigma."
     elif solved:
         yield f"All {solved} residuals are zero, as the parameters were computed from them."
     else:
         yield "The calibration file contains no residuals."
-
-
-def _left(residuals: Iterable[Residual]) -> list[Residual]:
-    return [r for r in residuals if r.sigma > 0.0 and abs(r.value) > _SOLVED * r.sigma]
 
 
 def _change_notes(source: CalibrationFile, change: ParameterChanges) -> Iterator[str]:
@@ -454,15 +385,6 @@ def _change_notes(source: CalibrationFile, change: ParameterChanges) -> Iterator
     )
 
 
-def _value(i: int, value: float, sigma: float) -> tuple[str, float]:
-    """Text of a parameter in its display unit, rounded to two digits of its sigma, and its SI value."""
-    factor = DISPLAY_FACTORS[i]
-    decimals = 2 if math.isnan(sigma) else decimals_for(sigma * factor)
-    # The sigma of noise-free data would require too many digits of the value.
-    places = decimals if value == sigma else min(decimals, max(_DIGITS - len(f"{abs(value * factor):.0f}"), 0))
-    return fixed(value * factor, places), value
-
-
 def _limit(limits: AcceptanceLimits, i: int) -> str:
     sizes = ((limits.value[i], "|value| ≤ {}"), (limits.sigma[i], "sigma ≤ {}"))
     return ", ".join(words.format(f"{size * DISPLAY_FACTORS[i]:.6g}") for size, words in sizes if not math.isnan(size))
@@ -474,7 +396,5 @@ def _signed(value: float) -> str:
 
 def certificate_text(certificate: Certificate) -> str:
     """Title, main results and parameters of a certificate, as text."""
-    table = certificate.parameters
-    rows = [[cell.text for cell in row] for row in table.rows]
     lines = [certificate.title, *(line for sentence in certificate.summary for line in wrap(sentence))]
-    return "\n".join([*lines, "", text_table(list(table.head), rows, table.alignment, gap=1)])
+    return "\n".join([*lines, "", certificate.parameters.text(gap=1, grouped=False)])

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from srt.exceptions import InputError, clipped, did_you_mean
 from srt.recording.toml_text import read_toml
-from srt.reports.certificate.tables import CertificateCell, CertificateTable, plain
+from srt.reports.tables import Table, plain, table
 from srt.sensor_errors import GROUP_SLICES
 
 if TYPE_CHECKING:
@@ -158,7 +158,7 @@ def _texts(path: Path, section: str, values: object, keys: tuple[str, ...]) -> d
     return out
 
 
-def references_table(calibration: Calibration, laboratory: Laboratory) -> CertificateTable:
+def references_table(calibration: Calibration, laboratory: Laboratory) -> Table:
     """Table of the reference values of the test with their standard uncertainties, and their origin if any is stated.
 
     Parameters
@@ -181,26 +181,22 @@ def references_table(calibration: Calibration, laboratory: Laboratory) -> Certif
     rows = (
         (label, *known[key], laboratory.references.get(key, NOT_STATED))[:columns] for key, label in _REFERENCES.items()
     )
-    return CertificateTable(
-        "References",
+    return table(
         ("quantity", "value", "standard uncertainty", "origin")[:columns],
-        tuple(tuple(map(CertificateCell, row)) for row in rows),
+        rows,
         "llll"[:columns],
-        "Accelerometer scale factors refer to gravity, gyro scale factors to the time base. Latitude and heading give "
-        "the Earth rate.",
+        title="References",
+        note="Accelerometer scale factors refer to gravity, gyro scale factors to the time base. Latitude and heading "
+        "give the Earth rate.",
     )
 
 
-def equipment_table(laboratory: Laboratory) -> CertificateTable | None:
+def equipment_table(laboratory: Laboratory) -> Table | None:
     """Table of the equipment; None without any."""
     if not laboratory.equipment:
         return None
-    return CertificateTable(
-        "Equipment",
-        ("equipment", "serial", "calibrated", "traceability"),
-        tuple(tuple(CertificateCell(row.get(key, NOT_STATED)) for key in _EQUIPMENT) for row in laboratory.equipment),
-        "llll",
-    )
+    rows = ([row.get(key, NOT_STATED) for key in _EQUIPMENT] for row in laboratory.equipment)
+    return table(("equipment", "serial", "calibrated", "traceability"), rows, "llll", title="Equipment")
 
 
 def _number(value: float | None, unit: str, digits: int) -> str:

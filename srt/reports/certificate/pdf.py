@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from srt.reports.certificate.content import Certificate
-    from srt.reports.certificate.tables import CertificateTable
+    from srt.reports.tables import Table
 
 _MARGIN: Final = 17.0
 """Margin at the left, the right and the top of a page."""
@@ -230,7 +230,7 @@ class _Document(FPDF):
                     line.cell(value, style=FontFace(color=INK))
         self.ln(1.0)
 
-    def titled_table(self, table: CertificateTable | None) -> None:
+    def titled_table(self, table: Table | None) -> None:
         """Set a table below its title; nothing for None."""
         if table is None:
             return
@@ -239,7 +239,7 @@ class _Document(FPDF):
         self.paragraph(table.title, style="B")
         self.certificate_table(table)
 
-    def certificate_table(self, table: CertificateTable) -> None:
+    def certificate_table(self, table: Table) -> None:
         """Set a table; its head is repeated on every page."""
         size, widths = self._fitted(table)
         self._letters(size)
@@ -275,7 +275,7 @@ class _Document(FPDF):
         self.ln(1.0)
         self.paragraph(caption, size=_SMALL_PT, colour=_QUIET)
 
-    def _fitted(self, table: CertificateTable) -> tuple[float, list[float]]:
+    def _fitted(self, table: Table) -> tuple[float, list[float]]:
         """Size of letters at which a table fits the page, and the widths of its columns; heads break at blanks."""
         longest = []
         for k, head in enumerate(table.head):

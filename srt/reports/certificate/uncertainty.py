@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from srt.reports.certificate.tables import CertificateCell, CertificateTable
+from srt.reports.tables import Table, decimals_for, fixed, table
 from srt.reports.text.calibration import source_label
-from srt.reports.text.tables import decimals_for, fixed
 from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, GROUP_SLICES
 
 if TYPE_CHECKING:
@@ -30,7 +29,7 @@ def coverage_note(factor: float) -> str:
     )
 
 
-def budget_table(calibration: Calibration, factor: float) -> CertificateTable | None:
+def budget_table(calibration: Calibration, factor: float) -> Table | None:
     """Table of the sources of sigma, root mean square of each group; None without sources.
 
     Parameters
@@ -53,11 +52,11 @@ def budget_table(calibration: Calibration, factor: float) -> CertificateTable | 
         decimals = decimals_for(total)
         sizes = [float(np.sqrt(np.mean(size[part] ** 2))) * scale for size in sources.values()]
         texts = [fixed(size, decimals) for size in (*sizes, total, factor * total)]
-        rows.append(tuple(map(CertificateCell, (name.replace("_", " "), DISPLAY_UNITS[part[0]], *texts))))
+        rows.append([name.replace("_", " "), DISPLAY_UNITS[part[0]], *texts])
     head = ("group", "unit", *map(source_label, sources), "combined", f"U (k = {factor:g})")
     note = (
         "Each entry is the standard uncertainty by one source, root mean square over the group. The combined one is "
         "the root of the sum of squares of its row. Stated noise and references are type B, noise from the stationary "
         "windows is type A. The covariance of all parameters is in the calibration file."
     )
-    return CertificateTable("Uncertainty budget", head, tuple(rows), "ll" + "r" * (len(sources) + 2), note)
+    return table(head, rows, "ll" + "r" * (len(sources) + 2), title="Uncertainty budget", note=note)

@@ -9,7 +9,7 @@ import numpy as np
 
 from srt.estimation.options import Options
 from srt.model.sensor_model import accel_triad, gyro_triad
-from srt.reports.certificate.tables import CertificateCell, CertificateTable, plain
+from srt.reports.tables import Cell, Table, plain, table
 from srt.result.calibration import VERSION, software
 from srt.sensor_errors import GROUP_SLICES, NAMES
 
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from srt.reports.certificate.calibration_file import CalibrationFile
     from srt.reports.certificate.recording_history import RecordingHistory
     from srt.result.calibration import Calibration
+    from srt.types import Array
 
 
 SERIAL_LENGTH: Final = 200
@@ -71,24 +72,17 @@ def unit_description(
         yield "Left out of the test", plain(voided, 600)
 
 
-def recordings_table(calibration: Calibration) -> CertificateTable | None:
+def recordings_table(calibration: Calibration) -> Table | None:
     """Table of the recordings of a merged calibration; None for any other."""
     members = calibration.provenance.recordings
     if not members:
         return None
-    rows = tuple(
-        (
-            CertificateCell(str(k + 1)),
-            CertificateCell(plain(member.serial) or "-"),
-            CertificateCell(plain(member.date) or "-"),
-            CertificateCell(member.data_sha256 or "-"),
-            CertificateCell(plain(member.software) or "-"),
-        )
-        for k, member in enumerate(members)
+    rows = (
+        (str(k), *(plain(text) or "-" for text in (each.serial, each.date, each.data_sha256, each.software)))
+        for k, each in enumerate(members, start=1)
     )
-    return CertificateTable(
-        "Recordings merged", ("", "serial", "date", "SHA-256 of the samples", "software"), rows, "rllll"
-    )
+    head = ("", "serial", "date", "SHA-256 of the samples", "software")
+    return table(head, rows, "rllll", title="Recordings merged")
 
 
 def _site(calibration: Calibration) -> str:
@@ -205,13 +199,13 @@ class Application:
         Sensor model and compensation.
     sentences : tuple of str
         Meaning of the symbols.
-    tables : tuple of CertificateTable
+    tables : tuple of Table
         M, s and b of gyros and accelerometers, and U where it is known.
     """
 
     formulas: tuple[str, ...]
     sentences: tuple[str, ...]
-    tables: tuple[CertificateTable, ...]
+    tables: tuple[Table, ...]
 
 
 def application_section(calibration: Calibration) -> Application:
@@ -235,10 +229,8 @@ def application_section(calibration: Calibration) -> Application:
     ]
     if calibration.g_sensitivity is not None:
         sentences.append("Gyros: y − Γ f in place of y, with f the true specific force in MARS axes.")
-        rows = tuple(tuple(CertificateCell(f"{x:+.6e}", x) for x in row) for row in calibration.g_sensitivity.tolist())
-        tables.append(
-            CertificateTable("Γ of the gyros (rad/s per m/s²)", ("along x", "along y", "along z"), rows, "rrr")
-        )
+        head = ("along x", "along y", "along z")
+        tables.append(_matrix("Γ of the gyros (rad/s per m/s²)", head, calibration.g_sensitivity, ("+.6e",) * 3))
     if calibration.U is not None:
         sigma = calibration.U_sigma_rad
         known = "" if sigma is None else f"It is accurate to {1e3 * sigma:.2g} mrad (1-sigma) about each axis. "
@@ -246,18 +238,19 @@ def application_section(calibration: Calibration) -> Application:
             f"C transforms components in the axes of the fixture into components in MARS axes. {known}In the "
             "calibration file it is frame.U. In the axes of the fixture, v is transpose(C) v."
         )
-        rows = tuple(tuple(CertificateCell(f"{x:+.9f}", x) for x in row) for row in calibration.U.tolist())
-        tables.append(CertificateTable("C, fixture to MARS axes", ("", "", ""), rows, "rrr"))
+        tables.append(_matrix("C, fixture to MARS axes", ("", "", ""), calibration.U, ("+.9f",) * 3))
     sentences.append(
         "'srt apply' compensates a recording; 'srt apply --c-header' writes the compensation in the C language."
     )
     return Application(FORMULAS, tuple(sentences), tuple(tables))
 
 
-def _triad(title: str, triad: Triad) -> CertificateTable:
-    numbers = np.column_stack([triad.matrix, triad.asymmetry, triad.bias]).tolist()
-    rows = tuple(
-        tuple(CertificateCell(f"{x:+.6e}" if column == 4 else f"{x:+.9f}", x) for column, x in enumerate(row))
-        for row in numbers
-    )
-    return CertificateTable(title, ("M, column 1", "column 2", "column 3", "s", "b"), rows, "rrrrr")
+def _triad(title: str, triad: Triad) -> Table:
+    numbers = np.column_stack([triad.matrix, triad.asymmetry, triad.bias])
+    return _matrix(title, ("M, column 1", "column 2", "column 3", "s", "b"), numbers, (*("+.9f",) * 4, "+.6e"))
+
+
+def _matrix(title: str, head: tuple[str, ...], numbers: Array, formats: tuple[str, ...]) -> Table:
+    """Table of a matrix, with the format of each column."""
+    rows = ([Cell(f"{x:{form}}", x) for x, form in zip(row, formats, strict=True)] for row in numbers.tolist())
+    return table(head, rows, "r" * len(head), title=title)

@@ -6,19 +6,20 @@ import math
 from typing import TYPE_CHECKING, Final
 
 from srt.constants import DEG_PER_H
-from srt.reports.text.leave_one_out import verdict_text
-from srt.reports.text.tables import WIDTH, decimals_for, fixed, text_table, wrap
-from srt.result.verdict import p_value_text
-from srt.sensor_errors import (
-    DISPLAY_FACTORS,
-    DISPLAY_UNITS,
-    GROUP_SLICES,
-    INDEX,
-    N_PARAMETERS,
-    NAMES,
-    SYMBOLS,
-    collapse_names,
+from srt.reports.parameters import (
+    GROUP_STARTS,
+    decimals_of,
+    fixed_by_reason,
+    parameter_cells,
+    rms_over_sigma,
+    sigma_text,
+    unsolved,
+    value_text,
 )
+from srt.reports.tables import Cell, Table, continued_tables, decimals_for, fixed, table, text_table, wrap
+from srt.reports.text.leave_one_out import verdict_text
+from srt.result.verdict import p_value_text
+from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, INDEX, N_PARAMETERS, NAMES, SYMBOLS, collapse_names
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -51,12 +52,8 @@ SOURCE_LABELS: Final = {
 
 _LARGEST: Final = 3
 """Number of sources of error in the short table."""
-_DIGITS: Final = 7
-"""Largest number of significant digits of a value; the sigma of noise-free data would require more."""
 _SIGNIFICANT: Final = 0.05
 """p-value below which asymmetries count as significant, the customary one."""
-_SOLVED: Final = 1e-3
-"""Fraction of sigma below which a component is solved exactly: solvers stop at 1e-2 sigma or less."""
 
 
 def report(
@@ -88,7 +85,7 @@ def report(
     """
     parts = [
         "\n".join(_heading(calibration, title)),
-        parameter_table(calibration, truth),
+        parameter_table(calibration, truth).text(gap=1 if truth is not None else 2),
         "\n".join(_held(calibration)),
         g_sensitivity_table(calibration),
         budget_table(calibration) if budget else contribution_table(calibration),
@@ -100,56 +97,20 @@ def report(
     return "\n\n".join(part for part in parts if part)
 
 
-def parameter_table(calibration: Calibration, truth: SensorErrors | None = None, *, grouped: bool = True) -> str:
-    """Table of the 27 values, each rounded to two digits of its sigma.
-
-    Parameters
-    ----------
-    calibration : Calibration
-    truth : SensorErrors, optional
-    grouped : bool
-        Empty lines between the groups.
-    """
-    headers, rows, alignment = parameter_rows(calibration, truth)
-    if not grouped:
-        rows = [row for row in rows if row is not None]
-    return text_table(headers, rows, alignment, gap=1 if truth is not None else 2)
-
-
-def parameter_rows(
-    calibration: Calibration, truth: SensorErrors | None = None
-) -> tuple[list[str], list[list[str] | None], str]:
-    """Headings, rows and alignment of the table of the parameters; None between groups."""
-    headers, alignment = ["symbol", "parameter", "value", "sigma", "unit"], "llrrl"
-    if truth is not None:
-        headers, alignment = (
-            ["", "parameter", "value", "sigma", "unit", "truth", "error", "error/\nsigma"],
-            "llrrlrrr",
-        )
-    values, sigmas = calibration.errors.vector, calibration.sigma
-    rows: list[list[str] | None] = []
-    for i, name in enumerate(NAMES):
-        if any(i == group.start for group in GROUP_SLICES.values()) and i > 0:
-            rows.append(None)
-        factor = DISPLAY_FACTORS[i]
-        value, sigma = float(values[i]) * factor, float(sigmas[i]) * factor
-        held = name in calibration.held
-        decimals = 2 if held else decimals_for(sigma)
-        # The sigma of noise-free data requires more digits of the value than fit in a line; the error column has them.
-        places = min(decimals, max(_DIGITS - len(f"{abs(value):.0f}"), 0))
-        row = [
-            SYMBOLS[i],
-            name,
-            fixed(value, places),
-            "fixed" if held else fixed(sigma, decimals),
-            DISPLAY_UNITS[i],
-        ]
-        if truth is not None:
-            true = truth[name] * factor
-            over = math.nan if held or sigma == 0.0 else (value - true) / sigma
-            row += [fixed(true, places), fixed(value - true, decimals), fixed(over, 2)]
-        rows.append(row)
-    return headers, rows, alignment
+def parameter_table(calibration: Calibration, truth: SensorErrors | None = None) -> Table:
+    """Table of the 27 values; the truth adds columns of it, of the error, and of the error over sigma."""
+    rows = parameter_cells(calibration)
+    if truth is None:
+        return table(("symbol", "parameter", "value", "sigma", "unit"), rows, "llrrl", breaks=GROUP_STARTS)
+    compared: list[list[Cell | str]] = []
+    for i, row in enumerate(rows):
+        true, sigma = float(truth.vector[i]), float(calibration.sigma[i])
+        error = float(calibration.errors.vector[i]) - true
+        over = math.nan if NAMES[i] in calibration.held or sigma == 0.0 else error / sigma
+        shown = fixed(error * DISPLAY_FACTORS[i], decimals_of(i, sigma))
+        compared.append([*row, value_text(i, true, sigma), shown, fixed(over, 2)])
+    heads = ("", "parameter", "value", "sigma", "unit", "truth", "error", "error/\nsigma")
+    return table(heads, compared, "llrrlrrr", breaks=GROUP_STARTS)
 
 
 def g_sensitivity_table(calibration: Calibration) -> str:
@@ -231,36 +192,20 @@ def sources_table(sources: Mapping[str, Array], total: Array | None, parameters:
             column.append(fixed(float(sizes[i]) * factor, decimals))
     first = ["", "unit"] + ([] if total is None else ["sigma"])
     heads = [source_label(source).replace(" ", "\n") for source in sources]
-    text = []
-    while columns:
-        count = _columns_that_fit(left, first, heads, columns)
-        rows = [[*cells, *sizes] for cells, *sizes in zip(left, *columns[:count], strict=True)]
-        text.append(text_table([*first, *heads[:count]], rows, "llr"[: len(first)] + "r" * count, gap=1))
-        heads, columns = heads[count:], columns[count:]
-    return "\n".join(text)
-
-
-def _columns_that_fit(left: list[list[str]], first: list[str], heads: list[str], columns: list[list[str]]) -> int:
-    """Number of columns that fit beside the first ones; at least one."""
-    used = sum(max(map(len, cells)) + 1 for cells in zip(*left, first, strict=True))
-    for count, (head, column) in enumerate(zip(heads, columns, strict=True)):
-        used += 1 + max(map(len, [*head.split("\n"), *column]))
-        if used > WIDTH + 1:
-            return max(count, 1)
-    return len(columns)
+    groups = [[column] for column in zip(heads, columns, strict=True)]
+    return "\n".join(continued_tables(first, left, groups, "llr"[: len(first)]))
 
 
 def residual_summary(calibration: Calibration) -> str:
     """Sentences on the residuals of the last iteration; empty without residuals."""
     known = [r for r in calibration.residuals if r.sigma > 0.0]
-    left = [r for r in known if abs(r.value) > _SOLVED * r.sigma]
+    left = unsolved(known)
     if not left:
         return f"Residuals: all {len(known)} components are solved exactly." if known else ""
-    rms = math.sqrt(sum((r.value / r.sigma) ** 2 for r in left) / len(left))
     worst = max(left, key=lambda r: abs(r.value / r.sigma))
     again = f" (occurrence {worst.occurrence})" if worst.occurrence > 1 else ""
     text = (
-        f"Residuals over sigma: rms {rms:.2g} of {len(left)} components, largest "
+        f"Residuals over sigma: rms {rms_over_sigma(left):.2g} of {len(left)} components, largest "
         f"{abs(worst.value / worst.sigma):.2g} in sequence {worst.sequence}{again}, {worst.component}."
     )
     solved = len(known) - len(left)
@@ -299,15 +244,7 @@ def time_base(calibration: Calibration) -> str:
 
 def held_summary(calibration: Calibration) -> str:
     """Fixed parameters by reason, one clause each; empty if none is fixed."""
-    return "; ".join(f"{', '.join(names)}: {reason}" for reason, names in _reasons(calibration).items())
-
-
-def _reasons(calibration: Calibration) -> dict[str, list[str]]:
-    """Fixed parameters by reason."""
-    reasons: dict[str, list[str]] = {}
-    for name, reason in calibration.held.items():
-        reasons.setdefault(reason, []).append(name)
-    return reasons
+    return "; ".join(f"{', '.join(names)}: {reason}" for reason, names in fixed_by_reason(calibration).items())
 
 
 def _observed(calibration: Calibration) -> list[int]:
@@ -342,7 +279,7 @@ def _heading(calibration: Calibration, title: str) -> Iterable[str]:
 
 
 def _held(calibration: Calibration) -> Iterable[str]:
-    reasons = _reasons(calibration)
+    reasons = fixed_by_reason(calibration)
     if reasons:
         yield "Fixed, not observed"
     for reason, names in reasons.items():
@@ -365,10 +302,8 @@ def _asymmetry(calibration: Calibration) -> Iterable[str]:
 
 def _without(name: str, estimate: Estimate) -> str:
     """Value and sigma of a parameter in display units."""
-    i = INDEX[name]
-    value, sigma = estimate.value * DISPLAY_FACTORS[i], estimate.sigma * DISPLAY_FACTORS[i]
-    decimals = decimals_for(sigma)
-    return f"{SYMBOLS[i]} {fixed(value, decimals)} ± {fixed(sigma, decimals)} {DISPLAY_UNITS[i]}"
+    i, sigma = INDEX[name], estimate.sigma
+    return f"{SYMBOLS[i]} {value_text(i, estimate.value, sigma)} ± {sigma_text(i, sigma)} {DISPLAY_UNITS[i]}"
 
 
 def _unseen_errors(calibration: Calibration) -> Iterable[str]:

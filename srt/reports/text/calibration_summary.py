@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from html import escape
 from typing import TYPE_CHECKING, Final
 
+from srt.reports.parameters import group_heads, group_sigmas
+from srt.reports.tables import WIDTH, text_table, wrap
 from srt.reports.text.calibration import heading, held_summary, parameter_table, report, time_base
-from srt.reports.text.group_sigmas import live_table
-from srt.reports.text.tables import WIDTH, wrap
-from srt.result.verdict import FAILED, SOUND
+from srt.result.verdict import FAILED, SOUND, probability_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -63,10 +64,11 @@ def calibration_summary(
     advice = [line for text in _advice(calibration, source, with_moves) for line in wrap(text)]
     notes = [line for text in _notes(calibration) for line in _shortened(wrap(text), _NOTE_LINES)]
     lines = [*head, *_shortened(notes, _MOST_BEFORE_TABLE - len(head) - len(advice)), *advice]
-    parameters = parameter_table(calibration, truth)
-    if len(lines) + 1 + len(parameters.splitlines()) > _MOST_LINES:
-        parameters = parameter_table(calibration, truth, grouped=False)
-    tables = (live_table(calibration), parameters)
+    parameters, gap = parameter_table(calibration, truth), 1 if truth is not None else 2
+    shown = parameters.text(gap=gap)
+    if len(lines) + 1 + len(shown.splitlines()) > _MOST_LINES:
+        shown = parameters.text(gap=gap, grouped=False)
+    tables = (live_table(calibration), shown)
     return "\n".join([*lines, *(f"\n{table}" for table in tables if table)])
 
 
@@ -85,6 +87,29 @@ def calibration_text(
     if details or budget or verdict:
         return report(calibration, title=title, truth=truth, budget=budget, verdict=verdict)
     return calibration_summary(calibration, title=title, truth=truth, source=source, with_moves=with_moves)
+
+
+def calibration_html(calibration: Calibration) -> str:
+    """Status and verdict of a calibration, and the table of its parameters."""
+    lines = "<br>".join(map(escape, verdict_lines(calibration, "Calibration")))
+    return f"<p>{lines}</p>{parameter_table(calibration).html()}"
+
+
+def live_table(calibration: Calibration) -> str:
+    """Sigmas after each sequence of a live filter; empty without one."""
+    reports = calibration.diagnostics.live
+    if not reports:
+        return ""
+    rows = [[report.sequence, probability_text(report.probability), *group_sigmas(report.sigma)] for report in reports]
+    met = next((report.sequence for report in reports if report.targets_met), None)
+    heads = ["seq.", "p", *group_heads()]
+    lines = [
+        *wrap("Largest 1-sigma of each group after each sequence; p of its innovations given all sequences before"),
+        text_table(heads, rows, "l" + "r" * (len(heads) - 1), gap=1),
+    ]
+    if calibration.diagnostics.targets:
+        lines += wrap("The targets are not met." if met is None else f"All targets are met after sequence {met}.")
+    return "\n".join(lines)
 
 
 def verdict_lines(calibration: Calibration, title: str) -> Iterator[str]:

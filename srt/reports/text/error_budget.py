@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from srt.noise.accuracy_analysis import QUANTITIES
+from srt.reports.tables import fixed, text_table, wrap
 from srt.reports.text.calibration import sources_table
-from srt.reports.text.tables import fixed, text_table, wrap
 from srt.sensor_errors import GROUP_SLICES
 
 if TYPE_CHECKING:

@@ -6,11 +6,12 @@ import math
 from typing import TYPE_CHECKING
 
 from srt.comparison.estimate_difference import FALSE_ALARM
-from srt.reports.text.tables import decimals_for, fixed, text_table, wrap
-from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, GROUP_SLICES, NAMES
+from srt.reports.parameters import GROUP_STARTS, sigma_text, value_text
+from srt.reports.tables import fixed, table, text_table, wrap
+from srt.sensor_errors import DISPLAY_UNITS, NAMES
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable
 
     from srt.comparison.estimate_difference import EstimateDifference
     from srt.comparison.estimator_comparison import Comparison
@@ -98,19 +99,19 @@ def parameter_table(comparison: Comparison, *, details: bool) -> str:
     shown = comparison.calibrations
     if comparison.reference is not None and not details:
         shown = {comparison.reference: shown[comparison.reference]}
-    rows: list[Sequence[str] | None] = []
+    rows = []
     for i, name in enumerate(NAMES):
         row = [name, DISPLAY_UNITS[i]]
         for calibration in shown.values():
-            factor = DISPLAY_FACTORS[i]
-            row.append(_estimate(float(calibration.errors.vector[i]) * factor, float(calibration.sigma[i]) * factor))
+            value, sigma = float(calibration.errors.vector[i]), float(calibration.sigma[i])
+            row.append(f"{value_text(i, value, sigma)}{' fixed' if math.isnan(sigma) else f'±{sigma_text(i, sigma)}'}")
         for pair in comparison.differences.values():
             value = float(pair.normalised[i])
             row.append("-" if math.isnan(value) else f"{round(value, 1) + 0.0:+.1f}{'*' if pair.differing[i] else ' '}")
         rows.append(row)
     headers = ["parameter", "unit", *shown, *(_head(name) for name in comparison.differences)]
     alignment = "ll" + "r" * (len(headers) - 2)
-    return text_table(headers, _grouped(rows), alignment)
+    return table(headers, rows, alignment, breaks=GROUP_STARTS).text()
 
 
 def truth_table(comparison: Comparison) -> str:
@@ -119,13 +120,12 @@ def truth_table(comparison: Comparison) -> str:
         return ""
     ratios = {name: comparison.error_over_sigma(name) for name in comparison.calibrations}
     best = comparison.calibrations[comparison.reference or next(iter(ratios))]
-    rows: list[Sequence[str] | None] = []
+    rows = []
     for i, name in enumerate(NAMES):
-        sigma = float(best.sigma[i]) * DISPLAY_FACTORS[i]
-        true = fixed(comparison.truth[name] * DISPLAY_FACTORS[i], 2 if math.isnan(sigma) else decimals_for(sigma))
+        true = value_text(i, comparison.truth[name], float(best.sigma[i]))
         rows.append([name, DISPLAY_UNITS[i], true, *(fixed(float(ratio[i]), 2) for ratio in ratios.values())])
-    table = text_table(["parameter", "unit", "truth", *ratios], _grouped(rows), "llr" + "r" * len(ratios))
-    return f"Errors over sigma\n{table}"
+    shown = table(["parameter", "unit", "truth", *ratios], rows, "llr" + "r" * len(ratios), breaks=GROUP_STARTS)
+    return f"Errors over sigma\n{shown.text()}"
 
 
 def _legend(comparison: Comparison) -> Iterable[str]:
@@ -140,22 +140,6 @@ def _legend(comparison: Comparison) -> Iterable[str]:
     )
 
 
-def _estimate(value: float, sigma: float) -> str:
-    """Format value±sigma in display units, with two digits of sigma."""
-    if math.isnan(sigma):
-        return f"{fixed(value, 2)} fixed"
-    decimals = decimals_for(sigma)
-    return f"{fixed(value, decimals)}±{fixed(sigma, decimals)}"
-
-
 def _head(name: str) -> str:
     """Break a name at its hyphens, for a narrow column."""
     return name.replace("-", "-\n")
-
-
-def _grouped(rows: Sequence[Sequence[str] | None]) -> list[Sequence[str] | None]:
-    """Rows of the 27 parameters, with an empty row between groups."""
-    out: list[Sequence[str] | None] = []
-    for group in GROUP_SLICES.values():
-        out += [*([None] if out else []), *rows[group]]
-    return out

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from srt.reports.text.tables import text_table
+from srt.reports.tables import text_table
 
 if TYPE_CHECKING:
     from srt.exporters.conversion import ExportedCalibration

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from srt.comparison.outliers import FALSE_ALARMS, MINIMUM_UNITS
-from srt.reports.text.tables import decimals_for, fixed, text_table, wrap
+from srt.reports.parameters import group_heads, value_text
+from srt.reports.tables import decimals_for, fixed, text_table, wrap
 from srt.result.verdict import probability_text
 from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, GROUP_SLICES, GROUPS, N_PARAMETERS, NAMES, SYMBOLS
 
@@ -15,12 +16,6 @@ if TYPE_CHECKING:
     from srt.comparison.fleet import Fleet, FleetUnit
 
 _STATUS: Final = {"not_converged": "not conv.", "outside_model": "outside", "inconsistent": "inconsist."}
-_HEADS: Final = (
-    *("gyro\nscale", "gyro\nasym.", "gyro\north.", "acc.\nbias"),
-    *("acc.\nscale", "acc.\nasym.", "acc.\nmisal.", "gyro\nbias"),
-)
-"""Column heads of the parameter groups, in the order of the parameters."""
-
 _SYMBOLS_SHOWN: Final = 3
 """Largest number of outlying parameters that a row names."""
 _DIGITS: Final = 4
@@ -78,7 +73,7 @@ def size_table(fleet: Fleet) -> str:
     ]
     if not rows:
         return ""
-    heads = [f"{head}\n{group.display_unit}" for head, group in zip(_HEADS, GROUPS, strict=True)]
+    heads = group_heads()
     text = text_table(["unit", *heads], rows, "l" + "r" * len(heads), gap=1)
     return f"Largest error of each parameter group (* a parameter of the group is outlying)\n{text}"
 
@@ -142,9 +137,7 @@ def _largest(fleet: Fleet, number: int, unit: FleetUnit, group: str) -> str:
         return "fixed"
     values = unit.calibration.errors.vector[where]
     i = int(where[np.argmax(np.abs(values))])
-    value = float(unit.calibration.errors.vector[i]) * DISPLAY_FACTORS[i]
-    decimals = decimals_for(float(unit.calibration.sigma[i]) * DISPLAY_FACTORS[i])
-    text = fixed(value, min(decimals, max(_DIGITS - len(f"{abs(value):.0f}"), 0)))
+    text = value_text(i, float(unit.calibration.errors.vector[i]), float(unit.calibration.sigma[i]), _DIGITS)
     return text + ("*" if fleet.outliers.flagged[number, where].any() else "")
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from srt.constants import DEG
 from srt.recording.schema import COUNTS
-from srt.reports.text.tables import WIDTH, text_table, wrap
+from srt.reports.tables import WIDTH, text_table, wrap
 
 if TYPE_CHECKING:
     from pathlib import Path

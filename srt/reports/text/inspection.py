@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from srt.diagnosis.faults import FAULTS
 from srt.noise.allan import CHANNELS, TERMS
-from srt.reports.text.tables import text_table, wrap
+from srt.reports.tables import text_table, wrap
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

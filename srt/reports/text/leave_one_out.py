@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from srt.reports.text.tables import decimals_for, fixed, text_table, wrap
+from srt.reports.parameters import sigma_text, symbols
+from srt.reports.tables import fixed, text_table, wrap
 from srt.result.verdict import p_value_text, probability_text
-from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, INDEX, SYMBOLS
+from srt.sensor_errors import DISPLAY_UNITS, INDEX, SYMBOLS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -110,7 +111,7 @@ def _notes(rows: Sequence[LeaveOneOut], word: str, *, innovations: bool) -> list
         (lost, [(row.title, row.lost_without) for row in rows]),
         (alone, [(row.title, row.only_witness_of) for row in rows]),
     ):
-        shown = "; ".join(f"{title}: {_symbols(names)}" for title, names in found if names)
+        shown = "; ".join(f"{title}: {symbols(names)}" for title, names in found if names)
         if shown:
             out += wrap(f"{words} {shown}.", " ")
     return out
@@ -121,14 +122,13 @@ def observability_table(verdict: Consistency, word: str = "sequence") -> str:
     rows: list[list[str] | None] = []
     for row in verdict.parameters:
         i = INDEX[row.name]
-        sigma = row.sigma * DISPLAY_FACTORS[i]
         shown = ", ".join(f"{s.title} {100.0 * s.share:.0f} %" for s in row.shown_by[:_MOST])
         more = len(row.shown_by) - _MOST
         correlation = row.largest_correlation
         rows.append(
             [
                 SYMBOLS[i],
-                fixed(sigma, decimals_for(sigma)),
+                sigma_text(i, row.sigma),
                 DISPLAY_UNITS[i],
                 f"{row.witnesses:.1f}" if row.witnesses is not None else "-",
                 shown + (f", +{more}" if more > 0 else ""),
@@ -160,7 +160,3 @@ def _word(calibration: Calibration) -> str:
 
 def _influence(largest: Influence | None) -> str:
     return "not observable" if largest is None else f"{SYMBOLS[INDEX[largest.parameter]]} {largest.sigmas:+.2g}"
-
-
-def _symbols(names: Sequence[str]) -> str:
-    return " ".join(SYMBOLS[INDEX[name]] for name in names)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from srt.mount.alignment import ANGLES
-from srt.reports.text.tables import decimals_for, fixed, text_table
+from srt.reports.tables import decimals_for, fixed, text_table
 
 if TYPE_CHECKING:
     from srt.mount.alignment import MountAlignment

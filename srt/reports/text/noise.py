@@ -8,7 +8,7 @@ import numpy as np
 
 from srt.constants import HOUR_S
 from srt.noise.noise_terms import ALL_TERMS
-from srt.reports.text.tables import text_table, wrap
+from srt.reports.tables import text_table, wrap
 
 if TYPE_CHECKING:
     from srt.noise.allan import AllanDeviation

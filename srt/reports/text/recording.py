@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from srt.recording.schema import FIXTURE_KEYS, IMU_KEYS, SITE_KEYS, in_file_unit
-from srt.reports.text.tables import text_table
+from srt.reports.tables import Table, table
 
 if TYPE_CHECKING:
     from srt.recording.recording import Recording
@@ -14,10 +14,15 @@ if TYPE_CHECKING:
 
 def recording_text(recording: Recording) -> str:
     """Table of the properties of a recording."""
-    return text_table(["recording", ""], recording_rows(recording), "ll")
+    return recording_table(recording).text()
 
 
-def recording_rows(recording: Recording) -> list[list[str]]:
+def recording_html(recording: Recording) -> str:
+    """Table of the properties of a recording, in HTML."""
+    return recording_table(recording).html()
+
+
+def recording_table(recording: Recording) -> Table:
     """Labels and texts of the properties of a recording."""
     interval = recording.nominal_interval_s
     temperature = recording.temperature
@@ -37,7 +42,8 @@ def recording_rows(recording: Recording) -> list[list[str]]:
     ]
     if temperature is not None:
         rows.insert(4, ["temperature", f"{temperature.min():.1f} to {temperature.max():.1f} °C"])
-    return [[label, text if len(text) < _TEXT else text[: _TEXT - 3] + "..."] for label, text in rows]
+    shown = ([label, text if len(text) < _TEXT else text[: _TEXT - 3] + "..."] for label, text in rows)
+    return table(["recording", ""], shown, "ll")
 
 
 _TEXT = 66

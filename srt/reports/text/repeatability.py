@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
-from srt.reports.text.tables import WIDTH, decimals_for, fixed, text_table, wrap
+from srt.reports.parameters import sigma_text, value_text
+from srt.reports.tables import continued_tables, decimals_for, fixed, text_table, wrap
 from srt.result.verdict import probability_text
 from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, GROUP_SLICES, INDEX, SYMBOLS
 
 if TYPE_CHECKING:
     from srt.result.calibration import Calibration
     from srt.result.repeatability import Repeatability
-
-_DIGITS: Final = 7
-"""Largest number of significant digits of a value; the sigma of noise-free data would require more."""
 
 
 def repeatability_text(calibration: Calibration) -> str:
@@ -51,33 +49,17 @@ def _recordings(table: Repeatability) -> str:
 
 def _values(table: Repeatability) -> str:
     """Tables of value and sigma by recording, as many recordings side by side as the width permits."""
-    names = [row.name for row in table.recordings]
-    left: list[list[str]] = []
-    columns: list[list[tuple[str, str]]] = [[] for _ in names]
-    for row in table.parameters:
-        i = INDEX[row.name]
-        left.append([SYMBOLS[i], DISPLAY_UNITS[i]])
-        for column, value, sigma in zip(columns, row.values, row.sigmas, strict=True):
-            column.append(
-                ("held", "") if value is None or sigma is None else _rounded(value, sigma, DISPLAY_FACTORS[i])
+    left = [[SYMBOLS[INDEX[row.name]], DISPLAY_UNITS[INDEX[row.name]]] for row in table.parameters]
+    groups = []
+    for n, recording in enumerate(table.recordings):
+        cells = []
+        for row in table.parameters:
+            i, value, sigma = INDEX[row.name], row.values[n], row.sigmas[n]
+            cells.append(
+                ("held", "") if value is None or sigma is None else (value_text(i, value, sigma), sigma_text(i, sigma))
             )
-    text, first = [], 0
-    while first < len(names):
-        used = 2 + max(len(cells[0]) for cells in left) + 1 + max(len(cells[1]) for cells in left)
-        last = first
-        while last < len(names):
-            width = max(len(names[last]), *(len(value) for value, _ in columns[last])) + 1
-            width += max(len("sigma"), *(len(sigma) for _, sigma in columns[last])) + 1
-            if used + width > WIDTH and last > first:
-                break
-            used, last = used + width, last + 1
-        headers = ["", "unit", *(cell for name in names[first:last] for cell in (name, "sigma"))]
-        rows = [
-            [*cells, *(part for column in columns[first:last] for part in column[n])] for n, cells in enumerate(left)
-        ]
-        text.append(text_table(headers, rows, "ll" + "rr" * (last - first), gap=1))
-        first = last
-    return "\n\n".join(text)
+        groups.append([(recording.name, [value for value, _ in cells]), ("sigma", [sigma for _, sigma in cells])])
+    return "\n\n".join(continued_tables(["", "unit"], left, groups, "ll"))
 
 
 def _scatter(table: Repeatability) -> str:
@@ -94,9 +76,9 @@ def _scatter(table: Repeatability) -> str:
             [
                 SYMBOLS[i],
                 DISPLAY_UNITS[i],
-                _rounded(row.weighted_mean, sigma, factor)[0],
+                value_text(i, row.weighted_mean, sigma),
                 fixed(row.spread * factor, decimals),
-                fixed(sigma * factor, decimals),
+                sigma_text(i, sigma),
                 f"{row.chi_square:.1f} / {freedom}",
                 probability_text(row.probability),
                 f"{away.sigmas:+.1f} {away.recording}",
@@ -135,9 +117,3 @@ def _groups(table: Repeatability) -> list[str]:
         f"Standard deviation between recordings beyond noise, included in the merged sigmas: {'; '.join(found)}. "
         "Expect another recording to differ from the merged value by as much.",
     ]
-
-
-def _rounded(value: float, sigma: float, factor: float) -> tuple[str, str]:
-    decimals = decimals_for(sigma * factor)
-    places = min(decimals, max(_DIGITS - len(f"{abs(value * factor):.0f}"), 0))
-    return fixed(value * factor, places), fixed(sigma * factor, decimals)

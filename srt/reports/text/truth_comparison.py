@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from scipy.stats import norm
 
-from srt.reports.text.tables import wrap
+from srt.reports.tables import wrap
 from srt.sensor_errors import NAMES
 
 if TYPE_CHECKING:
