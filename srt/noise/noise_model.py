@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from scipy.special import ndtr
 
 from srt.constants import STANDARD_GRAVITY_M_S2
 from srt.noise.instability_at_rest import instability_at_rest
@@ -43,6 +44,10 @@ _HARMONICS: Final = 200
 """Terms of the mean error of rounded readings: the others are 0.3 % of its square."""
 _BISECTIONS: Final = 40
 """Bisections of the noise below the steps, which the scatter of the readings shows."""
+_FAR_STEPS: Final = 4
+"""Distance of readings from their true value, in steps, that noise of half a step does not reach."""
+_PLACES: Final = 401
+"""True values between two steps either side of a reading."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -265,17 +270,34 @@ def _step_error(recording: Recording, windows: Indices, sensor: str, step: Array
         coarse &= np.array([len(np.unique(own)) for own in np.round(steps).T]) >= _FEWEST_READINGS
     if not coarse.any():
         return np.zeros(3)
-    k, low, high = np.arange(1, _HARMONICS + 1)[:, None], np.zeros(3), np.full(3, _DITHERED**-2.0)
-    scatter = variance / np.where(coarse, step, 1.0) ** 2
-    for _ in range(_BISECTIONS):  # in steps: readings scatter by s² + 1/12 less the mean square of the error itself
-        middle = 0.5 * (low + high)
-        square = np.sum(np.exp(-((2.0 * math.pi * k) ** 2) * middle) / k**2, axis=0) / (2.0 * math.pi**2)
-        above = middle + 1.0 / 12.0 - square > scatter
-        low, high = np.where(above, low, middle), np.where(above, middle, high)
     x = np.array([table[a:b].mean(axis=0) for a, b in windows.tolist()]) / (1.0 if recording.kind == "rate" else dt)
-    apart = np.abs(x[:, None] - x) / np.where(coarse, step, np.inf)
+    unit = np.where(coarse, step, np.inf)
+    noise = np.array(
+        [_below_steps(own, scatter) for own, scatter in zip((x / unit).T, variance / unit**2, strict=True)]
+    )
+    k = np.arange(1, _HARMONICS + 1)[:, None]
+    square = np.sum(np.exp(-((2.0 * math.pi * k * noise) ** 2)) / k**2, axis=0) / (2.0 * math.pi**2)
+    apart = np.abs(x[:, None] - x) / unit
     shared = np.where(apart < 0.25, np.cos(2.0 * math.pi * apart), 0.0).sum(axis=1).max(axis=0)
     return np.where(coarse, step * np.sqrt(square * shared), 0.0)
+
+
+def _below_steps(means: Array, scatter: float) -> float:
+    """Noise of rounded readings, from means of windows and the variance within them, all in steps.
+
+    Readings scatter the less the nearer their true value is to a multiple of the step.
+    """
+    limits = np.arange(-_FAR_STEPS, _FAR_STEPS + 1) - 0.5
+    true = np.linspace(-1.0, 1.0, _PLACES)[:, None]
+    low, high = 0.0, 1.0 / _DITHERED
+    for _ in range(_BISECTIONS):
+        noise = 0.5 * (low + high)
+        above = ndtr((true - limits) / noise)  # the reading is the number of limits that it exceeds
+        mean = above.sum(axis=1)
+        variance = above @ (2.0 * np.arange(len(limits)) + 1.0) - mean**2
+        expected = np.interp(means - np.rint(means), mean - _FAR_STEPS - 1.0, variance).mean()
+        low, high = (low, noise) if expected > scatter else (noise, high)
+    return 0.5 * (low + high)
 
 
 def smallest_step(values: Array) -> Array:
