@@ -134,7 +134,7 @@ def stationary_rates(data: PreparedRecording, gyro: LinearFit) -> StationaryRate
     """Stationary rates of the windows; None if there are too few windows, or if a vertical cannot be measured."""
     W = len(data.windows.duration_s)
     chosen = np.unique(np.linspace(0, W - 1, min(W, _MOST_WINDOWS)).astype(int))
-    rate, force = data.windows.gyro_mean[chosen], data.windows.accel_mean[chosen]
+    rate, force = (data.windows.gyro_mean - data.noise.gyro_rounding)[chosen], data.windows.accel_mean[chosen]
     poses = _poses(data)
     known = poses is not None and gyro.rank == 3
     if known:

@@ -210,7 +210,7 @@ def stationary_rate_residual(data: PreparedRecording, gyro: Array) -> Array:
 
     ``gyro`` is the raw matrix of the gyros, shape (3, 3).
     """
-    rate = data.windows.gyro_mean - _earth(data) @ gyro.T
+    rate = data.windows.gyro_mean - data.noise.gyro_rounding - _earth(data) @ gyro.T
     design = np.hstack([data.windows.accel_mean / data.gravity, np.ones((len(rate), 1))])
     return invert_readings(gyro, rate - design @ robust_fit(design, rate))
 
