@@ -209,12 +209,12 @@ class Evidence:
     @cached_property
     def stationary_rate(self) -> Array:
         """Mean gyro reading of each window, shape (W, 3), rad/s."""
-        return self._data.windows.gyro_mean
+        return self._data.windows.gyro_mean - self._data.noise.gyro_rounding
 
     @cached_property
     def stationary_force(self) -> Array:
         """Mean accelerometer reading of each window, shape (W, 3), m/s²."""
-        return self._data.windows.accel_mean
+        return self._data.windows.accel_mean - self._data.noise.accel_rounding
 
     @cached_property
     def poses(self) -> tuple[Array, Array]:

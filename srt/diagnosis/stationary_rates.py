@@ -110,7 +110,8 @@ def stationary_rates(data: PreparedRecording, gyro: LinearFit) -> StationaryRate
     """Stationary rates of the windows; None if there are too few windows, or if a vertical cannot be measured."""
     recording, W = data.recording, len(data.windows.duration_s)
     chosen = np.unique(np.linspace(0, W - 1, min(W, _MOST_WINDOWS)).astype(int))
-    rate, force = data.windows.gyro_mean[chosen], data.windows.accel_mean[chosen]
+    rate = (data.windows.gyro_mean - data.noise.gyro_rounding)[chosen]
+    force = data.windows.accel_mean[chosen]
     fixture = recording.fixture
     known = fixture is not None and gyro.rank == 3 and all(s is not None for s in data.catalogue)
     start = recording.time[data.windows.samples[chosen, 0]]

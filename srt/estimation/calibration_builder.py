@@ -401,7 +401,8 @@ def _warnings(
     if data.noise.undithered:
         messages.append(
             f"The readings of {', '.join(data.noise.undithered)} have steps of more than twice their noise, so that "
-            "their means at rest are off by a part of a step. Sigmas contain it; record with a finer resolution."
+            "their means at rest are off by a part of a step. It is corrected where noise shows it, and sigmas contain "
+            "the remainder; record with a finer resolution."
         )
     fixed = int(N_PARAMETERS - observed.sum())
     if fixed:

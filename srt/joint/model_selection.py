@@ -128,15 +128,15 @@ def _instabilities(
     noise, point = joint.data.noise, iteration.point
     assert point is not None
     accel = bool(np.any(noise.accel_limit > noise.accel_flicker))
-    # The error of a g-sensitivity is in the rates at rest, too.
-    gyro = noise.gyro_wander is None and joint.options.gyro_bias == "auto" and joint.drift.force_axes is None
+    gyro = noise.gyro_wander is None and joint.options.gyro_bias == "auto"
     if misfit:
         alternatives = [("accel",) * accel, ("gyro",) * gyro, ("gyro", "accel") if accel and gyro else ()]
         return [sensors for sensors in alternatives if sensors]
     accel = accel and bool(
         noise.accel_flicker.any() or accel_component(joint, solution, freedom).p_value < MISFIT_PROBABILITY
     )
-    if gyro and joint.bias_walks:
+    # The error of a g-sensitivity is in the rates at rest, too.
+    if gyro and joint.bias_walks and joint.drift.force_axes is None:
         slope, rest = _rest_rates(joint, point)
         owner, terms = joint.window_sequence, joint.drift.terms
         gyro = gyro_instability(joint.data, slope, rest, joint.integrated, terms, owner) is not None

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from scipy.special import ndtr
 
 from srt.constants import STANDARD_GRAVITY_M_S2
 from srt.noise.instability_at_rest import instability_at_rest
@@ -39,10 +40,16 @@ _OFF_GRID: Final = 0.1
 """Distance of a reading from the grid of steps, in steps, that rounding of stored digits leaves."""
 _FEWEST_READINGS: Final = 10
 """Distinct readings from which a grid is no coincidence."""
-_HARMONICS: Final = 200
-"""Terms of the mean error of rounded readings: the others are 0.3 % of its square."""
 _BISECTIONS: Final = 40
 """Bisections of the noise below the steps, which the scatter of the readings shows."""
+_FAR_STEPS: Final = 4
+"""Distance of readings from their true value, in steps, that noise of half a step does not reach."""
+_SAME_SCATTER: Final = 1e-3
+"""Relative difference of the scatter that is no evidence of more noise: two readings scatter alike with any noise."""
+_PLACES: Final = 201
+"""Number of true values within a step of a reading, and within 4 sigma of the limits between readings."""
+_LEAST_VARIANCE: Final = 1e-6
+"""Variance of means, in squared steps, below which the places are too coarse."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,10 +62,11 @@ class NoiseModel:
         Random walk of the integral, rad/√s and m/s²·√s.
     gyro_edge, accel_edge : ndarray, shape (3,)
         1-sigma error of one reading of the integral (angle, velocity), rad and m/s.
+    gyro_rounding, accel_rounding : ndarray, shape (W, 3), rad/s and m/s²
+        Expected error of the means of windows by rounding to steps which the noise of the readings does not dither:
+        it does not average out. Zero for dithered readings and pulse counts.
     gyro_step, accel_step : ndarray, shape (3,), rad/s and m/s²
-        1-sigma error of the mean of constant readings that are rounded to steps which their noise does not dither:
-        it does not average out within a window. Larger where many windows share it; zero for dithered readings and
-        pulse counts.
+        1-sigma of what remains of that error beyond white noise. Larger where many windows share it.
     gyro_wander : ndarray, shape (3,), rad/s, or None
         1-sigma of the bias of one sequence about the mean of the test; None if no bias instability is stated. The
         estimator then takes it from the rest rates of the sequences.
@@ -86,6 +94,8 @@ class NoiseModel:
     accel_white: Array
     gyro_edge: Array
     accel_edge: Array
+    gyro_rounding: Array
+    accel_rounding: Array
     gyro_step: Array
     accel_step: Array
     gyro_wander: Array | None
@@ -102,8 +112,13 @@ class NoiseModel:
     @property
     def undithered(self) -> tuple[str, ...]:
         """Channels whose readings have steps that their noise does not dither."""
-        both = (("gyro", self.gyro_step), ("accel", self.accel_step))
-        return tuple(f"{sensor}_{axis}" for sensor, step in both for axis, own in zip("xyz", step, strict=True) if own)
+        both = (("gyro", self.gyro_rounding, self.gyro_step), ("accel", self.accel_rounding, self.accel_step))
+        return tuple(
+            f"{sensor}_{axis}"
+            for sensor, error, step in both
+            for axis, own in zip("xyz", np.any(error, axis=0) | (step > 0.0), strict=True)
+            if own
+        )
 
     def expected_accel_instability(self, shown: Statistics) -> tuple[float, float]:
         """Expected bias instability of the accelerometers, and the part of it that the weights lack, m/s².
@@ -161,10 +176,11 @@ def noise_model(recording: Recording, windows: Indices) -> NoiseModel:
             figures[f"{sensor}_edge"] = np.full(3, given / math.sqrt(12.0))
         step = _resolution(recording, windows, sensor)
         resolution = step / math.sqrt(12.0)
-        own = _step_error(recording, windows, sensor, step, edge[columns])
+        figures[f"{sensor}_rounding"], own = _step_error(recording, windows, sensor, step, edge[columns])
         figures[f"{sensor}_step"] = own
         if f"{sensor}_noise" not in estimated:  # what the windows show contains the rounding
-            rounding = np.where(own > 0.0, resolution * math.sqrt(dt), 0.0)
+            undithered = np.any(figures[f"{sensor}_rounding"], axis=0) | (own > 0.0)
+            rounding = np.where(undithered, resolution * math.sqrt(dt), 0.0)
             figures[f"{sensor}_white"] = np.hypot(figures[f"{sensor}_white"], rounding)
         shown = np.hypot(figures[f"{sensor}_white"] / math.sqrt(dt), math.sqrt(2.0) * figures[f"{sensor}_edge"] / dt)
         least = np.maximum(np.where(shown < resolution, resolution * math.sqrt(dt), 0.0), floor)
@@ -240,42 +256,84 @@ def _resolution(recording: Recording, windows: Indices, sensor: str) -> Array:
     return step if recording.kind == "rate" else step / recording.nominal_interval_s
 
 
-def _step_error(recording: Recording, windows: Indices, sensor: str, step: Array, edge: Array) -> Array:
-    """1-sigma error of means of rounded readings at rest, shape (3,), rad/s or m/s²; zero if noise dithers them.
+def _step_error(recording: Recording, windows: Indices, sensor: str, step: Array, edge: Array) -> tuple[Array, Array]:
+    """Expected error of means of rounded readings at rest, (W, 3), and 1-sigma of the remainder, (3,), rad/s or m/s².
 
     The mean of readings with normal noise s, rounded to steps q, is off by ``Σ (−1)^k q/(π k) exp(−2 π² k² s²/q²)
-    sin(2 π k x/q)`` at the true value x (Widrow & Kollár, Quantization Noise, 2008). Its mean square over x is
-    ``q²/(2 π²) Σ exp(−4 π² k² s²/q²)/k²``: q²/12 without noise. Windows with the same reading share it: to first order
-    the correlation at x and y is cos(2 π (x − y)/q). As errors of single windows, which are independent, it counts so
-    many times as there are such windows, for the reading that most of them share.
+    sin(2 π k x/q)`` at the true value x (Widrow & Kollár, Quantization Noise, 2008). Means and scatter of the windows
+    show s, and so x, but for noise far below the steps. Windows with the same reading then share what is not known: to
+    first order the correlation at x and y is cos(2 π (x − y)/q). As errors of single windows, which are independent, it
+    counts so many times as there are such windows, for the reading that most of them share.
     """
     table, dt = getattr(recording, sensor), recording.nominal_interval_s
+    scale, none = 1.0 if recording.kind == "rate" else dt, (np.zeros((len(windows), 3)), np.zeros(3))
     pulse = getattr(recording.noise, f"{sensor}_quantization")
     if pulse or (pulse is None and recording.kind == "increment"):
-        return np.zeros(3)  # the error of pulse counts is that of the integral at the edges
+        return none  # the error of pulse counts is that of the integral at the edges
     variance = np.mean([np.var(table[a:b], axis=0) for a, b in windows.tolist()], axis=0)
-    variance = variance if recording.kind == "rate" else variance / dt**2
+    variance = variance / scale**2
     coarse = (step > 0.0) & (variance < (step / _DITHERED) ** 2 + step**2 / 12.0)
     if pulse is None:
         coarse &= edge < _PULSES * step * dt / math.sqrt(12.0)
     if coarse.any():  # distinct readings without a grid, as in simulations without noise, are not rounded
-        every = table[:: max(1, len(table) // _MAX_SAMPLES_FOR_RESOLUTION)] / (1.0 if recording.kind == "rate" else dt)
+        every = table[:: max(1, len(table) // _MAX_SAMPLES_FOR_RESOLUTION)] / scale
         steps = (every - every[0]) / np.where(coarse, step, np.inf)
         coarse &= np.all(np.abs(steps - np.round(steps)) < _OFF_GRID, axis=0)
         coarse &= np.array([len(np.unique(own)) for own in np.round(steps).T]) >= _FEWEST_READINGS
     if not coarse.any():
-        return np.zeros(3)
-    k, low, high = np.arange(1, _HARMONICS + 1)[:, None], np.zeros(3), np.full(3, _DITHERED**-2.0)
-    scatter = variance / np.where(coarse, step, 1.0) ** 2
-    for _ in range(_BISECTIONS):  # in steps: readings scatter by s² + 1/12 less the mean square of the error itself
-        middle = 0.5 * (low + high)
-        square = np.sum(np.exp(-((2.0 * math.pi * k) ** 2) * middle) / k**2, axis=0) / (2.0 * math.pi**2)
-        above = middle + 1.0 / 12.0 - square > scatter
-        low, high = np.where(above, low, middle), np.where(above, middle, high)
-    x = np.array([table[a:b].mean(axis=0) for a, b in windows.tolist()]) / (1.0 if recording.kind == "rate" else dt)
-    apart = np.abs(x[:, None] - x) / np.where(coarse, step, np.inf)
+        return none
+    first = table[windows[:, 0]] / scale  # the grid of the readings may lie off zero
+    x = np.array([table[a:b].mean(axis=0) for a, b in windows.tolist()]) / scale
+    unit = np.where(coarse, step, np.inf)
+    apart = np.abs(x[:, None] - x) / unit
     shared = np.where(apart < 0.25, np.cos(2.0 * math.pi * apart), 0.0).sum(axis=1).max(axis=0)
-    return np.where(coarse, step * np.sqrt(square * shared), 0.0)
+    number, scatter = np.diff(windows, axis=1)[:, 0], variance / unit**2
+    error, remainder = none
+    for axis in np.flatnonzero(coarse).tolist():
+        means = (x - first)[:, axis] / step[axis]
+        off, unknown = _rounded_means(means, number, _below_steps(means, scatter[axis]))
+        error[:, axis] = step[axis] * off
+        beyond = max(float(np.mean(unknown - scatter[axis] / number)), 0.0)
+        unresolved = min(12.0 * beyond, 1.0)  # without noise, all of a step
+        remainder[axis] = step[axis] * math.sqrt(beyond * (1.0 + unresolved * (shared[axis] - 1.0)))
+    return error, remainder
+
+
+def _rounded_means(means: Array, number: Array, noise: float) -> tuple[Array, Array]:
+    """Expected error of means of rounded readings, and variance of the true values, shape (W,) each, all in steps."""
+    true, mean, variance = _rounded(noise)
+    near = means - np.rint(means)
+    own = variance / number[:, None] + _LEAST_VARIANCE
+    log = -0.5 * ((near[:, None] - mean) ** 2 / own + np.log(own))
+    weight = np.exp(log - log.max(axis=1, keepdims=True)) * np.gradient(true)
+    weight /= weight.sum(axis=1, keepdims=True)
+    expected = weight @ true
+    return near - expected, weight @ true**2 - expected**2
+
+
+def _rounded(noise: float) -> tuple[Array, Array, Array]:
+    """True values within a step of zero, and mean and variance of their rounded readings, in steps."""
+    limits = np.arange(-_FAR_STEPS, _FAR_STEPS + 1) - 0.5
+    beside = noise * np.linspace(-4.0, 4.0, _PLACES)  # little noise mixes two readings only there
+    true = np.sort(np.concatenate([np.linspace(-1.0, 1.0, _PLACES), beside - 0.5, beside + 0.5]))
+    above = ndtr((true[:, None] - limits) / noise)  # the reading is the number of limits that it exceeds
+    mean = above.sum(axis=1)
+    variance = above @ (2.0 * np.arange(len(limits)) + 1.0) - mean**2
+    return true, mean - _FAR_STEPS - 1.0, variance
+
+
+def _below_steps(means: Array, scatter: float) -> float:
+    """Noise of rounded readings, from means of windows and the variance within them, all in steps.
+
+    Readings scatter the less the nearer their true value is to a multiple of the step.
+    """
+    low, high = 0.0, 1.0 / _DITHERED
+    for _ in range(_BISECTIONS):
+        noise = 0.5 * (low + high)
+        _, mean, variance = _rounded(noise)
+        expected = np.interp(means - np.rint(means), mean, variance).mean()
+        low, high = (low, noise) if expected >= (1.0 - _SAME_SCATTER) * scatter else (noise, high)
+    return 0.5 * (low + high)
 
 
 def smallest_step(values: Array) -> Array:

@@ -198,14 +198,14 @@ class PreparedRecording:
         return self.recording.memo(key, lambda: vibration(self.recording, samples, lambda: self._noise_with_vibration))
 
     def means(self, gyro: Triad, accel: Triad) -> tuple[Array, Array]:
-        """Mean readings of gyros and accelerometers in every window, (W, 3), less vibration and its rectified part."""
-        windows, line = self.windows, self.vibration
+        """Mean readings of both triads in every window, (W, 3), less vibration, its rectified part and rounding."""
+        windows, line, noise = self.windows, self.vibration, self.noise
+        rest, accel_mean = windows.gyro_mean - noise.gyro_rounding, windows.accel_mean - noise.accel_rounding
         if line is None:
-            return windows.gyro_mean, windows.accel_mean
+            return rest, accel_mean
         rate, force = self.rectified(gyro, accel)
         of_gyro, of_accel = line.means(windows.samples, self.average)
-        rest = windows.gyro_mean - of_gyro - gyro.asymmetry * rate
-        return rest, windows.accel_mean - of_accel - accel.asymmetry * force
+        return rest - of_gyro - gyro.asymmetry * rate, accel_mean - of_accel - accel.asymmetry * force
 
     def rectified(self, gyro: Triad, accel: Triad) -> tuple[Array, Array]:
         """Mean of the absolute values of the channels in every window over the absolute mean, by vibration, (W, 3).

@@ -51,9 +51,10 @@ class PreparedUnits(PreparedRecording):
         return _joined([self.units[u] for u in which.tolist()])
 
     def means(self, gyro: Triad, accel: Triad) -> tuple[Array, Array]:
-        """Mean readings of gyros and accelerometers in every window, (units, W, 3), less vibration."""
+        """Mean readings of gyros and accelerometers in every window, (units, W, 3), less vibration and rounding."""
         if all(unit.vibration is None for unit in self.units):
-            return self.windows.gyro_mean, self.windows.accel_mean
+            noise = self.noise
+            return self.windows.gyro_mean - noise.gyro_rounding, self.windows.accel_mean - noise.accel_rounding
         found = [unit.means(gyro.of(u), accel.of(u)) for u, unit in enumerate(self.units)]
         return np.stack([gyros for gyros, _ in found]), np.stack([forces for _, forces in found])
 

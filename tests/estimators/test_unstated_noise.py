@@ -4,9 +4,14 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 from foreign_motion import GRADES
 from unstated_noise import STATEMENTS, outcome
+
+import srt
+from sims.scenarios.scenario import load_scenario
+from sims.scenarios.simulation import simulate
 
 LOW, HIGH = 0.70, 1.15
 """Mean NEES per parameter that is asked for; the closed form, which has no weights, may have 0.60."""
@@ -32,3 +37,15 @@ def test_sigmas_are_true_and_the_units_own_noise_is_sound(kind, estimator, state
 def test_the_units_own_instability_is_no_fault_of_one_turn(seed):
     """One turn deviates most, by flicker noise: an instability is more likely than a fault of that turn alone."""
     assert outcome(seed, "hand", "navigation", STATEMENTS[1], "least-squares")[2] == "sound"
+
+
+@pytest.mark.parametrize("estimator", ["least-squares", "ekf", "graph"])
+def test_flicker_beside_g_sensitivity_is_the_units_own(estimator):
+    """Consumer gyros turned by hand: their bias instability is no added noise where g-sensitivity is modelled."""
+    simulated = simulate(load_scenario("free-mems"))
+    found = srt.calibrate(simulated.recording, estimator)
+    assert found.diagnostics.g_sensitivity is not None
+    assert found.judgement.word == "sound"
+    z = (found.errors.vector - simulated.truth.vector) / found.sigma
+    P = found.covariance / np.outer(found.sigma, found.sigma)
+    assert z @ np.linalg.solve(P, z) < 27.0 + 3.5 * math.sqrt(2.0 * 27.0)

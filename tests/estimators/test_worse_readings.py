@@ -61,14 +61,22 @@ def test_a_step_that_is_modelled_is_no_second_unit():
     assert any("by a step at" in warning for warning in found.warnings)
 
 
-def test_channels_whose_steps_are_not_dithered_are_named_and_their_sigmas_hold():
-    """The sigmas contain a bound: errors are within them, and no g-sensitivity is found in the steps."""
+def test_channels_whose_steps_are_not_dithered_are_named_and_no_g_sensitivity_is_found_in_them():
     unit, _ = unit_of(CASES["steps of three noise sigma"], 0)
     found = srt.calibrate(unit, "least-squares")
     assert any("gyro_x, gyro_y, gyro_z, accel_x" in message and "steps" in message for message in found.warnings)
     assert found.diagnostics.g_sensitivity is None
-    row = outcome("steps of three noise sigma", 0, "least-squares")
-    assert row["nees"] / row["seen"] < 1.0 + 3.5 * math.sqrt(2.0 / row["seen"])
+
+
+@pytest.mark.parametrize("case", ["steps of three noise sigma", "steps of three noise sigma, nothing stated"])
+@pytest.mark.parametrize("estimator", ["closed-form", "least-squares"])
+def test_sigmas_of_readings_in_steps_are_true(case, estimator):
+    """Mean NEES between 0.70 and 1.15, and 3.5 standard errors of a chi-square."""
+    found = [outcome(case, seed, estimator) for seed in range(UNITS)]
+    seen = sum(row["seen"] for row in found)
+    error = 3.5 * math.sqrt(2.0 / seen)
+    assert 0.70 * (1.0 - error) < sum(row["nees"] for row in found) / seen < 1.15 * (1.0 + error)
+    assert {row["word"] for row in found} == {"sound"}
 
 
 @pytest.mark.parametrize(

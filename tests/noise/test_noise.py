@@ -180,7 +180,7 @@ def test_equal_long_averages_leave_finite_figures():
 
 @pytest.mark.parametrize("noise_steps", [0.01, 0.2, 1.0 / 3.0])
 def test_means_of_readings_that_noise_does_not_dither_have_an_error_of_their_own(noise_steps):
-    """Windows whose rates are several steps apart: chi-square of the errors of 600 means.
+    """Windows whose rates are several steps apart: chi-square of the errors of 600 means less their expected error.
 
     Two-sided, p = 1e-3, as for normal numbers: the errors of rounding have shorter tails. Stated noise gets the
     variance of the rounding.
@@ -188,7 +188,7 @@ def test_means_of_readings_that_noise_does_not_dither_have_an_error_of_their_own
     rng, windows, n, step = np.random.default_rng(21), 200, 400, 1e-3
     true = step * (3.0 * np.arange(windows)[:, None] + rng.uniform(0.0, 1.0, (windows, 3)))
     readings = np.repeat(true, n, axis=0) + noise_steps * step * rng.standard_normal((windows * n, 3))
-    readings = np.round(readings / step) * step
+    readings, true = (np.round(readings / step) + 0.3) * step, true + 0.3 * step  # a grid off zero
     spans = n * np.arange(windows)[:, None] + np.array([0, n])
     white = noise_steps * step / np.sqrt(RATE)
     stated = {"gyro_noise": white, "gyro_quantization": 0.0, "accel_noise": white, "accel_quantization": 0.0}
@@ -196,7 +196,7 @@ def test_means_of_readings_that_noise_does_not_dither_have_an_error_of_their_own
     assert found.undithered == tuple(f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz")
     np.testing.assert_array_equal(found.gyro_step, found.accel_step)
     np.testing.assert_allclose(found.gyro_white, np.sqrt(white**2 + step**2 / 12.0 / RATE), rtol=1e-9)
-    error = readings.reshape(windows, n, 3).mean(axis=1) - true
+    error = readings.reshape(windows, n, 3).mean(axis=1) - found.gyro_rounding - true
     variance = found.gyro_step**2 + found.gyro_white**2 * RATE / n
     chi_square = float(np.sum(error**2 / variance))
     assert chdtri(600, 1.0 - 5e-4) < chi_square < chdtri(600, 5e-4)
