@@ -10,7 +10,7 @@ from srt.estimation.options import Options, chosen_options
 from srt.estimation.registry import estimate
 from srt.exceptions import DataError, SrtError
 from srt.recording.reading import READING_KEYS, read
-from srt.result.verdict import USABLE, explained_by_drift
+from srt.result.verdict import USABLE, explained
 from srt.sequences.protocol_matching import with_protocol
 
 if TYPE_CHECKING:
@@ -89,7 +89,7 @@ def calibrate(
             raise
         raise DataError(f"{error} The likely cause: {screened.first.sentence}", fault=screened.first.fault) from error
     diagnosis = staged.with_calibration(result)
-    told = _IN_RESULT | explained_by_drift(result)
+    told = _IN_RESULT | explained(result)
     warnings = tuple(f.sentence for f in diagnosis.findings if f.effect != "note" and f.fault not in told)
     return replace(
         result,

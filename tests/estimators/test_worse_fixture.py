@@ -77,6 +77,15 @@ def test_values_from_the_fixture_are_as_accurate_as_it_is(case, estimator):
         assert row["worst"] < WORST
 
 
+def test_an_angle_within_what_the_fixture_shows_is_not_wrong():
+    """A rotation of 180° is off by 1.6 mrad, where 0.1 is stated and 0.7 found."""
+    unit, _ = unit_of(CASES["fixture of 1 mrad, 0.1 stated, without 1, 1a, 4, 5, 6, 10, 11, 12"], 8)
+    found = srt.calibrate(unit, "closed-form")
+    assert "wrong_angle" in {fault.fault for fault in found.diagnostics.faults}
+    assert "The fixture is less accurate than stated: rotations" in found.judgement.reason
+    assert not any("rotated by 180." in warning for warning in found.warnings)
+
+
 def test_the_mount_has_the_alignment_that_was_found():
     unit = replace(unit_of(CASES["alignment of 1 mrad, 0.1 stated"], 0)[0], data_sha256="of this recording")
     found = srt.calibrate(unit, "least-squares")
