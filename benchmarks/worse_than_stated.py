@@ -37,7 +37,8 @@ class Case(NamedTuple):
 
     ``disturbed`` changes the readings, and by ``shift_sigmas`` of the noise of a reading all biases; ``true_sigma_rad``
     is the accuracy of the fixture, ``stated_sigma_rad`` that which the recording states; ``noise_stated`` states all
-    noise of the unit, else nothing of it. The alignment of the fixture and its wobble can have another accuracy.
+    noise of the unit, else nothing of it. The alignment of the fixture and its wobble can have another accuracy. Of
+    Table 1 only the sequences ``recorded`` are labelled, or all.
     """
 
     grade: str
@@ -49,6 +50,7 @@ class Case(NamedTuple):
     noise_stated: bool = True
     alignment_rad: float | None = None
     wobble_rad: float | None = None
+    recorded: tuple[str, ...] = ()
 
 
 def as_it_is(unit: srt.Recording, _: np.random.Generator) -> srt.Recording:
@@ -143,6 +145,15 @@ CASES: dict[str, Case] = {
         "tactical", as_it_is, true_sigma_rad=1e-4, stated_sigma_rad=1e-4, alignment_rad=1e-3
     ),
     "axis wobble of 1 mrad, not stated": Case("tactical", as_it_is, wobble_rad=1e-3),
+    "fixture of 1 mrad, 0.1 stated, without 1, 1a, 4, 5, 6, 10, 11, 12": Case(
+        "tactical",
+        as_it_is,
+        stated_sigma_rad=1e-4,
+        recorded=("2", "2a", "3", "3a", "7", "8", "9", "13", "14", "15", "16", "17"),
+    ),
+    "fixture of 1 mrad, 0.1 stated, 2, 2a, 7, 8, 9 alone": Case(
+        "tactical", as_it_is, stated_sigma_rad=1e-4, recorded=("2", "2a", "7", "8", "9")
+    ),
 }
 """Cases by name."""
 
@@ -169,6 +180,7 @@ def unit_of(case: Case, seed: int) -> tuple[srt.Recording, dict[str, float]]:
         labels = tuple(
             srt.SequenceLabel(tuple(row["start_static_s"]), tuple(row["end_static_s"]), id=row["id"])
             for row in motion.labels(0.1)
+            if not case.recorded or row["id"] in case.recorded
         )
         site = srt.Site(GRAVITY_M_S2, latitude_rad=LATITUDE_DEG * DEG)
         fixture = srt.Fixture(0.0, case.stated_sigma_rad, case.stated_sigma_rad)

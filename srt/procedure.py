@@ -10,7 +10,7 @@ from srt.estimation.options import Options, chosen_options
 from srt.estimation.registry import estimate
 from srt.exceptions import DataError, SrtError
 from srt.recording.reading import READING_KEYS, read
-from srt.result.verdict import USABLE, explained_by_drift
+from srt.result.verdict import USABLE, explained
 from srt.sequences.protocol_matching import with_protocol
 from srt.sequences.recognition import leave_out
 
@@ -102,7 +102,7 @@ def calibrate(
     diagnosis = staged.with_calibration(result)
     if diagnosis.refusal is not None and not force:
         raise DataError(diagnosis.refusal.sentence, fault=diagnosis.refusal.fault)
-    told = _IN_RESULT | explained_by_drift(result)
+    told = _IN_RESULT | explained(result)
     warnings = tuple(f.sentence for f in diagnosis.findings if f.effect != "note" and f.fault not in told)
     return replace(
         result,

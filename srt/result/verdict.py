@@ -56,6 +56,8 @@ OF_FIXTURE: Final = {
     "wobble_rad": "axis wobble",
 }
 """Kinds of added noise that are errors of the fixture, in words."""
+_ANGLES: Final = ("turned_angle_rad", "start_angle_rad")
+"""Those of single angles: a wrong one is beyond them, and the result names it."""
 
 _SMALLEST: Final = 1e-99
 """p-value below which only this limit is shown: smaller ones underflow."""
@@ -111,7 +113,7 @@ def verdict_on(calibration: Judged) -> Verdict:
     evidence = calibration.verdict
     faults = calibration.diagnostics.faults or ()
     overridden = [f for f in faults if f.effect.startswith("exit")]
-    left = LEFT_TO_RESIDUALS | explained_by_drift(calibration)
+    left = LEFT_TO_RESIDUALS | explained(calibration)
     wrong = [f for f in faults if f.effect == "warning" and f.fault not in left]
     if calibration.status not in USABLE:
         return Verdict(FAILED, _failure(calibration))
@@ -138,11 +140,13 @@ def _lacking(names: tuple[str, ...]) -> Iterator[str]:
         yield f"Not observed, though such a recording should show them: {', '.join(collapse_names(names))}."
 
 
-def explained_by_drift(calibration: Judged) -> set[str]:
-    """Faults that a modelled drift explains: with it, the residuals test that there is no other."""
+def explained(calibration: Judged) -> set[str]:
+    """Faults that a modelled drift or the accuracy found of a fixture explains: the residuals then test for others."""
     drift = [row for row in calibration.diagnostics.drift or () if row.modelled]
     out = {f"{row.sensor}_bias_drift" for row in drift}
-    return out | {"units_joined" for row in drift if row.form.startswith("step")}
+    out |= {"units_joined" for row in drift if row.form.startswith("step")}
+    evidence = calibration.verdict
+    return out | {"wrong_angle" for kind in (evidence and evidence.added_noise) or () if kind in _ANGLES}
 
 
 def _modelled(calibration: Judged) -> Iterator[str]:
