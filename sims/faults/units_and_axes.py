@@ -71,6 +71,31 @@ _wrong_unit("gyro_milli", "gyro", (1e3,), rates=False)
 _wrong_unit("accel_g", "accel", (1.0 / _G, 1e-3), rates=True)
 _wrong_unit("accel_mg", "accel", (1e3 / _G, 1e3), rates=True)
 _wrong_unit("accel_m_s2", "accel", (_G, 1e-3 * _G), rates=True)
+_wrong_unit("gyro_other_unit", "gyro", (60.0 / (2.0 * np.pi),), rates=True)
+_wrong_unit("accel_other_unit", "accel", (100.0, 1.0 / 0.3048), rates=True)
+
+
+def _other_kind(fault: str, sensor: str) -> None:
+    """Register readings of one sensor that are increments declared as rates, or the reverse."""
+
+    @injection(fault, 1.0, "")
+    def other_kind(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+        recording, interval = case.recording, case.recording.nominal_interval_s
+        factor = interval if recording.kind == "rate" else 1.0 / interval
+        return _with(recording, sensor, getattr(recording, sensor) * factor)
+
+
+_other_kind("gyro_kind", "gyro")
+_other_kind("accel_kind", "accel")
+
+
+@injection("gravity_absent", 1.0, "")
+def gravity_absent(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+    """The readings are those of the unit less those of a better one in the same motion."""
+    better = replace(case, grade="tactical-fog" if case.grade == "navigation-rlg" else "navigation-rlg")
+    kind = case.recording.kind
+    reference = better.changed(recording={"kind": kind}).recording
+    return replace(case.recording, accel=case.recording.accel - reference.accel)
 
 
 def _counts(fault: str, sensor: str, per_unit: Mapping[str, float], declared: tuple[float, ...]) -> None:

@@ -24,7 +24,9 @@ if TYPE_CHECKING:
 
     from srt.estimation.options import Options
     from srt.model.prior import Prior
+    from srt.recording.protocol import Protocol
     from srt.result.calibration import Calibration
+    from srt.sensor_errors import SensorErrors
 
 # Option types of srt.estimation.options, written out: importing them would make the help wait for numpy.
 CHOICES = {
@@ -202,16 +204,8 @@ def calibrate(
     )
     options = parse_options(choices, trust=trust)
     check_tools(estimator, plot)
-    known = None
-    if protocol is not None:
-        from srt.recording.protocol import load_protocol
-
-        known = load_protocol(protocol)
-    true_errors = None
-    if truth is not None:
-        from srt.cli.truth import load_truth
-
-        true_errors = load_truth(truth)
+    known = None if protocol is None else known_protocol(protocol)
+    true_errors = None if truth is None else known_errors(truth)
     if fleet:
         engine = FleetEngine(workers, scheduler)
         return run_fleet(jobs, estimator, options, engine=engine, output=output, quiet=quiet, force=force)
@@ -219,6 +213,20 @@ def calibrate(
     if merge:
         return run_merging(jobs, estimator, options, display, output, plot)
     return run_each(jobs, estimator, options, display, output)
+
+
+def known_protocol(name: str) -> Protocol:
+    """Shipped protocol, or one of a file."""
+    from srt.recording.protocol import load_protocol
+
+    return load_protocol(name)
+
+
+def known_errors(path: Path) -> SensorErrors:
+    """True errors of a simulated recording."""
+    from srt.cli.truth import load_truth
+
+    return load_truth(path)
 
 
 def refuse_combinations(*rules: tuple[bool, str]) -> None:

@@ -47,7 +47,9 @@ counts: readings in mg are often logged without decimals, and pulses of a fracti
 of deg/h."""
 _PRIORS: Final = {
     "unit": 1e-2,
+    "other unit": 1e-3,
     "kind": 1e-2,
+    "kind of one": 1e-3,
     "counts": 1e4,
     "range": 1e-2,
     "clock": 1e-2,
@@ -89,6 +91,9 @@ _POWERS: Final = tuple(k for k in range(-4, 5) if k)
 _POWER_DISTANCE: Final = 0.04
 """Largest distance of the mean factor of a triad from a power of two, as a logarithm. For uncalibrated MEMS (1.5 %,
 1-sigma), 1e-5 of the units exceed it. Of units with errors of tens of per cent, 1e-4 are within it by chance."""
+_EVEN: Final = 0.4
+"""Ratio of the smallest to the largest stretch of the specific force by the accelerometers, and of that to the
+magnitude of the readings, below which they do not follow gravity: scale errors of 40 % make 0.43."""
 _POWER_SCATTER: Final = 0.05
 """Largest standard deviation of the logarithms of the three axes about their mean for a common factor."""
 _COMMON_SIGMAS: Final = 8.0
@@ -127,6 +132,9 @@ def scale_cause(evidence: Evidence, scales: Scales | None = None) -> tuple[Scale
         Ratios of gyros and accelerometers; by default those of the readings.
     """
     gyro, accel = scales or (evidence.gyro_scales, evidence.accel_scales)
+    if _without_gravity(evidence, accel):
+        details = {"found": accel.typical * evidence.recording.site.gravity_m_s2}
+        return ScaleCause(("gravity_absent",), details={"gravity_absent": details}), None
     if stationary_force_scatter(evidence.manoeuvres) > _MATCH and not accel.axis_scatter < _POWER_SCATTER:
         accel = UNKNOWN  # the specific force differs much between the windows: they are not stationary
     odd = {"gyro": _is_odd(evidence, "gyro", gyro, accel), "accel": _is_odd(evidence, "accel", accel, gyro)}
@@ -142,6 +150,19 @@ def scale_cause(evidence: Evidence, scales: Scales | None = None) -> tuple[Scale
         beside = by_accel if timed == "gyro" else by_gyro
         causes += [one & other for one in clock for other in beside]
     return most_likely(causes, gyro, accel, evidence.earth_rate)
+
+
+def _without_gravity(evidence: Evidence, accel: ScaleRatios) -> bool:
+    """True if the stationary specific force is far below gravity, and no multiple of that of the poses.
+
+    In a wrong unit it is a multiple, with one magnitude, and a matrix that stretches all directions alike.
+    """
+    if evidence.data is None or evidence.accel_fit.rank < 3 or accel.typical >= LEGAL_RATIO["accel"][0]:
+        return False
+    stretch = np.linalg.svd(evidence.accel_fit.matrix, compute_uv=False)
+    varies = stationary_force_scatter(evidence.manoeuvres) > _POWER_SCATTER
+    uneven = stretch[2] < _EVEN * stretch[0] or accel.axis_scatter > _POWER_SCATTER
+    return (varies and uneven) or bool(stretch[0] < _EVEN * accel.typical)
 
 
 def _is_legal(sensor: Sensor, scales: ScaleRatios) -> bool:
@@ -191,9 +212,7 @@ def _of_one_triad(evidence: Evidence, sensor: Sensor, scales: ScaleRatios) -> It
     if not _is_legal(sensor, scales):
         off = math.log(scales.typical)
         near = [
-            (abs(off - math.log(unit.factor)), unit)
-            for unit in WRONG_UNITS[sensor]
-            if unit.fault and (rates or not unit.rates_only)
+            (abs(off - math.log(unit.factor)), unit) for unit in WRONG_UNITS[sensor] if rates or not unit.rates_only
         ]
         distance = min(d for d, _ in near)
         wholes = (1.0, *((DEG, DEG_PER_H) if sensor == "gyro" else (_G, 1e-3 * _G)))
@@ -205,7 +224,14 @@ def _of_one_triad(evidence: Evidence, sensor: Sensor, scales: ScaleRatios) -> It
             return
         for d, unit in near:
             if d < _MATCH:
-                yield cause("unit", unit.fault, math.log(unit.factor), _fields(evidence, sensor, scales, unit))
+                kind = "other unit" if unit.fault.endswith("other_unit") else "unit"
+                yield cause(kind, unit.fault, math.log(unit.factor), _fields(evidence, sensor, scales, unit))
+        shift = math.log(evidence.dt) * (1.0 if rates else -1.0)
+        if abs(off - shift) < _MATCH:
+            kinds = ("increments", "rates", "divide") if rates else ("rates", "increments", "multiply")
+            fields = {"ratio": scales.typical, "interval": evidence.dt}
+            fields |= dict(zip(("found", "declared", "remedy"), kinds, strict=True))
+            yield cause("kind of one", f"{sensor}_kind", shift, fields)
     count = round(1.0 / scales.typical)
     # Thinned increments without a rotation: the interval is longer than that of any IMU, but interval / count is not.
     if sensor == "accel" and not rates and count >= 2 and USUAL_S[0] <= evidence.dt / count <= USUAL_S[1] < evidence.dt:
@@ -341,7 +367,7 @@ def _one_axis(sensor: Sensor, scales: ScaleRatios) -> tuple[int, float, WrongUni
         if np.abs(np.delete(logarithm, axis)).max() > _POWER_SCATTER or abs(off) < 0.5 * math.log(2.0):
             continue
         power = min(_POWERS, key=lambda k: abs(off - k * math.log(2.0)))
-        units = (u for u in WRONG_UNITS[sensor] if u.fault and not u.rates_only)
+        units = (u for u in WRONG_UNITS[sensor] if not u.rates_only)
         nearest = min(units, key=lambda u: abs(off - math.log(u.factor)))
         if abs(off - power * math.log(2.0)) < _POWER_DISTANCE:
             return axis, 2.0**power, None

@@ -64,6 +64,16 @@ _LSB: Final = by_sensor(
     "exit 1",
     wrong_scales,
 )
+_ONE_KIND: Final = by_sensor(
+    "kind",
+    "[Gyros|Accelerometers] alone give increments, declared as rates, or the reverse",
+    f"[{_BY_LABELS}|{_BY_GRAVITY}]: the sampling interval, or its inverse, while the other sensor is right",
+    "The [gyro|accelerometer] readings are {ratio:.4g} times [the true rotation|gravity], and the sampling interval is "
+    "{interval:.3g} s: they look like {found}, declared as {declared}, unlike those of the [accelerometers|gyros]; "
+    "{remedy} them by the interval.",
+    "exit 1",
+    wrong_scales,
+)
 _FACTOR: Final = by_sensor(
     "factor",
     "All [gyros|accelerometers] have a wrong scale by one factor",
@@ -106,6 +116,7 @@ SCALES: Final = {
                 ("degrees", "in degrees, declared in radians"),
                 ("radians", "in radians, declared in degrees"),
                 ("per_hour", "per hour, declared per second, or the reverse"),
+                ("other_unit", "in revolutions per minute, declared in rad/s"),
             )
         ),
         _scale(
@@ -133,6 +144,7 @@ SCALES: Final = {
                 ("g", "g, declared in m/s²"),
                 ("mg", "mg, declared in another unit"),
                 ("m_s2", "m/s², declared in g"),
+                ("other_unit", "cm/s², mm/s² or ft/s², declared in m/s²"),
             )
         ),
         _scale(
@@ -141,6 +153,14 @@ SCALES: Final = {
             f"{_BY_GRAVITY}; readings that are whole numbers",
             f"{_AT_REST}, and the readings are whole numbers: they look like raw counts; set accel_unit = "
             '"counts" and accel_lsb.',
+        ),
+        *_ONE_KIND.values(),
+        _scale(
+            "gravity_absent",
+            "The accelerometers do not measure gravity",
+            "stationary specific force: far below gravity, and not in proportion to the poses",
+            "At rest the accelerometers read {found:.3g} m/s², and not in proportion to the poses: the unit outputs "
+            "linear acceleration, without gravity; record the raw specific force.",
         ),
         *_LSB.values(),
         Fault(

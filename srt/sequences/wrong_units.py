@@ -21,7 +21,7 @@ class WrongUnit:
     unit, declared : str
         True unit of the readings, and the declared one.
     fault : str
-        Fault of the diagnosis (:mod:`srt.diagnosis.units`); empty for a rare unit, which has no fault of its own.
+        Fault of the diagnosis (:mod:`srt.diagnosis.units`).
     rates_only : bool
         True if increments have no such unit.
     """
@@ -29,7 +29,7 @@ class WrongUnit:
     factor: float
     unit: str
     declared: str
-    fault: str = ""
+    fault: str
     rates_only: bool = True
 
     def __str__(self) -> str:
@@ -45,7 +45,7 @@ WRONG_UNITS: Final[dict[str, tuple[WrongUnit, ...]]] = {
         WrongUnit(DEG / DEG_PER_H, "deg/h", "deg/s", "gyro_per_hour"),
         WrongUnit(DEG_PER_H / DEG, "deg/s", "deg/h", "gyro_per_hour"),
         WrongUnit(DEG_PER_H, "rad/s", "deg/h", "gyro_per_hour"),
-        WrongUnit(60.0 / (360.0 * DEG), "revolutions per minute", "rad/s"),
+        WrongUnit(60.0 / (360.0 * DEG), "revolutions per minute", "rad/s", "gyro_other_unit"),
     ),
     "accel": (
         WrongUnit(1.0 / _G, "g", "m/s²", "accel_g", rates_only=False),
@@ -54,9 +54,9 @@ WRONG_UNITS: Final[dict[str, tuple[WrongUnit, ...]]] = {
         WrongUnit(1e3, "mg", "g", "accel_mg"),
         WrongUnit(_G, "m/s²", "g", "accel_m_s2", rates_only=False),
         WrongUnit(1e-3 * _G, "m/s²", "mg", "accel_m_s2"),
-        WrongUnit(1e3, "mm/s²", "m/s²"),
-        WrongUnit(100.0, "cm/s²", "m/s²"),
-        WrongUnit(1.0 / 0.3048, "ft/s²", "m/s²"),
+        WrongUnit(1e3, "mm/s²", "m/s²", "accel_other_unit"),
+        WrongUnit(100.0, "cm/s²", "m/s²", "accel_other_unit"),
+        WrongUnit(1.0 / 0.3048, "ft/s²", "m/s²", "accel_other_unit"),
     ),
 }
 """Factors far beyond the errors of an uncalibrated IMU."""

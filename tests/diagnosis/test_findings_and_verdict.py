@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from foreign_motion import GRADES, drawn_errors, hand_turns
 from foreign_motion import recording as by_hand
+from scipy.spatial.transform import Rotation
 from unstated_noise import on_the_fixture
 
 import srt
@@ -99,3 +100,52 @@ def test_time_stamps_of_a_file_are_no_sample_rate():
         first = srt.calibrate(replace(off, sample_rate_hz=stated)).diagnostics.faults[0]
         assert first.fault == "sample_rate"
         assert ("Hz" in first.sentence) == proposed
+
+
+def in_cm_s2(unit):
+    return replace(unit, accel=100.0 * unit.accel)
+
+
+def gyro_increments(unit):
+    return replace(unit, gyro=unit.nominal_interval_s * unit.gyro)
+
+
+def accel_increments(unit):
+    return replace(unit, accel=unit.nominal_interval_s * unit.accel)
+
+
+def without_gravity(unit):
+    """Bias, misalignment and noise of the same unit remain of the force that turns with the gyros."""
+    path = [Rotation.identity()]
+    rest = unit.gyro[: np.searchsorted(unit.time, unit.sequences[0].start_static_s[1])].mean(axis=0)
+    for step in Rotation.from_rotvec((unit.gyro - rest) * unit.nominal_interval_s):
+        path.append(path[-1] * step)
+    up = unit.accel[:400].mean(axis=0)
+    return replace(unit, accel=unit.accel - Rotation.concatenate(path[1:]).inv().apply(up))
+
+
+@pytest.mark.parametrize("grade", ["tactical", "consumer"])
+@pytest.mark.parametrize(
+    ("fault", "change"),
+    [
+        ("accel_other_unit", in_cm_s2),
+        ("gyro_kind", gyro_increments),
+        ("accel_kind", accel_increments),
+        ("gravity_absent", without_gravity),
+    ],
+)
+def test_readings_in_another_unit_or_without_gravity_are_named(fault, change, grade):
+    unit, _ = on_the_fixture(0, grade)
+    with pytest.raises(DataError) as refused:
+        srt.calibrate(change(unit))
+    assert refused.value.fault == fault
+
+
+def test_units_near_each_other_are_told_apart():
+    """mg and cm/s², both declared as m/s², differ by 2 %, degrees and the interval of 50 Hz by 15 %."""
+    unit, _ = on_the_fixture(0, "tactical")
+    for changed, fault in (
+        (replace(unit, accel=unit.accel / 9.80665e-3), "accel_mg"),
+        (replace(unit, gyro=np.radians(unit.gyro)), "gyro_radians"),
+    ):
+        assert srt.inspect(changed).diagnosis.refusal.fault == fault
