@@ -109,7 +109,7 @@ class Evidence:
         The rows are for all channels, the gyros, the accelerometers, and each of the six channels.
         """
         single = self.columns[:, 1:] == self.columns[:, :-1]
-        triads = single.reshape(2, 3, -1).all(axis=1)
+        triads = single[::3] & single[1::3] & single[2::3]
         return np.concatenate([triads.all(axis=0, keepdims=True), triads, single])
 
     @cached_property

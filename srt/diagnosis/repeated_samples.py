@@ -14,7 +14,7 @@ import numpy as np
 
 if TYPE_CHECKING:
     from srt.diagnosis.evidence import Evidence
-    from srt.types import Indices
+    from srt.types import Array, Indices
 
 
 FALSE_ALARM: Final = 5e-7
@@ -43,12 +43,6 @@ _STEADY: Final = 1.5
 """Largest difference of successive readings at a steady rate, in pulses: one pulse, and a margin for rounding."""
 _FROZEN: Final = 0.9
 """Share of repeated samples of the other sensor from which that sensor counts as frozen, too."""
-_OTHER: Final = (None, 2, 1, 1, 1, 1, 2, 2, 2)
-"""Row of ``Evidence.repeats`` that must change during a run, by row: the other sensor, or the triad of a channel."""
-_FIRST_CHANNEL: Final = 3
-"""Number of the first row of ``Evidence.repeats`` that is for a single channel."""
-_CHANNELS: Final = (slice(0, 6), slice(0, 3), slice(3, 6), *(slice(c, c + 1) for c in range(6)))
-"""Channels of each row of ``Evidence.repeats``."""
 
 
 def repeated_runs(evidence: Evidence) -> list[tuple[int, int] | None]:
@@ -59,12 +53,13 @@ def repeated_runs(evidence: Evidence) -> list[tuple[int, int] | None]:
     saturates there. None without a run.
     """
     data = evidence.data
-    found: list[tuple[int, int] | None] = [None] * len(_OTHER)
+    found: list[tuple[int, int] | None] = [None] * len(evidence.repeats)
     if data is None:
         return found
     same, windows = evidence.repeats, data.windows.samples
     parts = np.concatenate([windows[data.start], windows[data.end], data.rotation])
-    parts = parts[parts[:, 1] - parts[:, 0] > 1]
+    turning = np.arange(len(parts)) >= 2 * data.K
+    parts, turning = (x[parts[:, 1] - parts[:, 0] > 1] for x in (parts, turning))
     # Number of repeats up to each sample. A run is cut where a window or rotation begins.
     place = np.arange(same.shape[1] + 1, dtype=np.int32)
     cut = np.pad(~same, ((0, 0), (0, 1)), constant_values=True)
@@ -73,10 +68,10 @@ def repeated_runs(evidence: Evidence) -> list[tuple[int, int] | None]:
     pairs = np.stack([parts[:, 0], parts[:, 1] - 1], axis=1)
     longest = np.maximum.reduceat(count, pairs.ravel(), axis=1)[:, ::2]
     total = int((pairs[:, 1] - pairs[:, 0]).sum())
-    turning = np.arange(len(parts)) >= 2 * data.K
-    ordinary = [_LONGER * np.quantile(longest[:, kind], 0.9, axis=1) for kind in (turning, ~turning) if kind.any()]
-    for row, k in np.argwhere(longest > np.max(ordinary, axis=0)[:, None]).tolist():
-        n, (a, b), other, best = int(longest[row, k]), pairs[k].tolist(), _OTHER[row], found[row]
+    ordinary = [np.quantile(longest[:, kind], 0.9, axis=1) for kind in (turning, ~turning) if kind.any()]
+    for row, k in np.argwhere(longest > _LONGER * np.max([np.zeros(9), *ordinary], axis=0)[:, None]).tolist():
+        n, (a, b), best = int(longest[row, k]), pairs[k].tolist(), found[row]
+        other = 3 - row if row < 3 else row // 3  # the other sensor, or the triad of a channel
         first = a + int(np.argmax(count[row, a:b])) - n + 1
         span = max(_BESIDE, 3 * n)
         beside = np.r_[max(a, first - span) : first, first + n : min(b, first + n + span)]
@@ -85,19 +80,23 @@ def repeated_runs(evidence: Evidence) -> list[tuple[int, int] | None]:
             (best is None or n > best[1])
             and n * math.log(frequency) < math.log(FALSE_ALARM / total)
             and n > _PULSES * count[row, beside].max(initial=0)
-            and (other is None or np.mean(same[other, first : first + n]) < _FROZEN)
-            and not _at_extreme(evidence, row, first)
-            and not (row >= _FIRST_CHANNEL and _goes_on(evidence, row - _FIRST_CHANNEL, (a, first, first + n, b + 1)))
+            and (row == 0 or np.mean(same[other, first : first + n]) < _FROZEN)
+            and not _at_extreme(evidence.columns[_channels(row)], first)
+            and not (row > 2 and _goes_on(evidence, row - 3, (a, first, first + n, b + 1)))
         ):
             found[row] = first, n
     return found
 
 
-def _at_extreme(evidence: Evidence, row: int, first: int) -> bool:
-    """True if a run of one channel, or of all channels of a triad, is at their largest or smallest readings."""
-    columns = evidence.columns[_CHANNELS[row]]
+def _channels(row: int) -> slice:
+    """Channels of a row of ``Evidence.repeats``; none for the first one, as all channels do not saturate at once."""
+    return slice(3 * (row - 1), 3 * row) if row < 3 else slice(row - 3, row - 2)
+
+
+def _at_extreme(columns: Array, first: int) -> bool:
+    """True if the readings of a run are the largest or smallest ones of all of these channels."""
     held = columns[:, first]
-    return row > 0 and bool(np.all((held == columns.min(axis=1)) | (held == columns.max(axis=1))))
+    return len(columns) > 0 and bool(np.all((held == columns.min(axis=1)) | (held == columns.max(axis=1))))
 
 
 def _goes_on(evidence: Evidence, channel: int, bounds: tuple[int, int, int, int]) -> bool:
@@ -141,7 +140,7 @@ def single_repeats(evidence: Evidence) -> list[tuple[Indices, float]]:
         at = np.flatnonzero(inside)
         if at.size == 0:
             continue
-        every, gyro, accel = evidence.repeats[:_FIRST_CHANNEL, at]
+        every, gyro, accel = evidence.repeats[:3, at]
         by_gyro, by_accel = (
             np.add.reduceat(x.astype(np.float64), np.arange(0, at.size, _CHUNK)) for x in (gyro, accel)
         )

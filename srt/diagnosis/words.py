@@ -121,11 +121,9 @@ def _count_value(table: Array) -> float | None:
     least = []
     for axis in np.flatnonzero(smallest_step(table) > 0.0).tolist():
         column = np.unique(table[:, axis])
-        gaps = np.diff(column)
-        gaps = np.unique(gaps[gaps > ROUNDING * np.abs(column).max()])
-        finer = np.diff(gaps)
-        finer = finer[finer > ROUNDING * np.abs(column).max()]
-        least.append(float(np.concatenate([gaps, finer]).min()))
+        gaps = np.unique(np.diff(column))
+        steps = np.concatenate([gaps, np.diff(gaps)])
+        least.append(float(steps[steps > ROUNDING * np.abs(column).max()].min()))
     return min(least) if least else None
 
 
