@@ -124,13 +124,10 @@ def next_sequences(
 
     Parameters
     ----------
-    fixture : FixtureKinematics
-    conditions : Conditions
     targets : ndarray, shape (27,), SI
         Target sigma; NaN: none.
     known : ndarray, shape (N_UNKNOWNS, N_UNKNOWNS)
         Information of the test so far, see :func:`known_information`.
-    limits : PlanLimits, optional
     horizon_s : float
         Length of the continuation, s.
     count : int

@@ -225,8 +225,6 @@ def select(
 
     Parameters
     ----------
-    criterion : AccuracyCriterion
-    pool : CandidatePool
     total_s : float
         Length of the whole test, s.
     per_sequence_s : float
