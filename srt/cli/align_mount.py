@@ -2,30 +2,28 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from srt.cli.apply import check_match, load_fit
 from srt.cli.messages import show, warn
 from srt.cli.output_paths import check_file
-from srt.cli.path_type import NamedPath
+from srt.cli.path_type import PATH
 from srt.exceptions import InputError
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 RESULT_SUFFIXES = (".json",)
 
 
 @click.command("align-mount")
-@click.argument("recording_path", metavar="[RECORDING]", required=False, type=NamedPath(path_type=Path))
+@click.argument("recording_path", metavar="[RECORDING]", required=False, type=PATH)
 @click.option(
-    "--calibration",
-    "calibration_file",
-    required=True,
-    metavar="UNIT.json",
-    type=NamedPath(path_type=Path),
-    help="Calibration of the unit.",
+    "--calibration", "calibration_file", required=True, metavar="UNIT.json", type=PATH, help="Calibration of the unit."
 )
-@click.option("-o", "--output", type=NamedPath(path_type=Path), metavar="FILE.json", help="Result: FILE.json.")
+@click.option("-o", "--output", type=PATH, metavar="FILE.json", help="Result: FILE.json.")
 @click.option(
     "--level-sigma-mrad",
     type=float,

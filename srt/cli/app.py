@@ -130,10 +130,6 @@ def app(context: click.Context) -> None:
 def run(arguments: Sequence[str]) -> int:
     """Run the group; errors become one sentence and an exit code.
 
-    Parameters
-    ----------
-    arguments : sequence of str
-
     Returns
     -------
     int

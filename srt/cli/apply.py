@@ -10,7 +10,8 @@ import click
 from srt.cli.grouped_command import GroupedCommand
 from srt.cli.messages import show, warn
 from srt.cli.output_paths import SAMPLES_FORMATS, check_file, check_recording_target, recording_folder
-from srt.cli.path_type import NamedPath
+from srt.cli.path_type import PATH
+from srt.cli.recording_arguments import check_median_force
 from srt.cli.stream import NAMES, STANDARD, run_stream, stream_options
 from srt.exceptions import InputError
 
@@ -29,18 +30,14 @@ _USUAL = (
 
 
 @click.command("apply", cls=GroupedCommand, usual=_USUAL)
-@click.argument("calibration_file", metavar="CALIBRATION", type=NamedPath(path_type=Path))
-@click.argument("recording_path", metavar="[RECORDING]", required=False, type=NamedPath(path_type=Path))
-@click.option("-o", "--output", type=NamedPath(path_type=Path), help="Folder to write; made if absent.")
+@click.argument("calibration_file", metavar="CALIBRATION", type=PATH)
+@click.argument("recording_path", metavar="[RECORDING]", required=False, type=PATH)
+@click.option("-o", "--output", type=PATH, help="Folder to write; made if absent.")
 @click.option(
-    "--frame",
-    type=click.Choice(("mars", "table")),
-    default="mars",
-    show_default=True,
-    help="Axes of the result.",
+    "--frame", type=click.Choice(("mars", "table")), default="mars", show_default=True, help="Axes of the result."
 )
 @click.option("--samples-format", type=click.Choice(SAMPLES_FORMATS), help="Default: as in RECORDING.")
-@click.option("--c-header", type=NamedPath(path_type=Path), metavar="FILE.h", help="Also write the correction as C99.")
+@click.option("--c-header", type=PATH, metavar="FILE.h", help="Also write the correction as C99.")
 @stream_options
 @click.option("--force", is_flag=True, help="Accept any status of the calibration, serial and size of readings.")
 @click.option("--trust", is_flag=True, help="Accept a calibration file that was changed after it was written.")
@@ -138,7 +135,6 @@ def check_places(recording: Path | None, output: Path | None, c_header: Path | N
     ----------
     recording, output, c_header : Path or None
         As on the command line.
-    overwrite : bool
 
     Raises
     ------
@@ -150,17 +146,11 @@ def check_places(recording: Path | None, output: Path | None, c_header: Path | N
         raise InputError("There is nothing to write: give RECORDING and -o DIR, or --c-header FILE.h.")
     if output is not None and recording is not None:
         check_output(output, recording, overwrite=overwrite)
-    if c_header is not None:
-        check_file(c_header, HEADER_SUFFIXES, "The header")
+    check_file(c_header, HEADER_SUFFIXES, "The header")
 
 
 def check_output(folder: Path, recording: Path, *, overwrite: bool) -> None:
     """Check the folder of the result before data are read.
-
-    Parameters
-    ----------
-    folder, recording : Path
-    overwrite : bool
 
     Raises
     ------
@@ -178,15 +168,10 @@ def load_fit(path: Path, *, force: bool, trust: bool) -> Calibration:
 
     Parameters
     ----------
-    path : Path
     force : bool
         Accept any status.
     trust : bool
         Accept a file that was changed after it was written.
-
-    Returns
-    -------
-    Calibration
 
     Raises
     ------
@@ -237,8 +222,6 @@ def correct(calibration: Calibration, recording: Recording, frame: Any, *, check
 
     Parameters
     ----------
-    calibration : Calibration
-    recording : Recording
     frame : "mars" or "table"
     check : bool
         Refuse readings whose size fits the other kind of samples.
@@ -257,25 +240,13 @@ def correct(calibration: Calibration, recording: Recording, frame: Any, *, check
     """
     from dataclasses import replace
 
-    import numpy as np
-
     from srt.noise.quantization import reading_steps
     from srt.result.applier import Applier
 
     applier = Applier(calibration, frame=frame)
     increments = recording.kind == "increment"
     if check:
-        from srt.sequences.plausibility import check_rest
-
-        # In the motion of a vehicle, too, the median of the specific force is near gravity.
-        size = np.linalg.norm(recording.accel, axis=1)
-        force = float(np.median(size / recording.interval_s if increments else size))
-        check_rest(
-            [[force, 0.0, 0.0]],
-            recording.site.gravity_m_s2,
-            ["the whole recording"],
-            interval_s=recording.nominal_interval_s,
-        )
+        check_median_force(recording)
     gyro, accel = applier.apply(recording.gyro, recording.accel, dt=recording.interval_s if increments else None)
     # The correction mixes the steps of three axes, so that corrected readings do not show their pulses any more.
     steps = reading_steps(recording).reshape(2, 3).max(axis=1).tolist()

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from srt.cli.calibrate import choice_option
 from srt.cli.messages import announce, figure_title, show
-from srt.cli.output_paths import PLOT_SUFFIXES, RESULT_SUFFIXES, check_file, require_matplotlib
-from srt.cli.path_type import NamedPath
+from srt.cli.output_paths import RESULT_SUFFIXES, check_file, check_plot
+from srt.cli.path_type import PATH
 from srt.cli.progress import count_progress
 from srt.exceptions import InputError
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from sims.scenarios.scenario import Scenario
     from srt.estimation.options import GyroBias
 
@@ -32,11 +33,9 @@ if TYPE_CHECKING:
 @click.option("--paper", is_flag=True, help="Analysis of Savage 2020, §9, with the noise of the scenario.")
 @click.option("--draws", type=click.IntRange(min=2), default=30, show_default=True, help="Draws of the fixture errors.")
 @choice_option("--gyro-bias", "Model of the gyro bias, as in calibrate.")
-@click.option("-o", "--output", type=NamedPath(path_type=Path), help="Result: FILE.json.")
+@click.option("-o", "--output", type=PATH, help="Result: FILE.json.")
 @click.option(
-    "--plot",
-    type=NamedPath(path_type=Path),
-    help="Figure: FILE.png, .pdf or .svg; one for each estimator, as FILE-least-squares.png.",
+    "--plot", type=PATH, help="Figure: FILE.png, .pdf or .svg; one for each estimator, as FILE-least-squares.png."
 )
 @click.option("--details", is_flag=True, help="Show all parameters, and the errors that are not in the sum.")
 @click.option("-q", "--quiet", is_flag=True, help="No progress and no tables; warnings and errors only.")
@@ -61,13 +60,10 @@ def budget(
     """
     import sims
 
-    if output is not None:
-        check_file(output, RESULT_SUFFIXES, "The budget")
-    if plot is not None:
-        if paper:
-            raise InputError("--paper makes a table, and no plot: leave one of the two options out.")
-        check_file(plot, PLOT_SUFFIXES, "The plot")
-        require_matplotlib()
+    check_file(output, RESULT_SUFFIXES, "The budget")
+    if plot is not None and paper:
+        raise InputError("--paper makes a table, and no plot: leave one of the two options out.")
+    check_plot(plot)
     chosen = sims.load_scenario(scenario)
     if paper:
         return paper_mode(chosen, output, quiet=quiet)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -13,12 +12,13 @@ from srt.cli.grouped_command import GroupedCommand
 from srt.cli.merge import run_merging
 from srt.cli.messages import announce, figure_title, say, show, warn
 from srt.cli.output_paths import RESULT_SUFFIXES, make_directory, require_matplotlib
-from srt.cli.path_type import NamedPath
+from srt.cli.path_type import PATH
 from srt.cli.recording_arguments import find_recordings
 from srt.exceptions import DataError, InputError, SrtError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
+    from pathlib import Path
 
     from click.decorators import FC
 
@@ -66,7 +66,7 @@ USUAL = (
 
 
 @click.command(cls=GroupedCommand, usual=USUAL, groups=GROUPS)
-@click.argument("recordings", nargs=-1, required=True, type=NamedPath(path_type=Path), metavar="RECORDING...")
+@click.argument("recordings", nargs=-1, required=True, type=PATH, metavar="RECORDING...")
 @click.option(
     "--estimator",
     default="auto",
@@ -74,8 +74,8 @@ USUAL = (
     metavar="NAME",
     help="auto, closed-form, least-squares, ekf, graph, or another that is installed.",
 )
-@click.option("-o", "--output", type=NamedPath(path_type=Path), help="Result: FILE.json, or a folder for several.")
-@click.option("--plot", type=NamedPath(path_type=Path), help="Figure: FILE.png, .pdf or .svg.")
+@click.option("-o", "--output", type=PATH, help="Result: FILE.json, or a folder for several.")
+@click.option("--plot", type=PATH, help="Figure: FILE.png, .pdf or .svg.")
 @click.option("--details", is_flag=True, help="Show sources of sigma, sequences and residuals, too.")
 @click.option("--budget", is_flag=True, help="As --details, with all sources of sigma instead of three.")
 @click.option("--verdict", is_flag=True, help="As --details, with the observability of every parameter.")
@@ -91,18 +91,14 @@ USUAL = (
     metavar="N",
     help="Leave out a turn or pose by its number, or all runs of a sequence by its id.",
 )
-@click.option("--truth", type=NamedPath(path_type=Path), help="truth.json of a simulated recording: show errors.")
+@click.option("--truth", type=PATH, help="truth.json of a simulated recording: show errors.")
 @click.option("-q", "--quiet", is_flag=True, help="No progress and no table; warnings and errors only.")
 @click.option("--no-asymmetry", is_flag=True, help="Fix the gyro scale-factor asymmetries at zero.")
 @click.option(
     "--hold", multiple=True, metavar="NAME", help="Fix a parameter or a group, as gyro_scale_x or accel_bias."
 )
 @choice_option("--gyro-bias", "Model of the gyro bias.")
-@click.option(
-    "--no-fixture-states",
-    is_flag=True,
-    help="ekf and graph: do not estimate north, mounting and gravity.",
-)
+@click.option("--no-fixture-states", is_flag=True, help="ekf and graph: do not estimate north, mounting and gravity.")
 @click.option("--ignore-moves", is_flag=True, help="Use no recorded moves between the sequences.")
 @click.option(
     "--workers",
@@ -124,10 +120,7 @@ USUAL = (
 @choice_option("--loss", "Loss function of graph.")
 @choice_option("--filter", "Form of ekf, for comparison: iterated or not, covariance form, unscented.")
 @click.option(
-    "--prior",
-    type=NamedPath(path_type=Path),
-    metavar="FILE.json",
-    help="Earlier calibration of the unit as prior of ekf or graph.",
+    "--prior", type=PATH, metavar="FILE.json", help="Earlier calibration of the unit as prior of ekf or graph."
 )
 @click.option("--live", is_flag=True, help="ekf: estimate after every sequence, as during the test.")
 @click.option(
@@ -329,17 +322,6 @@ def parse_targets(texts: Sequence[str]) -> dict[str, float]:
 
 def run_job(job: Job, estimator: str, options: Options, display: Display) -> Calibration:
     """Calibrate one recording; write and print the result, whatever its status.
-
-    Parameters
-    ----------
-    job : Job
-    estimator : str
-    options : Options
-    display : Display
-
-    Returns
-    -------
-    Calibration
 
     Raises
     ------

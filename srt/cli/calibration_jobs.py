@@ -74,14 +74,8 @@ def plan(recordings: Sequence[Path], output: Path | None, plot: Path | None) -> 
 
     Parameters
     ----------
-    recordings : sequence of Path
     output : Path or None
         A folder if there are several recordings, or if it exists as one.
-    plot : Path or None
-
-    Returns
-    -------
-    tuple of Job
 
     Raises
     ------
@@ -104,10 +98,9 @@ def plan(recordings: Sequence[Path], output: Path | None, plot: Path | None) -> 
         jobs.append(Job(path, name, file, figure))
     if output is not None and into_folder:
         check_directory(output)
-    elif output is not None:
+    else:
         check_file(output, RESULT_SUFFIXES, "The result")
-    if plot is not None:
-        check_file(plot, PLOT_SUFFIXES, "The plot")
+    check_file(plot, PLOT_SUFFIXES, "The plot")
     return tuple(jobs)
 
 
@@ -128,10 +121,8 @@ def plan_merging(recordings: Sequence[Path], output: Path | None, plot: Path | N
         raise InputError(f"{twice} is named twice, and one recording must not count twice.")
     stems = [path.stem if path.suffix == ".json" else path.name for path in resolved]
     names = [stem if stems.count(stem) == 1 else str(path) for stem, path in zip(stems, recordings, strict=True)]
-    if output is not None:
-        check_file(output, RESULT_SUFFIXES, "The merged calibration")
-    if plot is not None:
-        check_file(plot, PLOT_SUFFIXES, "The plot")
+    check_file(output, RESULT_SUFFIXES, "The merged calibration")
+    check_file(plot, PLOT_SUFFIXES, "The plot")
     return tuple(Job(path, name) for path, name in zip(recordings, names, strict=True))
 
 
@@ -149,8 +140,7 @@ def plan_fleet(recordings: Sequence[Path], output: Path | None, plot: Path | Non
                 f"The results of a fleet go to a folder, and {output} is called like a file: name another."
             )
         check_directory(output)
-    if plot is not None:
-        check_file(plot, PLOT_SUFFIXES, "The plot")
+    check_file(plot, PLOT_SUFFIXES, "The plot")
     jobs = []
     for path, name in zip(recordings, unit_names(recordings), strict=True):
         file = output / f"{file_name(name)}.json" if output is not None else None

@@ -9,7 +9,7 @@ import click
 
 from srt.cli.messages import say, show, warn
 from srt.cli.output_paths import check_directory, check_file, make_directory
-from srt.cli.path_type import NamedPath
+from srt.cli.path_type import PATH
 from srt.exceptions import DataError, InputError
 
 PAGE: Final = ".html"
@@ -18,19 +18,17 @@ _NO_FOLDER: Final = (".pdf", ".htm", ".json", ".toml", ".txt", ".png", ".svg")
 
 
 @click.command()
-@click.argument("calibration_file", metavar="CALIBRATION", type=NamedPath(path_type=Path))
-@click.argument("recording_path", metavar="[RECORDING]", required=False, type=NamedPath(path_type=Path))
+@click.argument("calibration_file", metavar="CALIBRATION", type=PATH)
+@click.argument("recording_path", metavar="[RECORDING]", required=False, type=PATH)
 @click.option(
     "-o",
     "--output",
-    type=NamedPath(path_type=Path),
+    type=PATH,
     help="FILE.html, or a folder; default: CALIBRATION-certificate.html in the working directory.",
 )
-@click.option("--limits", type=NamedPath(path_type=Path), metavar="FILE.toml", help="Limits that the unit must meet.")
-@click.option(
-    "--against", type=NamedPath(path_type=Path), metavar="OLD.json", help="An earlier calibration of the same unit."
-)
-@click.option("--lab", type=NamedPath(path_type=Path), metavar="FILE.toml", help="Laboratory, equipment, conditions.")
+@click.option("--limits", type=PATH, metavar="FILE.toml", help="Limits that the unit must meet.")
+@click.option("--against", type=PATH, metavar="OLD.json", help="An earlier calibration of the same unit.")
+@click.option("--lab", type=PATH, metavar="FILE.toml", help="Laboratory, equipment, conditions.")
 @click.option("-q", "--quiet", is_flag=True, help="No summary; warnings and errors only.")
 def certificate(
     calibration_file: Path,
@@ -91,7 +89,6 @@ def check_places(calibration_file: Path, output: Path | None) -> tuple[Path, Pat
 
     Parameters
     ----------
-    calibration_file : Path
     output : Path or None
         As on the command line.
 

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from srt.cli.calibrate import calibrate as calibrate_command
 from srt.cli.messages import announce, figure_title, say, show, warn
-from srt.cli.output_paths import PLOT_SUFFIXES, RESULT_SUFFIXES, check_file, recording_folder, require_matplotlib
-from srt.cli.path_type import NamedPath
+from srt.cli.output_paths import RESULT_SUFFIXES, check_file, check_plot, recording_folder
+from srt.cli.path_type import PATH
 from srt.exceptions import DataError, InputError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from pathlib import Path
 
     from srt.comparison.estimator_comparison import Comparison
     from srt.estimation.options import Options
@@ -30,7 +30,7 @@ _FOREIGN_TRUTH = 10.0
 
 
 @click.command()
-@click.argument("recording", type=NamedPath(path_type=Path), metavar="RECORDING")
+@click.argument("recording", type=PATH, metavar="RECORDING")
 @click.option(
     "--estimator",
     "names",
@@ -45,9 +45,9 @@ _FOREIGN_TRUTH = 10.0
     help="Estimate that the others are compared with. Default: the first of "
     "graph, ekf, least-squares, closed-form that ran.",
 )
-@click.option("-o", "--output", type=NamedPath(path_type=Path), help="Result: FILE.json.")
-@click.option("--plot", type=NamedPath(path_type=Path), help="Figure: FILE.png, .pdf or .svg.")
-@click.option("--truth", type=NamedPath(path_type=Path), help="truth.json of a simulated recording: show errors.")
+@click.option("-o", "--output", type=PATH, help="Result: FILE.json.")
+@click.option("--plot", type=PATH, help="Figure: FILE.png, .pdf or .svg.")
+@click.option("--truth", type=PATH, help="truth.json of a simulated recording: show errors.")
 @click.option("--details", is_flag=True, help="Show the estimates and sigmas of all estimators (120 columns).")
 @click.option("-q", "--quiet", is_flag=True, help="No progress and no tables; warnings and errors only.")
 def compare(
@@ -72,18 +72,14 @@ def compare(
     one failed or did not converge, or fewer than two can run; 2 wrong usage or unreadable input.
     """
     # Whatever can be refused without the samples is refused before they are read.
-    if output is not None:
-        check_file(output, RESULT_SUFFIXES, "The result")
-    if plot is not None:
-        check_file(plot, PLOT_SUFFIXES, "The plot")
+    check_file(output, RESULT_SUFFIXES, "The result")
+    check_plot(plot)
     from srt.estimation.options import Options
     from srt.estimation.registry import ESTIMATORS
 
     names = tuple(dict.fromkeys(names))
     check_names(names, ESTIMATORS, reference)
     options = Options(asymmetry=not no_asymmetry, **choices)
-    if plot is not None:
-        require_matplotlib()
     comparison = run(recording, names, reference, truth, options, quiet=quiet)
     folder = recording_folder(recording)
     if output is not None:
@@ -112,8 +108,6 @@ def check_names(names: Sequence[str], default: Sequence[str], reference: str | N
     ----------
     names : sequence of str
         Names asked for; empty: the default.
-    default : sequence of str
-    reference : str or None
 
     Raises
     ------
@@ -173,12 +167,7 @@ def run(
         seconds |= took
         failures |= failed
     return compare_calibrations(
-        calibrations,
-        reference=reference,
-        seconds=seconds,
-        failures=failures,
-        left_out=left_out,
-        truth=true_errors,
+        calibrations, reference=reference, seconds=seconds, failures=failures, left_out=left_out, truth=true_errors
     )
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -10,11 +9,13 @@ import click
 from srt.cli.grouped_command import GroupedCommand, RenamedOption
 from srt.cli.messages import show
 from srt.cli.output_paths import SAMPLES_FORMATS, check_recording_target
-from srt.cli.path_type import NamedPath
+from srt.cli.path_type import PATH
+from srt.cli.recording_arguments import check_median_force, median_force
 from srt.exceptions import DataError, InputError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from pathlib import Path
 
     from srt.recording.recording import Recording
 
@@ -94,17 +95,13 @@ _READ = [
     click.option("--topic", help="Topic of the IMU in a bag."),
     click.option("--instance", type=click.IntRange(min=0), help="Number of the IMU in a log, from 0."),
     click.option("--variable", help="Array, struct or group of a MATLAB, HDF5 or NPZ file."),
-    click.option(
-        "--delimiter",
-        metavar="MARK",
-        help="Delimiter: tab, semicolon, comma, pipe, blank, or a character.",
-    ),
+    click.option("--delimiter", metavar="MARK", help="Delimiter: tab, semicolon, comma, pipe, blank, or a character."),
     click.option("--decimal-comma", is_flag=True, help="The text file writes 1,5 for 1.5."),
     click.option("--skip", type=click.IntRange(min=0), default=0, help="Lines to skip at the top of a text file."),
 ]
 
 _SAY = [
-    click.option("--like", type=NamedPath(path_type=Path), metavar="RECORDING", help="Take site, fixture, imu and "
+    click.option("--like", type=PATH, metavar="RECORDING", help="Take site, fixture, imu and "
                  "sequences from this recording; options take precedence."),
     click.option("--latitude-deg", type=float, help="Latitude of the site."),
     click.option("--gravity-m-s2", type=float, help="Gravity at the site, positive."),
@@ -130,7 +127,7 @@ _SAY = [
 ]  # fmt: skip
 
 _WRITE = [
-    click.option("-o", "--output", required=True, type=NamedPath(path_type=Path), help="Folder to write."),
+    click.option("-o", "--output", required=True, type=PATH, help="Folder to write."),
     click.option("--samples-format", cls=RenamedOption, earlier=("--to",), type=click.Choice(SAMPLES_FORMATS),
                  default="csv", show_default=True, help="Format of the samples written."),
     click.option("--force", is_flag=True, help="Write even if the accelerometers do not read gravity."),
@@ -157,8 +154,8 @@ _USUAL = (
 
 
 @click.command(cls=GroupedCommand, usual=_USUAL, groups=_GROUPS)
-@click.argument("source", type=NamedPath(path_type=Path))
-@click.argument("second", metavar="[SOURCE2]", required=False, type=NamedPath(path_type=Path))
+@click.argument("source", type=PATH)
+@click.argument("second", metavar="[SOURCE2]", required=False, type=PATH)
 @click.option(
     "--list", is_flag=True, is_eager=True, expose_value=False, callback=_list_formats, help="List the formats and exit."
 )
@@ -213,13 +210,6 @@ def convert(
 def check_target(folder: Path, source: Path, second: Path | None, samples_format: str, *, overwrite: bool) -> None:
     """Check the folder of the result before data are read.
 
-    Parameters
-    ----------
-    folder, source : Path
-    second : Path or None
-    samples_format : str
-    overwrite : bool
-
     Raises
     ------
     InputError
@@ -237,8 +227,6 @@ def check_gravity(recording: Recording, source: Path, accel_lsb: str | None = No
 
     Parameters
     ----------
-    recording : Recording
-    source : Path
     accel_lsb : str, optional
         Value of a count as stated, which is then the first cause.
 
@@ -246,24 +234,12 @@ def check_gravity(recording: Recording, source: Path, accel_lsb: str | None = No
     ------
     DataError
     """
-    import numpy as np
-
-    from srt.sequences.plausibility import check_rest
-
-    # In any motion of a test, the median of the specific force is near gravity.
-    size = np.linalg.norm(recording.accel, axis=1)
-    force = float(np.median(size / recording.interval_s if recording.kind == "increment" else size))
     try:
-        check_rest(
-            [[force, 0.0, 0.0]],
-            recording.site.gravity_m_s2,
-            ["the whole recording"],
-            interval_s=recording.nominal_interval_s,
-        )
+        check_median_force(recording)
     except DataError as error:
         reason = f"{str(error).rstrip('.')}, or add --force."
         if accel_lsb is not None:
-            ratio = force / recording.site.gravity_m_s2
+            ratio = median_force(recording) / recording.site.gravity_m_s2
             reason = (
                 f"With the stated value of a count, {accel_lsb}, the accelerometers read {ratio:.3g} times gravity: "
                 "correct --accel-lsb, or add --force."

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -10,21 +10,19 @@ from srt.cli.calibrate import report_problems, run_job
 from srt.cli.calibration_jobs import Display, Job
 from srt.cli.messages import show, warn
 from srt.cli.output_paths import check_directory, check_recording_target, make_directory, require_matplotlib
-from srt.cli.path_type import NamedPath
+from srt.cli.path_type import PATH
 from srt.cli.simulate import run_scenario, summary, write_simulation
 from srt.exceptions import MissingExtraError
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 SCENARIO = "demo"
 
 
 @click.command()
 @click.option(
-    "-o",
-    "--output",
-    default="demo-output",
-    show_default=True,
-    type=NamedPath(path_type=Path),
-    help="Folder for recording, result and plot.",
+    "-o", "--output", default="demo-output", show_default=True, type=PATH, help="Folder for recording, result and plot."
 )
 @click.option("--seed", type=click.IntRange(min=0), help="Seed of unit, fixture and noise.")
 @click.option("-q", "--quiet", is_flag=True, help="The last sentence only.")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -11,10 +10,12 @@ from srt.cli.apply import check_match, load_fit, warn_of_unmeasured
 from srt.cli.grouped_command import GroupedCommand
 from srt.cli.messages import show, warn
 from srt.cli.output_paths import check_file
-from srt.cli.path_type import NamedPath
+from srt.cli.path_type import PATH
 from srt.exceptions import InputError
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from srt.exporters.correction_difference import Readings
     from srt.exporters.file_format import Exporter
     from srt.result.calibration import Calibration
@@ -36,10 +37,10 @@ def _list(context: click.Context, _: click.Parameter, wanted: bool) -> None:
 
 
 @click.command("export", cls=GroupedCommand, usual=_USUAL)
-@click.argument("calibration_file", metavar="CALIBRATION", type=NamedPath(path_type=Path))
+@click.argument("calibration_file", metavar="CALIBRATION", type=PATH)
 @click.option("--to", "target", required=True, metavar="TARGET", help="Format to write; see --list.")
-@click.option("-o", "--output", type=NamedPath(path_type=Path), help="File to write; without it, only the report.")
-@click.option("--recording", type=NamedPath(path_type=Path), help="Raw readings on which the difference is measured.")
+@click.option("-o", "--output", type=PATH, help="File to write; without it, only the report.")
+@click.option("--recording", type=PATH, help="Raw readings on which the difference is measured.")
 @click.option(
     "--frame", type=click.Choice(("mars", "table", "accel")), help="Axes of the file, where there is a choice."
 )

@@ -45,13 +45,8 @@ def run_fleet(
 
     Parameters
     ----------
-    jobs : sequence of Job
-    estimator : str
-    options : Options
-    engine : FleetEngine
     output : Path or None
         Folder of the results.
-    quiet, force : bool
 
     Returns
     -------

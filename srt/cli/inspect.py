@@ -3,23 +3,26 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from srt.cli.grouped_command import RenamedOption
 from srt.cli.messages import announce, figure_title, say, show
-from srt.cli.output_paths import PLOT_SUFFIXES, RESULT_SUFFIXES, check_file, recording_folder, require_matplotlib
-from srt.cli.path_type import NamedPath
+from srt.cli.output_paths import RESULT_SUFFIXES, check_file, check_plot, recording_folder
+from srt.cli.path_type import PATH
 from srt.exceptions import DataError
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 
 @click.command()
-@click.argument("recording", type=NamedPath(path_type=Path), metavar="RECORDING")
+@click.argument("recording", type=PATH, metavar="RECORDING")
 @click.option("--deep", is_flag=True, help="Also calibrate, and look for faults that only a calibration shows.")
-@click.option("-o", "--output", "json_file", cls=RenamedOption, earlier=("--json",), type=NamedPath(path_type=Path),
+@click.option("-o", "--output", "json_file", cls=RenamedOption, earlier=("--json",), type=PATH,
               metavar="FILE", help="Result: FILE.json.")  # fmt: skip
-@click.option("--plot", type=NamedPath(path_type=Path), metavar="FILE", help="Figure: FILE.png, .pdf or .svg.")
+@click.option("--plot", type=PATH, metavar="FILE", help="Figure: FILE.png, .pdf or .svg.")
 @click.option("-q", "--quiet", is_flag=True, help="No table; fatal faults only.")
 def inspect(recording: Path, deep: bool, json_file: Path | None, plot: Path | None, quiet: bool) -> int:
     """Show the content of RECORDING, a folder with recording.toml and samples, and look for faults.
@@ -29,11 +32,8 @@ def inspect(recording: Path, deep: bool, json_file: Path | None, plot: Path | No
 
     Exit codes: 0 no fatal fault; 1 a fatal fault, in one sentence; 2 wrong usage or unreadable input.
     """
-    if json_file is not None:
-        check_file(json_file, RESULT_SUFFIXES, "The inspection")
-    if plot is not None:
-        check_file(plot, PLOT_SUFFIXES, "The plot")
-        require_matplotlib()
+    check_file(json_file, RESULT_SUFFIXES, "The inspection")
+    check_plot(plot)
     from srt.diagnosis import inspection
     from srt.recording.atomic_file import atomic_write_text
     from srt.recording.folder import load_recording

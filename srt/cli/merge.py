@@ -32,10 +32,6 @@ def run_merging(
     ----------
     jobs : sequence of Job
         Recordings, or calibrations (.json) of recordings.
-    estimator : str
-    options : Options
-    display : Display
-    output, plot : Path or None
 
     Returns
     -------

@@ -2,27 +2,28 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from srt.cli.grouped_command import RenamedOption
 from srt.cli.messages import announce, figure_title, show
-from srt.cli.output_paths import PLOT_SUFFIXES, RESULT_SUFFIXES, check_file, recording_folder, require_matplotlib
-from srt.cli.path_type import NamedPath
+from srt.cli.output_paths import RESULT_SUFFIXES, check_file, check_plot, recording_folder
+from srt.cli.path_type import PATH
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from srt.recording.recording import Recording
 
 
 @click.command()
-@click.argument("log", type=NamedPath(path_type=Path), metavar="LOG")
-@click.option("--into", type=NamedPath(path_type=Path), metavar="UNIT", help="Calibration UNIT.json of the same unit "
+@click.argument("log", type=PATH, metavar="LOG")
+@click.option("--into", type=PATH, metavar="UNIT", help="Calibration UNIT.json of the same unit "
               "that the terms are written into, for exports.")  # fmt: skip
-@click.option("-o", "--output", "json_file", cls=RenamedOption, earlier=("--json",), type=NamedPath(path_type=Path),
+@click.option("-o", "--output", "json_file", cls=RenamedOption, earlier=("--json",), type=PATH,
               metavar="FILE", help="Result: FILE.json.")  # fmt: skip
-@click.option("--plot", type=NamedPath(path_type=Path), metavar="FILE", help="Figure: FILE.png, .pdf or .svg.")
+@click.option("--plot", type=PATH, metavar="FILE", help="Figure: FILE.png, .pdf or .svg.")
 @click.option("--force", is_flag=True, help="Accept any status of the calibration and any serial.")
 @click.option("--trust", is_flag=True, help="Accept a calibration file that was changed after it was written.")
 @click.option("-q", "--quiet", is_flag=True, help="No table.")
@@ -52,15 +53,9 @@ def noise(
     from srt.result.noise_figures import LogNoise
     from srt.sequences.rest_detection import undisturbed_rest
 
-    for file, suffixes, what in (
-        (json_file, RESULT_SUFFIXES, "The result"),
-        (plot, PLOT_SUFFIXES, "The plot"),
-        (into, RESULT_SUFFIXES, "The calibration"),
-    ):
-        if file is not None:
-            check_file(file, suffixes, what)
-    if plot is not None:
-        require_matplotlib()
+    check_file(json_file, RESULT_SUFFIXES, "The result")
+    check_plot(plot)
+    check_file(into, RESULT_SUFFIXES, "The calibration")
     recording = _samples(log)
     calibration = None if into is None else load_fit(into, force=force, trust=trust)
     if calibration is not None and into is not None and not force:

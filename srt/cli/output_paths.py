@@ -26,12 +26,18 @@ def require_matplotlib() -> None:
         raise MissingExtraError("matplotlib", "plot", "A plot")
 
 
-def check_file(path: Path, suffixes: Sequence[str], what: str) -> None:
-    """Check that a file can be written, before its content is computed.
+def check_plot(path: Path | None) -> None:
+    """Check that a figure can be written and drawn, before its content is computed; nothing for None."""
+    if path is not None:
+        check_file(path, PLOT_SUFFIXES, "The plot")
+        require_matplotlib()
+
+
+def check_file(path: Path | None, suffixes: Sequence[str], what: str) -> None:
+    """Check that a file can be written, before its content is computed; nothing for None.
 
     Parameters
     ----------
-    path : Path
     suffixes : sequence of str
         Endings that are allowed. Another ending is mostly a slip, and could replace a file of samples.
     what : str
@@ -41,6 +47,8 @@ def check_file(path: Path, suffixes: Sequence[str], what: str) -> None:
     ------
     InputError
     """
+    if path is None:
+        return
     if path.is_dir():
         raise InputError(f"{what} cannot be written as {path}: it is a folder; name a file.")
     if path.suffix.lower() not in suffixes:

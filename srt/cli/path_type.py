@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
 
 import click
 
@@ -18,3 +19,7 @@ class NamedPath(click.Path):
         if value == "":
             self.fail("the path is empty; name a file or folder, or . for the working directory", param, ctx)
         return super().convert(value, param, ctx)
+
+
+PATH: Final = NamedPath(path_type=Path)
+"""Type of an argument or option that is a path."""

@@ -5,26 +5,23 @@ from __future__ import annotations
 import json
 from contextlib import contextmanager
 from dataclasses import replace
-from pathlib import Path
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import click
 
 from srt.cli.messages import announce, say, show
-from srt.cli.output_paths import PLOT_SUFFIXES, RESULT_SUFFIXES, check_file, require_matplotlib
-from srt.cli.path_type import NamedPath
+from srt.cli.output_paths import RESULT_SUFFIXES, check_file, check_plot
+from srt.cli.path_type import PATH
 from srt.cli.progress import status_line
 from srt.comparison.parallel import one_thread
 from srt.exceptions import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
+    from pathlib import Path
 
     from sims.scenarios.plan_file import PlanFile
     from srt.planning.plan import Plan
-
-_SHEET_SUFFIXES: Final = (".md",)
-_SCENARIO_SUFFIXES: Final = (".toml",)
 
 
 class PlanFiles(NamedTuple):
@@ -39,12 +36,10 @@ class PlanFiles(NamedTuple):
 @click.command()
 @click.argument("plan_file", metavar="PLAN")
 @click.option("--total-time", type=float, metavar="S", help="Length of the test in s, instead of the file's.")
-@click.option("-o", "--output", type=NamedPath(path_type=Path), help="Schedule for srt simulate: FILE.toml.")
-@click.option("--sheet", type=NamedPath(path_type=Path), help="Sheet for the operator: FILE.md.")
-@click.option("--json", "document", type=NamedPath(path_type=Path), help="Plan as JSON: FILE.json.")
-@click.option(
-    "--plot", type=NamedPath(path_type=Path), help="Figure of timetable and accuracy: FILE.png, .pdf or .svg."
-)
+@click.option("-o", "--output", type=PATH, help="Schedule for srt simulate: FILE.toml.")
+@click.option("--sheet", type=PATH, help="Sheet for the operator: FILE.md.")
+@click.option("--json", "document", type=PATH, help="Plan as JSON: FILE.json.")
+@click.option("--plot", type=PATH, help="Figure of timetable and accuracy: FILE.png, .pdf or .svg.")
 @click.option("--table-1", is_flag=True, help="Compare with the 17 sequences of Table 1 in the same time.")
 @click.option(
     "--compare",
@@ -54,7 +49,7 @@ class PlanFiles(NamedTuple):
 )
 @click.option(
     "--after",
-    type=NamedPath(path_type=Path),
+    type=PATH,
     metavar="CALIBRATION",
     help="Instead of a plan, propose the next sequence after the test so far, from its calibration (JSON).",
 )
@@ -96,14 +91,10 @@ def plan(
     import sims.scenarios.plan_file as files
     from srt.recording.protocol import load_protocol
 
-    for path, suffixes, what in (
-        (output, _SCENARIO_SUFFIXES, "The schedule"),
-        (sheet, _SHEET_SUFFIXES, "The operator's sheet"),
-        (document, RESULT_SUFFIXES, "The plan"),
-        (plot, PLOT_SUFFIXES, "The plot"),
-    ):
-        if path is not None:
-            check_file(path, suffixes, what)
+    check_file(output, (".toml",), "The schedule")
+    check_file(sheet, (".md",), "The operator's sheet")
+    check_file(document, RESULT_SUFFIXES, "The plan")
+    check_plot(plot)
     for name in compare:
         load_protocol(name)
     from srt.recording.schema import LARGEST_TIME_S
@@ -124,8 +115,6 @@ def plan(
             raise InputError("--after proposes single sequences and writes no plan: leave the other options out.")
         with one_thread("sims"):
             return propose(chosen, after, trust=trust, quiet=quiet)
-    if plot is not None:
-        require_matplotlib()
     with one_thread("sims"):
         return make(chosen, PlanFiles(output, sheet, document, plot), compare, table_1=table_1, quiet=quiet)
 

@@ -75,7 +75,6 @@ def iteration_progress(name: str, *, quiet: bool) -> Iterator[Callable[[int, flo
     ----------
     name : str
         Name of the recording.
-    quiet : bool
     """
     if quiet:
         yield None
@@ -116,8 +115,6 @@ def count_progress(name: str, *, quiet: bool, lines: bool = True) -> Iterator[Ca
 
     Parameters
     ----------
-    name : str
-    quiet : bool
     lines : bool
         Print lines where there is no terminal, every 30 s.
     """
@@ -158,7 +155,6 @@ def unit_progress(count: int, *, quiet: bool) -> Iterator[Callable[[Unit], None]
     ----------
     count : int
         Number of all units.
-    quiet : bool
     """
     if quiet:
         yield lambda unit: None  # noqa: ARG005 - nothing is shown

@@ -15,6 +15,8 @@ from srt.exceptions import InputError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from srt.recording.recording import Recording
+
 _TOML: Final = "recording.toml"
 _RESERVED: Final = "fleet"
 """Name of the files of the fleet, which stand beside the results."""
@@ -45,7 +47,6 @@ def find_recordings(arguments: Sequence[Path], *, files: Sequence[str] = ()) -> 
 
     Parameters
     ----------
-    arguments : sequence of Path
     files : sequence of str
         Endings of files that a pattern may also match, as ".json".
 
@@ -99,6 +100,22 @@ def unit_names(paths: Sequence[Path]) -> tuple[str, ...]:
 def file_name(unit: str) -> str:
     """Name of the files of a unit, without an ending."""
     return unit.replace("/", "-")
+
+
+def median_force(recording: Recording) -> float:
+    """Median of the size of the specific force, m/s²: near gravity in the motion of a test, and of a vehicle."""
+    import numpy as np
+
+    size = np.linalg.norm(recording.accel, axis=1)
+    return float(np.median(size / recording.interval_s if recording.kind == "increment" else size))
+
+
+def check_median_force(recording: Recording) -> None:
+    """Raise DataError for accelerometers that do not read gravity: a unit, or the kind of the samples, is wrong."""
+    from srt.sequences.plausibility import check_rest
+
+    force, where = [[median_force(recording), 0.0, 0.0]], ["the whole recording"]
+    check_rest(force, recording.site.gravity_m_s2, where, interval_s=recording.nominal_interval_s)
 
 
 def _below(folder: Path) -> list[Path]:

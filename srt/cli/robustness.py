@@ -10,7 +10,7 @@ import click
 
 from srt.cli.messages import say, show
 from srt.cli.output_paths import check_directory, check_file, check_recording_target
-from srt.cli.path_type import NamedPath
+from srt.cli.path_type import PATH
 from srt.cli.progress import count_progress
 from srt.exceptions import InputError
 
@@ -27,7 +27,7 @@ _ALWAYS: Final = ("trials", "converged")
 @click.option(
     "-o",
     "--output",
-    type=NamedPath(path_type=Path),
+    type=PATH,
     help="Folder of the results, or of the recording with --replay. Default for results: robustness-NAME.",
 )
 @click.option(
@@ -42,7 +42,7 @@ _ALWAYS: Final = ("trials", "converged")
 @click.option("--trials", type=click.IntRange(min=1), metavar="N", help="Trials of every point; default: as in CONFIG.")
 @click.option("--fresh", is_flag=True, help="Delete the results of an earlier run in the folder.")
 @click.option("--replay", metavar="POINT:TRIAL", help="Repeat one trial and show it; -o keeps its recording.")
-@click.option("--markdown", type=NamedPath(path_type=Path), help="Tables of the report: FILE.md.")
+@click.option("--markdown", type=PATH, help="Tables of the report: FILE.md.")
 @click.option("-q", "--quiet", is_flag=True, help="No progress and no table; warnings and errors only.")
 def robustness(
     config: str,
@@ -75,8 +75,7 @@ def robustness(
         campaign = replace(campaign, trials=trials)
     folder = output or Path(f"robustness-{campaign.name}")
     check_directory(folder)
-    if markdown is not None:
-        check_file(markdown, (".md",), "The document")
+    check_file(markdown, (".md",), "The document")
     from sims.robustness.report import html_report, markdown_tables, text_summary
     from sims.robustness.run import run_campaign
     from sims.robustness.summary import summarise
@@ -107,7 +106,6 @@ def header_of(campaign: Campaign, config: str) -> Header:
 
     Parameters
     ----------
-    campaign : Campaign
     config : str
         Name of the campaign on the command line.
     """

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
@@ -11,15 +10,17 @@ import click
 from srt.cli.grouped_command import RenamedOption
 from srt.cli.messages import show
 from srt.cli.output_paths import SAMPLES_FORMATS, check_recording_target
-from srt.cli.path_type import NamedPath
+from srt.cli.path_type import PATH
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from sims import Scenario, Simulation
 
 
 @click.command()
 @click.argument("scenario", metavar="SCENARIO")
-@click.option("-o", "--output", required=True, type=NamedPath(path_type=Path), help="Folder to write.")
+@click.option("-o", "--output", required=True, type=PATH, help="Folder to write.")
 @click.option("--seed", type=click.IntRange(min=0), help="Seed; default: that of the scenario, or 1.")
 @click.option(
     "--samples-format",
@@ -62,13 +63,6 @@ def run_scenario(scenario: Scenario, seed: int | None) -> Simulation:
 
 def write_simulation(simulation: Simulation, folder: Path, *, samples_format: str, overwrite: bool) -> None:
     """Write recording and truth.
-
-    Parameters
-    ----------
-    simulation : sims.Simulation
-    folder : Path
-    samples_format : str
-    overwrite : bool
 
     Raises
     ------

@@ -77,7 +77,6 @@ def run_stream(calibration: Calibration, frame: Any, given: dict[str, Any], *, c
 
     Parameters
     ----------
-    calibration : Calibration
     frame : "mars" or "table"
     given : dict
         Values of :data:`OPTIONS` by name.

@@ -27,14 +27,6 @@ def write_truth(document: dict[str, Any], path: Path) -> None:
 def load_truth(path: Path) -> SensorErrors:
     """Read the sensor errors that a simulated recording was made with.
 
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    SensorErrors
-
     Raises
     ------
     InputError

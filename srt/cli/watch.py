@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
@@ -11,18 +10,19 @@ import click
 from srt.cli.calibration_jobs import Display, Job
 from srt.cli.messages import announce, figure_title, progress_line, show
 from srt.cli.output_paths import PLOT_SUFFIXES, RESULT_SUFFIXES, check_file, recording_folder
-from srt.cli.path_type import NamedPath
+from srt.cli.path_type import PATH
 from srt.cli.progress import live_text
 from srt.exceptions import DataError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from pathlib import Path
 
     from srt.planning.monitoring.followed_test import FollowedTest
 
 
 @click.command()
-@click.argument("recording", type=NamedPath(path_type=Path), metavar="RECORDING")
+@click.argument("recording", type=PATH, metavar="RECORDING")
 @click.option(
     "--estimator",
     default="auto",
@@ -47,8 +47,8 @@ if TYPE_CHECKING:
     show_default=True,
     help="Time without new samples after which the test ends, s; 0: look once.",
 )
-@click.option("-o", "--output", type=NamedPath(path_type=Path), help="Result at the end: FILE.json.")
-@click.option("--plot", type=NamedPath(path_type=Path), help="Figure of sigma against sequence: FILE.png, .pdf, .svg.")
+@click.option("-o", "--output", type=PATH, help="Result at the end: FILE.json.")
+@click.option("--plot", type=PATH, help="Figure of sigma against sequence: FILE.png, .pdf, .svg.")
 @click.option("-q", "--quiet", is_flag=True, help="Only errors of the test, and warnings of the final result.")
 def watch(
     recording: Path,
@@ -74,9 +74,8 @@ def watch(
     Exit codes: 0 converged and no error open; 1 an error of the test is open, or the data do not support a result;
     2 wrong usage or unreadable input.
     """
-    for path, suffixes, what in ((output, RESULT_SUFFIXES, "The result"), (plot, PLOT_SUFFIXES, "The plot")):
-        if path is not None:
-            check_file(path, suffixes, what)
+    check_file(output, RESULT_SUFFIXES, "The result")
+    check_file(plot, PLOT_SUFFIXES, "The plot")
     from srt.cli.calibrate import check_tools, parse_targets, report_problems, run_job
     from srt.estimation.options import Options
     from srt.planning.monitoring.followed_test import FollowedTest

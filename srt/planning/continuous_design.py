@@ -180,7 +180,6 @@ def optimal_design(
 
     Parameters
     ----------
-    columns : Columns
     total_s : float
         Time T, s.
     gap : float

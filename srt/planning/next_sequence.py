@@ -28,8 +28,6 @@ _LARGEST_DRIFT_SHARE: Final = 0.95
 """Share of a variance that the drift common to the test may take: the rest keeps the covariance positive definite."""
 _ROUNDING: Final = 1e-6
 """Smallest eigenvalue of the scaled covariance over its largest: smaller ones are rounding error."""
-_EXACT_GRAVITY: Final = 1e-12
-"""Smallest sigma of gravity, m/s², where it is stated as exact."""
 _LEAST_GAIN: Final = 0.98
 """Factor of a variance below which a parameter counts as improved."""
 _MOST_LISTED: Final = 3
@@ -100,9 +98,10 @@ def known_information(calibration: Calibration, conditions: Conditions) -> Array
     rows = np.zeros((len(seen), N_UNKNOWNS))
     rows[:, seen] = root
     # Gravity above its stated value looks like smaller scales; the effect is stored with the opposite sign.
-    rows[:, GRAVITY] = -root @ effect / max(conditions.gravity_sigma_m_s2, _EXACT_GRAVITY)
+    prior = conditions.prior()
+    rows[:, GRAVITY] = -root @ effect * math.sqrt(prior[GRAVITY])
     out: Array = rows.T @ rows
-    out[[GRAVITY, NORTH], [GRAVITY, NORTH]] += conditions.prior()[[GRAVITY, NORTH]]
+    out[[GRAVITY, NORTH], [GRAVITY, NORTH]] += prior[[GRAVITY, NORTH]]
     return out
 
 
@@ -124,13 +123,10 @@ def next_sequences(
 
     Parameters
     ----------
-    fixture : FixtureKinematics
-    conditions : Conditions
     targets : ndarray, shape (27,), SI
         Target sigma; NaN: none.
     known : ndarray, shape (N_UNKNOWNS, N_UNKNOWNS)
         Information of the test so far, see :func:`known_information`.
-    limits : PlanLimits, optional
     horizon_s : float
         Length of the continuation, s.
     count : int

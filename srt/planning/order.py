@@ -31,7 +31,6 @@ def best_order(
 
     Parameters
     ----------
-    candidates : sequence of Candidate
     fixture : FixtureKinematics
         Where several angles within the travel give a start attitude, the nearest are taken.
 

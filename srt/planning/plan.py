@@ -159,9 +159,7 @@ def accuracy_criterion(
 
     Parameters
     ----------
-    signatures : Signatures
     targets : ndarray, shape (27,), SI
-    limits : PlanLimits
     known : ndarray, shape (N_UNKNOWNS, N_UNKNOWNS), optional
         Information from earlier measurements, SI; default: that on gravity and north.
     """

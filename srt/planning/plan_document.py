@@ -18,11 +18,6 @@ if TYPE_CHECKING:
 def operator_sheet(plan: Plan, title: str) -> str:
     """Operator's sheet of a plan, in Markdown.
 
-    Parameters
-    ----------
-    plan : Plan
-    title : str
-
     Notes
     -----
     The last part holds labels for ``recording.toml`` at the planned times. They must be shifted to the start of the

@@ -69,7 +69,6 @@ def plan_figure(plan: Plan, *, title: str = "") -> Figure:
 
     Parameters
     ----------
-    plan : Plan
     title : str
         Title of the figure; default: sequences and length.
 

@@ -10,9 +10,10 @@ import numpy as np
 
 from srt.planning.plan_document import format_sigma, symbols
 from srt.planning.timetable import clock
-from srt.reports.tables import decimals_for, fixed, text_table, wrap
+from srt.reports.parameters import sigma_text, value_text
+from srt.reports.tables import text_table, wrap
 from srt.reports.text.calibration import source_label
-from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, INDEX, N_PARAMETERS, NAMES, SYMBOLS
+from srt.sensor_errors import DISPLAY_UNITS, INDEX, N_PARAMETERS, NAMES, SYMBOLS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -64,22 +65,14 @@ def _sequence_table(plan: Plan) -> str:
 def _accuracy_table(plan: Plan) -> str:
     rows = []
     for k in range(N_PARAMETERS):
-        sigma, target, factor = plan.sigma[k], plan.targets[k], DISPLAY_FACTORS[k]
+        sigma, target = float(plan.sigma[k]), float(plan.targets[k])
         if math.isinf(sigma):
             rows.append([SYMBOLS[k], DISPLAY_UNITS[k], "not observed", "", "", ""])
             continue
-        decimals = decimals_for(sigma * factor)
         source, share = plan.prediction.limiting(k)
-        rows.append(
-            [
-                SYMBOLS[k],
-                DISPLAY_UNITS[k],
-                fixed(sigma * factor, decimals),
-                "" if math.isnan(target) else fixed(target * factor, decimals),
-                "" if math.isnan(target) else f"{sigma / target:.2f}",
-                f"{source_label(source)} {100.0 * share:.0f} %",
-            ]
-        )
+        wanted = ["", ""] if math.isnan(target) else [value_text(k, target, sigma), f"{sigma / target:.2f}"]
+        largest = f"{source_label(source)} {100.0 * share:.0f} %"
+        rows.append([SYMBOLS[k], DISPLAY_UNITS[k], sigma_text(k, sigma), *wanted, largest])
     return text_table(["", "unit", "sigma", "target", "ratio", "largest source"], rows, "llrrrl")
 
 

@@ -98,14 +98,11 @@ def make_plan(
 
     Parameters
     ----------
-    fixture : FixtureKinematics
-    conditions : Conditions
     targets : ndarray, shape (27,), SI
         Target sigma of every parameter; NaN: none.
     total_s : float, optional
         Length of the test, s: the plan minimises the worst sigma over target. Default: the shortest test that meets all
         targets.
-    limits : PlanLimits, optional
     progress : callable, optional
         Called with the stage ("optimum", "plan"), a count, and the relative gap to the optimum.
 

@@ -49,7 +49,6 @@ def prior_information(conditions: Conditions, scale: Array, known: Array | None 
 
     Parameters
     ----------
-    conditions : Conditions
     scale : ndarray, shape (N_UNKNOWNS,)
     known : ndarray, shape (N_UNKNOWNS, N_UNKNOWNS), optional
         Information from earlier measurements, SI, gravity and north included.
@@ -98,11 +97,8 @@ def predict(
 
     Parameters
     ----------
-    candidates : sequence of Candidate
     windows_s : ndarray, shape (n, 2)
         Length of the start and of the end window, s.
-    fixture : FixtureKinematics
-    conditions : Conditions
     targets : ndarray, shape (27,), optional
         Target sigma, SI; NaN: none. Only ``needed_for`` depends on it.
     known : ndarray, shape (N_UNKNOWNS, N_UNKNOWNS), optional

@@ -174,8 +174,8 @@ class AccuracyCriterion:
         windows = windows.reshape(n, 2)
         ratio = self.ratio(which, windows)
         guess = first[: 2 * n].reshape(n, 2)
-        if budget_s is not None and self.ratio(which, guess) < ratio:
-            windows, ratio = guess, self.ratio(which, guess)
+        if budget_s is not None and (before := self.ratio(which, guess)) < ratio:
+            windows, ratio = guess, before
         return Selection(which, windows, ratio)
 
 
@@ -225,8 +225,6 @@ def select(
 
     Parameters
     ----------
-    criterion : AccuracyCriterion
-    pool : CandidatePool
     total_s : float
         Length of the whole test, s.
     per_sequence_s : float
@@ -268,8 +266,11 @@ class _Search:
     ) -> None:
         self.criterion, self.total_s, self.pool_windows, self.most = criterion, total_s, pool.windows_s, most
         windows = np.clip(_FACTORS[:, None, None] * pool.windows_s, criterion.shortest_s, criterion.longest_s)
-        self.cost = windows.sum(axis=2) + fixed_s
-        self.information = np.stack([criterion.information(pool.which, w) for w in windows])
+        # The last of the pool is no sequence: it costs and tells nothing.
+        self.nothing = len(pool.which)
+        self.cost = np.pad(windows.sum(axis=2) + fixed_s, ((0, 0), (0, 1)))
+        information = np.stack([criterion.information(pool.which, w) for w in windows])
+        self.information = np.pad(information, ((0, 0), (0, 1), (0, 0), (0, 0)))
         self.power = _POWERS[0]
 
     def windows(self, chosen: Indices) -> Array:
@@ -289,24 +290,23 @@ class _Search:
         share = np.minimum(np.maximum((self.total_s - low) / np.maximum(high - low, 1e-9), 0.0), 1.0)
         return level, np.where(cost[0] <= self.total_s, share, np.nan)
 
-    def values(self, cost: Array, information: Array, added: Indices | None = None) -> Array:
-        """Criterion of a selection, with each of n further sequences if any are given, shape (n or 1,); inf: too long.
+    def values(self, cost: Array, information: Array, added: Indices) -> Array:
+        """Criterion of a selection with each of n further sequences, shape (n,); inf: too long.
 
         Parameters
         ----------
         cost : ndarray, shape (factors,)
         information : ndarray, shape (factors, p, p)
-        added : ndarray of int, shape (n,), optional
+        added : ndarray of int, shape (n,)
+            Positions in the pool, or ``nothing``.
         """
-        level, share = self._level(cost[:, None] if added is None else cost[:, None] + self.cost[:, added])
+        level, share = self._level(cost[:, None] + self.cost[:, added])
         fits = np.flatnonzero(np.isfinite(share))
         out = np.full(len(level), np.inf)
         if fits.size:
-            at, part = level[fits], share[fits, None, None]
+            at, part, k = level[fits], share[fits, None, None], added[fits]
             M = (1.0 - part) * information[at] + part * information[at + 1]
-            if added is not None:
-                k = added[fits]
-                M += (1.0 - part) * self.information[at, k] + part * self.information[at + 1, k]
+            M += (1.0 - part) * self.information[at, k] + part * self.information[at + 1, k]
             g = self.criterion.variances(self.criterion.prior + M)
             largest = g.max(axis=1)
             out[fits] = np.log(largest) + np.log(((g / largest[:, None]) ** self.power).mean(axis=1)) / self.power
@@ -330,7 +330,8 @@ class _Search:
         return np.array(chosen, dtype=np.intp)
 
     def _of(self, chosen: list[int]) -> float:
-        return float(self.values(self.cost[:, chosen].sum(axis=1), self.information[:, chosen].sum(axis=1))[0])
+        cost, information = self.cost[:, chosen].sum(axis=1), self.information[:, chosen].sum(axis=1)
+        return float(self.values(cost, information, np.array([self.nothing]))[0])
 
     def _pass(self, chosen: list[int], now: float) -> tuple[list[int], float]:
         """Replace or drop the sequence in each place, then add one, wherever that decreases the criterion."""
@@ -342,9 +343,9 @@ class _Search:
             if i < len(chosen):
                 cost, information = cost - self.cost[:, chosen[i]], information - self.information[:, chosen[i]]
             near = self._promising(cost, information)
-            values = self.values(cost, information, near)
-            k = int(np.argmin(values))
-            without = float(self.values(cost, information)[0]) if rest and i < len(chosen) else np.inf
+            values = self.values(cost, information, np.append(near, self.nothing))
+            k = int(np.argmin(values[:-1]))
+            without = float(values[-1]) if rest and i < len(chosen) else np.inf
             if min(values[k], without) < now - 1e-9:
                 chosen, now, total = rest, without, (cost, information)
                 if without >= values[k]:
@@ -359,7 +360,6 @@ class _Search:
         g, X = np.diag(inverse)[self.criterion.targets] + self.criterion.floor, inverse[:, self.criterion.targets]
         wanted = self.criterion.correction * g
         weight = self.criterion.correction * (wanted / wanted.max()) ** (self.power - 1.0) / wanted.max()
-        gain = self.information[level[0]].reshape(len(self.pool_windows), -1) @ ((X * weight) @ X.T).ravel()
-        return np.union1d(np.argsort(-gain)[:_PROMISING], np.argsort(-gain / self.cost[level[0]])[:_PROMISING]).astype(
-            np.intp
-        )
+        gain = self.information[level[0], :-1].reshape(self.nothing, -1) @ ((X * weight) @ X.T).ravel()
+        by_time = gain / self.cost[level[0], :-1]
+        return np.union1d(np.argsort(-gain)[:_PROMISING], np.argsort(-by_time)[:_PROMISING]).astype(np.intp)

@@ -67,14 +67,7 @@ def parse_sequence(text: str, fixture: FixtureKinematics) -> Candidate:
 
 
 def signature(candidate: Candidate, fixture: FixtureKinematics, conditions: Conditions) -> tuple[SignatureRow, ...]:
-    """Signature of a sequence by component ([P] eq. 5, for any rotations).
-
-    Parameters
-    ----------
-    candidate : Candidate
-    fixture : FixtureKinematics
-    conditions : Conditions
-    """
+    """Signature of a sequence by component ([P] eq. 5, for any rotations)."""
     H = Signatures([candidate], fixture, conditions).H[0, :_FORCE_ROWS, :N_PARAMETERS] / conditions.gravity_m_s2
     H[:, GROUP_SLICES["accel_bias"]] *= conditions.gravity_m_s2
     horizontal = [axis for axis in AXES if axis != candidate.down[-1]]

@@ -67,10 +67,6 @@ def plan(
     progress : callable, optional
         As for :func:`srt.planning.planner.make_plan`.
 
-    Returns
-    -------
-    Plan
-
     Raises
     ------
     InputError

@@ -60,7 +60,6 @@ def accuracy_after(
 
     Parameters
     ----------
-    recording : Recording
     labels : tuple of SequenceLabel
         Sequences so far.
     estimator : str
@@ -83,10 +82,8 @@ def best_repetition(
 
     Parameters
     ----------
-    recording : Recording
     labels : tuple of SequenceLabel
         Sequences so far; a repetition has windows as long as the last one.
-    after : SequenceAccuracy
     targets : mapping of str to float, SI
         By parameter.
 

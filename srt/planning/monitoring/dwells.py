@@ -84,12 +84,7 @@ def rests(recording: Recording) -> Indices:
 
 
 def rest_motions(recording: Recording) -> tuple[RestMotion, ...]:
-    """Motions within rests, at most one each.
-
-    Parameters
-    ----------
-    recording : Recording
-    """
+    """Motions within rests, at most one each."""
     dt = recording.nominal_interval_s
     size = max(1, round(BLOCK_S / dt))
     scale = 1.0 if recording.kind == "rate" else 1.0 / dt

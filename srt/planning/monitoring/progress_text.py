@@ -23,7 +23,6 @@ def progress_text(state: RunState, history: Sequence[SequenceAccuracy], targets:
 
     Parameters
     ----------
-    state : RunState
     history : sequence of SequenceAccuracy
         After each sequence of ``state.labels``.
     targets : mapping of str to float, SI

@@ -132,10 +132,6 @@ def run_state(recording: Recording, order: Sequence[str] = ()) -> RunState:
     order : sequence of str
         Sequences of the test; default: those of Table 1, in its order.
 
-    Returns
-    -------
-    RunState
-
     Raises
     ------
     InputError

@@ -41,10 +41,8 @@ def sigma_figure(
 
     Parameters
     ----------
-    history : sequence of SequenceAccuracy
     targets : mapping of str to float, SI, optional
         Dashed lines: the smallest target of each group.
-    title : str
     """
     units = list(dict.fromkeys(DISPLAY_UNITS[part.start] for part in GROUP_SLICES.values()))
     figure = Figure(figsize=(11.0, 6.4), dpi=DPI, layout=ConstrainedLayoutEngine(h_pad=0.06, w_pad=0.06, hspace=0.04))

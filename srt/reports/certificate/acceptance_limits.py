@@ -66,12 +66,7 @@ class AcceptanceLimits:
         return np.asarray(~np.isnan(self.value) | ~np.isnan(self.sigma))
 
     def met(self, calibration: Calibration) -> Mask:
-        """Mask of the parameters that meet their limits, shape (27,); a fixed one meets none.
-
-        Parameters
-        ----------
-        calibration : Calibration
-        """
+        """Mask of the parameters that meet their limits, shape (27,); a fixed one meets none."""
         # Written so that NaN, no limit, is met.
         guard = self.guard_sigmas * np.where(calibration.observed, calibration.sigma, 0.0)
         value = ~(np.abs(calibration.errors.vector) + guard > self.value)
@@ -85,10 +80,6 @@ def load_acceptance_limits(path: Path) -> AcceptanceLimits:
     A section ``[decision]`` has ``rule`` ("simple" or "guarded") and ``guard_sigmas``, the guard band (default 2).
     A key names a parameter or a group, and the unit of the table after it; a parameter's own limit goes before that
     of its group.
-
-    Parameters
-    ----------
-    path : Path
 
     Raises
     ------

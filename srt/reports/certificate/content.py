@@ -144,18 +144,12 @@ def make_certificate(
 
     Parameters
     ----------
-    source : CalibrationFile
     course : RecordingHistory, optional
         Of its recording.
-    limits : AcceptanceLimits, optional
     change : ParameterChanges, optional
         Since an earlier calibration of the unit.
     laboratory : Laboratory, optional
         Statements of the laboratory; a sentence lists those that are missing.
-
-    Returns
-    -------
-    Certificate
 
     Raises
     ------

@@ -17,7 +17,6 @@ from srt.reports.figures.calibration import draw_convergence, draw_errors, draw_
 from srt.reports.figures.inspection import envelope
 from srt.reports.figures.style import (
     BLUE,
-    DPI,
     FAINT,
     GREEN,
     GREY,
@@ -43,6 +42,8 @@ _TEXT: Final = 8.5
 """Size of letters, points."""
 _COLOURS: Final = (BLUE, VERMILION, GREEN)
 _MARKERS: Final = ("o", "s", "^")
+_SVG_DPI: Final = 72
+"""Points to an inch, the unit of matplotlib's SVG."""
 _IN_MINUTES: Final = 1200.0
 """Duration from which the time axis is in minutes, s."""
 _GRID: Final = (("ppm", "µg"), ("µrad", "°/h"))
@@ -74,12 +75,7 @@ class CertificateFigure:
 
 
 def certificate_figures(certificate: Certificate) -> tuple[CertificateFigure, ...]:
-    """Figures for which the calibration has data.
-
-    Parameters
-    ----------
-    certificate : Certificate
-    """
+    """Figures for which the calibration has data."""
     calibration = certificate.source.calibration
     shown = {
         "parameters": True,
@@ -93,23 +89,22 @@ def certificate_figures(certificate: Certificate) -> tuple[CertificateFigure, ..
 
 @lru_cache(maxsize=8)
 def figure_svg(certificate: Certificate, figure: CertificateFigure) -> str:
-    """Draw a figure as SVG, once for the page and the PDF; the same certificate gives the same text.
-
-    Parameters
-    ----------
-    certificate : Certificate
-    figure : CertificateFigure
-    """
+    """Draw a figure as SVG, once for the page and the PDF; the same certificate gives the same text."""
     import matplotlib as mpl
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
 
     layout = ConstrainedLayoutEngine(h_pad=0.04, w_pad=0.03, hspace=0.03, wspace=0.02)
-    drawing = Figure(figsize=figure.size_in, dpi=DPI, layout=layout)
+    drawing = Figure(figsize=figure.size_in, dpi=_SVG_DPI, layout=layout)
     figure.draw(certificate, drawing)
+    FigureCanvasSVG(drawing)  # measures texts for the layout as SVG has them
     written = io.BytesIO()
     # Identifiers in the file are random numbers without a salt; the setting is restored at once.
     with mpl.rc_context({"svg.hashsalt": "srt", "svg.fonttype": "path"}), warnings.catch_warnings():
         # Letters that the font lacks show as boxes in the figure; the tables have them.
         warnings.filterwarnings("ignore", message="Glyph .* missing", category=UserWarning)
+        # With an engine of its layout, a figure is drawn once more than it is written.
+        layout.execute(drawing)
+        drawing.set_layout_engine(None)
         nothing = {"Date": None, "Creator": None, "Format": None, "Type": None}
         drawing.savefig(written, format="svg", transparent=True, metadata=nothing)
     text = written.getvalue().decode("utf-8")

@@ -55,10 +55,6 @@ class PageFigure:
 def html_page(certificate: Certificate) -> str:
     """Write the certificate as a page of HTML.
 
-    Parameters
-    ----------
-    certificate : Certificate
-
     Returns
     -------
     str

@@ -53,10 +53,6 @@ def certificate(
     **stated
         Keywords of :func:`srt.read`.
 
-    Returns
-    -------
-    Certificate
-
     Raises
     ------
     InputError
@@ -90,7 +86,6 @@ def write_certificate(made: Certificate, page: Path) -> None:
 
     Parameters
     ----------
-    made : Certificate
     page : Path
         Ends in .html.
 

@@ -94,10 +94,6 @@ class Laboratory:
 def load_laboratory(path: Path) -> Laboratory:
     """Read the file of a laboratory.
 
-    Parameters
-    ----------
-    path : Path
-
     Raises
     ------
     InputError
@@ -159,13 +155,7 @@ def _texts(path: Path, section: str, values: object, keys: tuple[str, ...]) -> d
 
 
 def references_table(calibration: Calibration, laboratory: Laboratory) -> Table:
-    """Table of the reference values of the test with their standard uncertainties, and their origin if any is stated.
-
-    Parameters
-    ----------
-    calibration : Calibration
-    laboratory : Laboratory
-    """
+    """Table of the reference values of the test with their standard uncertainties, and their origin where stated."""
     site, alignment = calibration.site, calibration.alignment
     # An error of the time base scales the gyros by as much.
     effect = calibration.contributions.get("clock")

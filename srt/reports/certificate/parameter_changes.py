@@ -61,10 +61,6 @@ class ParameterChanges:
 def changes_since(new: CalibrationFile, old: CalibrationFile) -> ParameterChanges:
     """Changes since an earlier calibration of the same unit.
 
-    Parameters
-    ----------
-    new, old : CalibrationFile
-
     Raises
     ------
     InputError

@@ -55,7 +55,6 @@ def write_pdf(certificate: Certificate, path: Path) -> None:
 
     Parameters
     ----------
-    certificate : Certificate
     path : Path
         The same certificate makes the same file.
 

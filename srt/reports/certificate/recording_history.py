@@ -71,8 +71,6 @@ def check_recording(source: CalibrationFile, recording: Recording, name: str) ->
 
     Parameters
     ----------
-    source : CalibrationFile
-    recording : Recording
     name : str
         Name of the recording in messages.
 
@@ -115,7 +113,6 @@ def recording_history(source: CalibrationFile, recording: Recording, name: str) 
 
     Parameters
     ----------
-    source : CalibrationFile
     recording : Recording
         Its own, see :func:`check_recording`.
     name : str

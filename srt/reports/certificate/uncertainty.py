@@ -34,7 +34,6 @@ def budget_table(calibration: Calibration, factor: float) -> Table | None:
 
     Parameters
     ----------
-    calibration : Calibration
     factor : float
         Coverage factor.
     """

@@ -31,14 +31,7 @@ SERIAL_LENGTH: Final = 200
 def unit_description(
     source: CalibrationFile, course: RecordingHistory | None, limits: AcceptanceLimits | None
 ) -> Iterator[tuple[str, str]]:
-    """Unit, date, site, data and software, as labels and texts.
-
-    Parameters
-    ----------
-    source : CalibrationFile
-    course : RecordingHistory or None
-    limits : AcceptanceLimits or None
-    """
+    """Unit, date, site, data and software, as labels and texts."""
     calibration = source.calibration
     provenance, merged = calibration.provenance, calibration.provenance.recordings or ()
     yield "Serial", plain(source.serial, SERIAL_LENGTH) or "not stated"
@@ -127,7 +120,6 @@ def limitations(calibration: Calibration, course: RecordingHistory | None) -> tu
 
     Parameters
     ----------
-    calibration : Calibration
     course : RecordingHistory or None
         Names the fastest turn, if there is a recording.
     """
@@ -209,12 +201,7 @@ class Application:
 
 
 def application_section(calibration: Calibration) -> Application:
-    """Application of a calibration: formulas, their symbols and their numbers.
-
-    Parameters
-    ----------
-    calibration : Calibration
-    """
+    """Application of a calibration: formulas, their symbols and their numbers."""
     sentences = [
         "y: reading; v: true value. Gyros in rad/s, accelerometers in m/s²; each has its own M, s and "
         "b. ∘ multiplies element by element.",

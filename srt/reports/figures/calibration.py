@@ -94,7 +94,6 @@ def calibration_figure(
 
     Parameters
     ----------
-    calibration : Calibration
     truth : SensorErrors, optional
         Marked beside the values; the error bars then stand at estimate minus truth.
     title : str, optional
@@ -151,12 +150,7 @@ def draw_values(axes: Axes, calibration: Calibration, truth: SensorErrors | None
     axes.axhline(0.0, color=GREY, linewidth=0.8)
     if truth is not None:
         axes.plot(
-            at,
-            _scaled(which, truth.vector),
-            "D",
-            markersize=9.0,
-            markerfacecolor="none",
-            markeredgecolor=VERMILION,
+            at, _scaled(which, truth.vector), "D", markersize=9.0, markerfacecolor="none", markeredgecolor=VERMILION
         )
     axes.errorbar(at[seen], values[seen], sigma[seen], fmt="o", color=BLUE, markersize=4.5, capsize=3.0)
     axes.plot(at[~seen], values[~seen], "x", color=GREY, markersize=6.0)
@@ -227,7 +221,6 @@ def draw_residuals(axes: Axes, residuals: Sequence[Residual], *, letters: float 
     ----------
     axes : matplotlib.axes.Axes
         Its legend is left to the caller.
-    residuals : sequence of Residual
     letters : float
         Size of letters, points.
     """

@@ -54,7 +54,6 @@ def comparison_figure(comparison: Comparison, *, title: str | None = None) -> Fi
 
     Parameters
     ----------
-    comparison : Comparison
     title : str, optional
         Title of the recording.
 
@@ -87,11 +86,7 @@ def comparison_figure(comparison: Comparison, *, title: str | None = None) -> Fi
     heading = textwrap.fill(f"{title}: {outcome}" if title else outcome, _HEADING_WIDTH)
     figure.suptitle(heading, fontsize=LARGE, color=INK, x=0.01, ha="left")
     figure.legend(
-        handles=_handles(comparison, names, styles),
-        loc="outside lower center",
-        ncols=6,
-        fontsize=MEDIUM,
-        frameon=False,
+        handles=_handles(comparison, names, styles), loc="outside lower center", ncols=6, fontsize=MEDIUM, frameon=False
     )
     return figure
 

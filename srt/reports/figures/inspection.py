@@ -80,7 +80,6 @@ def inspection_figure(
 
     Parameters
     ----------
-    recording : Recording
     inspection : Inspection, optional
         Inspection of this recording; made if absent.
     title : str, optional
@@ -222,13 +221,10 @@ def allan_panel(
 
     Parameters
     ----------
-    axes : matplotlib.axes.Axes
-    allan : AllanDeviation
     sensor : int
         0 for gyros, 1 for accelerometers.
     si : float
         SI per unit.
-    unit : str
     terms : NoiseTerms, optional
         Terms by maximum likelihood in place of those of the Allan fit.
     """

@@ -16,18 +16,7 @@ _SIZE_INCHES: Final = (12.0, 5.5)
 
 
 def noise_figure(terms: NoiseTerms, allan: AllanDeviation, *, title: str | None = None) -> Figure:
-    """Draw the Allan deviation with 95 % intervals, and the curves of the resolved terms.
-
-    Parameters
-    ----------
-    terms : NoiseTerms
-    allan : AllanDeviation
-    title : str, optional
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-    """
+    """Draw the Allan deviation with 95 % intervals, and the curves of the resolved terms."""
     figure = Figure(figsize=_SIZE_INCHES, dpi=DPI, layout=ConstrainedLayoutEngine())
     for sensor, (si, unit) in enumerate(((DEG_PER_H, "°/h"), (MICRO_G, "µg"))):
         axes = figure.add_subplot(1, 2, sensor + 1)

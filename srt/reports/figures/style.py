@@ -88,7 +88,6 @@ def style(axes: Axes, *, grid: str = "y") -> None:
 
     Parameters
     ----------
-    axes : matplotlib.axes.Axes
     grid : "x", "y" or "both"
     """
     axes.tick_params(labelsize=SMALL, color=GREY, labelcolor=INK)
@@ -131,7 +130,6 @@ def save_figure(figure: Figure, path: str | PathLike[str]) -> None:
 
     Parameters
     ----------
-    figure : matplotlib.figure.Figure
     path : path-like
         Ends in .png, .pdf or .svg.
 

@@ -68,7 +68,6 @@ def report(
 
     Parameters
     ----------
-    calibration : Calibration
     title : str
         Title of the recording.
     truth : SensorErrors, optional
@@ -176,10 +175,6 @@ def sources_table(sources: Mapping[str, Array], total: Array | None, parameters:
         Shown before the sources. It determines the number of decimals; if None, the largest source does.
     parameters : sequence of int
         Rows.
-
-    Returns
-    -------
-    str
     """
     left: list[list[str]] = []
     columns: list[list[str]] = [[] for _ in sources]

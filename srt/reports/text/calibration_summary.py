@@ -45,7 +45,6 @@ def calibration_summary(
 
     Parameters
     ----------
-    calibration : Calibration
     title : str
         Title: the path of the recording.
     truth : SensorErrors, optional

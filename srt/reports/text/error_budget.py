@@ -31,7 +31,6 @@ def budget_text(
 
     Parameters
     ----------
-    estimator : str
     sources, not_counted : mapping of str to ndarray, shape (27,), SI
     total : ndarray, shape (27,), SI
         Root sum of squares of the sources; infinite where a parameter is not observed.

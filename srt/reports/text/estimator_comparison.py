@@ -22,7 +22,6 @@ def comparison_text(comparison: Comparison, *, title: str = "Comparison", detail
 
     Parameters
     ----------
-    comparison : Comparison
     title : str
         Title: the path of the recording.
     details : bool

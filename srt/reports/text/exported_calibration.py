@@ -13,10 +13,6 @@ if TYPE_CHECKING:
 def export_text(made: ExportedCalibration) -> str:
     """Description of an exported file: formula, axes, difference from ``srt apply``, limits and advice.
 
-    Parameters
-    ----------
-    made : ExportedCalibration
-
     Returns
     -------
     str
@@ -32,11 +28,7 @@ def export_text(made: ExportedCalibration) -> str:
         "table": "axes of the table-mounted frame",
         "accel": "axes that its accelerometer matrix defines",
     }[made.frame]
-    lines = [
-        f"{made.format.title}",
-        f"formula: {made.format.formula}",
-        f"axes: {axes}",
-    ]
+    lines = [f"{made.format.title}", f"formula: {made.format.formula}", f"axes: {axes}"]
     if made.applied is not None:
         which = "" if made.applied.instance is None else f" (IMU {made.applied.instance})"
         lines.append(f"composed with the correction by {made.applied.system} that the log was made under{which}")

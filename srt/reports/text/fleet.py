@@ -25,10 +25,6 @@ _DIGITS: Final = 4
 def fleet_text(fleet: Fleet) -> str:
     """Text of the whole report of a fleet.
 
-    Parameters
-    ----------
-    fleet : Fleet
-
     Returns
     -------
     str

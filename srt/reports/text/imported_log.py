@@ -33,19 +33,7 @@ _SAMPLE_RATES_HZ: Final = (5.0, 50e3)
 
 
 def import_text(recording: Recording, imported: ImportedSamples, importer: Importer, source: Path) -> str:
-    """Table of an imported log: samples, rate, units and their origin, sizes of the readings, notes.
-
-    Parameters
-    ----------
-    recording : Recording
-    imported : ImportedSamples
-    importer : Importer
-    source : Path
-
-    Returns
-    -------
-    str
-    """
+    """Table of an imported log: samples, rate, units and their origin, sizes of the readings, notes."""
     interval = recording.nominal_interval_s
     per = recording.interval_s if recording.kind == "increment" else 1.0
     rate, force = (np.linalg.norm(values, axis=1) / per for values in (recording.gyro, recording.accel))

@@ -33,7 +33,6 @@ def inspection_report(inspection: Inspection, *, title: str = "Inspection") -> s
 
     Parameters
     ----------
-    inspection : Inspection
     title : str
         Title of the recording.
 

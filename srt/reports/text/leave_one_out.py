@@ -29,7 +29,6 @@ def verdict_text(calibration: Calibration, *, parameters: bool = False) -> str:
 
     Parameters
     ----------
-    calibration : Calibration
     parameters : bool
         Adds the table of observability by parameter, and shows all sequences.
 

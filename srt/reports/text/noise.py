@@ -24,14 +24,8 @@ def noise_report(terms: NoiseTerms, allan: AllanDeviation, *, title: str) -> str
 
     Parameters
     ----------
-    terms : NoiseTerms
     allan : AllanDeviation
         Noise terms of the same window.
-    title : str
-
-    Returns
-    -------
-    str
     """
     lines = [
         f"Noise of {title}: {duration(terms.length_s)} at rest, {1.0 / terms.interval_s:.4g} Hz",

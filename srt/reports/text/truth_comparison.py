@@ -21,11 +21,6 @@ PROBABILITY: Final = 0.95
 def largest_error_text(calibration: Calibration, truth: SensorErrors) -> str:
     """Sentence on the largest normalised error and the bound that chance explains.
 
-    Parameters
-    ----------
-    calibration : Calibration
-    truth : SensorErrors
-
     Returns
     -------
     str
