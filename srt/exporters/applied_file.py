@@ -25,13 +25,8 @@ def applied_of(text: str, instance: int | None = None) -> AppliedCorrection:
 
     Parameters
     ----------
-    text : str
     instance : int, optional
         Number of the IMU of an autopilot; default 0.
-
-    Returns
-    -------
-    AppliedCorrection
 
     Raises
     ------
@@ -66,10 +61,6 @@ def load_applied(
         Number of the IMU of an autopilot; default 0.
     gyro_instance : int, optional
         Number of the gyros' parameters; default ``instance``.
-
-    Returns
-    -------
-    AppliedCorrection
 
     Raises
     ------

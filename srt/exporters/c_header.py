@@ -209,7 +209,6 @@ def c99_header(
 
     Parameters
     ----------
-    calibration : Calibration
     name, precision, samples, namespace : str
         As in :class:`HeaderOptions`.
 

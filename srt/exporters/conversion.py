@@ -40,7 +40,6 @@ class ExportedCalibration:
 
     Attributes
     ----------
-    format : Exporter
     texts : dict of str to str
         By part of the file's name.
     frame : str
@@ -113,7 +112,6 @@ def export(
 
     Parameters
     ----------
-    calibration : Calibration
     target : str
         Name of the format.
     readings : Readings, optional
@@ -122,14 +120,9 @@ def export(
         Axes of the file; default: the first that the format takes.
     asymmetry : "leave" or "fit"
         Choice of the linear part (:mod:`srt.exporters.linear_model`); "fit" needs readings.
-    settings : ExportSettings, optional
     applied : AppliedCorrection, optional
         Correction that the readings had before they were logged; default: that of the calibration's recording. A file
         of the same system replaces it, and is composed with it.
-
-    Returns
-    -------
-    ExportedCalibration
 
     Raises
     ------
@@ -185,7 +178,6 @@ def save(exported: ExportedCalibration, path: str | PathLike[str]) -> tuple[Path
 
     Parameters
     ----------
-    exported : ExportedCalibration
     path : path-like
         Formats of several files append to the stem of its name.
 

@@ -111,14 +111,8 @@ def compare_corrections(title: str, readings: Readings, ours: Correction, theirs
 
     Parameters
     ----------
-    title : str
-    readings : Readings
     ours, theirs : callable
         From readings, shapes (n, 3), to corrected values in the same axes.
-
-    Returns
-    -------
-    CorrectionDifference
     """
     largest, total = np.zeros(2), np.zeros(2)
     n = len(readings.gyro)

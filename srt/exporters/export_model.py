@@ -118,14 +118,12 @@ class ExportModel:
 
     Attributes
     ----------
-    calibration : Calibration
     gyro, accel : LinearModel
         In the format's axes F.
     frame : str
         Name of F: "mars", "table" or "accel".
     C_FB : ndarray, shape (3, 3)
         From MARS axes to F.
-    settings : ExportSettings
     g_sensitivity : ndarray, shape (3, 3), rad/s per m/s²
         Gyro g-sensitivity Γ, rows gyros and columns axes of F; zero where not estimated.
     applied : AppliedCorrection or None
@@ -157,10 +155,6 @@ class ExportModel:
 
     def composed(self, applied: AppliedCorrection) -> ExportModel:
         """Model of the readings that the sensors had before a correction that was applied to them.
-
-        Parameters
-        ----------
-        applied : AppliedCorrection
 
         Returns
         -------

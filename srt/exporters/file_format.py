@@ -111,10 +111,8 @@ def field(document: Any, path: str, shape: tuple[int, ...]) -> Array:
 
     Parameters
     ----------
-    document : mapping
     path : str
         Keys, separated by points.
-    shape : tuple of int
 
     Returns
     -------

@@ -21,10 +21,6 @@ _BIAS_WALK: Final = [term.name for term in TERMS].index("bias_random_walk")
 def known_figures(model: ExportModel) -> dict[str, float]:
     """Known values, one number for all axes of a sensor.
 
-    Parameters
-    ----------
-    model : ExportModel
-
     Returns
     -------
     dict of str to float

@@ -57,7 +57,6 @@ def gtsam_preintegration(
 
     Parameters
     ----------
-    calibration : Calibration
     readings : "corrected" or "raw"
         Input of the factors: the result of :meth:`srt.Calibration.apply` in MARS axes, or the readings as they are.
     up : bool
@@ -113,10 +112,7 @@ def preintegration_figures(
 
     Parameters
     ----------
-    calibration : Calibration
     readings : "corrected" or "raw"
-    up : bool
-    gravity_m_s2 : float, optional
     random_walks : (float or None, float or None)
         Of gyro and accelerometer biases.
 

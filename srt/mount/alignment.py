@@ -74,7 +74,6 @@ class MountAlignment:
     poses : tuple of mappings
         Static poses used: ``pose`` ("level", "nose_down", "nose_up"), ``pitch_deg``, ``residual_rad`` and, from a
         recording, ``start_s`` and ``end_s``; JSON values.
-    warnings : tuple of str
     provenance : mapping
         JSON values.
     """
@@ -165,10 +164,6 @@ def align_mount(
         Standard deviation of the tilt of the fixture's axis, and of its squareness to the mount's lateral reference.
     titles : tuple of str, optional
         Names of the poses in messages.
-
-    Returns
-    -------
-    MountAlignment
 
     Raises
     ------
@@ -271,14 +266,6 @@ def mount_from_calibration(calibration: Calibration) -> MountAlignment:
     that of the fixture. U, T- to MARS components, is fitted to the measured verticals of all start attitudes and to the
     axes of the rotations: it is C_bm for a mount seated on the table as T is. Its accuracy is the stated alignment of
     the fixture, which exceeds all other errors.
-
-    Parameters
-    ----------
-    calibration : Calibration
-
-    Returns
-    -------
-    MountAlignment
 
     Raises
     ------
@@ -436,13 +423,8 @@ def load_mount_alignment(path: str | PathLike[str], *, trust: bool = False) -> M
 
     Parameters
     ----------
-    path : path-like
     trust : bool
         Accept a file that was changed after it was written.
-
-    Returns
-    -------
-    MountAlignment
 
     Raises
     ------

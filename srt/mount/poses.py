@@ -89,10 +89,6 @@ def mount_from_recording(
         As in :func:`srt.mount.alignment.align_mount`; default 1 mrad, or the alignment sigma of the fixture stated in
         the recording for the axis, and √2 of it for the level (base and mounting).
 
-    Returns
-    -------
-    MountAlignment
-
     Raises
     ------
     InputError
@@ -133,8 +129,6 @@ def find_poses(recording: Recording, calibration: Calibration, *, level_sigma_ra
 
     Parameters
     ----------
-    recording : Recording
-    calibration : Calibration
     level_sigma_rad : float
         Tilt within a pose above which the unit moved, if the noise does not explain it, rad.
 

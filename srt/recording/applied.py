@@ -140,7 +140,6 @@ def applied_correction(file: str, document: Mapping[str, Any] | None) -> Applied
     ----------
     file : str
         Name of the file in messages.
-    document : mapping or None
 
     Returns
     -------

@@ -94,12 +94,10 @@ class Autopilot:
 
         Parameters
         ----------
-        parameters : mapping of str to float
         changed : container of str
             Parameters that changed within the log.
         slots : (int, int)
             Of accelerometers and gyros.
-        notes : list of str
         """
         moved = [name for name in self.relevant(slots) if name in changed]
         if moved:

@@ -20,7 +20,6 @@ def read_bounded(path: str | PathLike[str], limit: int = MAX_BYTES) -> bytes:
 
     Parameters
     ----------
-    path : path-like
     limit : int
         Largest size, bytes.
 

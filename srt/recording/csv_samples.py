@@ -39,7 +39,6 @@ def read_csv(path: Path, select: Callable[[Sequence[str]], tuple[str, ...]]) -> 
 
     Parameters
     ----------
-    path : Path
     select : callable
         Function of the names in the header that returns those to read; may raise InputError.
 
@@ -139,8 +138,6 @@ def write_csv(path: Path, names: Sequence[str], columns: Sequence[Array]) -> Non
 
     Parameters
     ----------
-    path : Path
-    names : sequence of str
     columns : sequence of ndarray, shape (n,)
     """
     row = ",".join(["%r"] * len(columns)) + "\n"

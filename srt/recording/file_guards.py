@@ -61,9 +61,10 @@ def load_pyarrow(module: str, what: str = "A Parquet file") -> tuple[Any, Any]:
 def require_size(path: Path, what: str, promised: int, present: int, factor: int = DEFLATE_LIMIT) -> None:
     """Refuse an array that is larger than its bytes in the file can expand to.
 
+    Raises InputError.
+
     Parameters
     ----------
-    path : Path
     what : str
         Name of the array in the message.
     promised : int
@@ -72,10 +73,6 @@ def require_size(path: Path, what: str, promised: int, present: int, factor: int
         Size in the file, bytes.
     factor : int
         Largest ratio of the two.
-
-    Raises
-    ------
-    InputError
     """
     if not 0 <= promised <= factor * present + SLACK_BYTES:
         raise InputError(
@@ -86,13 +83,6 @@ def require_size(path: Path, what: str, promised: int, present: int, factor: int
 
 def guard_npz(path: Path, archive: Any, name: str, file_size: int) -> None:
     """Check the headers of one array of an NPZ archive, and the size of all arrays.
-
-    Parameters
-    ----------
-    path : Path
-    archive : numpy.lib.npyio.NpzFile
-    name : str
-    file_size : int
 
     Raises
     ------
@@ -135,13 +125,10 @@ def guard_hdf5(path: Path, h5py: Any, group: Any, name: str, file_size: int) -> 
 
     Parameters
     ----------
-    path : Path
-    h5py : module
     group : h5py.Group
         Group of the link.
     name : str
         Name of the link within the group.
-    file_size : int
 
     Raises
     ------
@@ -165,13 +152,7 @@ def guard_hdf5(path: Path, h5py: Any, group: Any, name: str, file_size: int) -> 
 def guard_hdf5_trees(path: Path) -> None:
     """Refuse an HDF5 file with a cycle in the nodes of a tree, which its library would follow without end.
 
-    Parameters
-    ----------
-    path : Path
-
-    Raises
-    ------
-    InputError
+    Raises InputError.
     """
     with path.open("rb") as file:
         if not file.seek(0, 2):

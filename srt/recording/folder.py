@@ -50,17 +50,7 @@ _NORMAL_GRAVITY_SIGMA_M_S2 = 5e-4  # 1 sigma: local anomalies, which normal grav
 
 @dataclass(frozen=True, slots=True)
 class RecordingMetadata:
-    """Site, fixture, noise and sequence labels of a recording.
-
-    Attributes
-    ----------
-    site : Site
-    fixture : Fixture or None
-    noise : ImuNoise
-    sequences : tuple of SequenceLabel
-    applied : AppliedCorrection or None
-    protocol : Protocol or None
-    """
+    """Site, fixture, noise and sequence labels of a recording."""
 
     site: Site
     fixture: Fixture | None
@@ -153,10 +143,6 @@ def read_metadata(file: str, document: Mapping[str, Any]) -> RecordingMetadata:
     document : mapping
         Content of the TOML file.
 
-    Returns
-    -------
-    RecordingMetadata
-
     Raises
     ------
     InputError
@@ -182,18 +168,12 @@ def read_metadata(file: str, document: Mapping[str, Any]) -> RecordingMetadata:
 def read_document(toml: Path) -> dict[str, Any]:
     """Read a ``recording.toml`` without checking its values; its sections are known ones.
 
+    Raises InputError.
+
     Parameters
     ----------
     toml : Path
         The file, or its folder.
-
-    Returns
-    -------
-    dict
-
-    Raises
-    ------
-    InputError
     """
     return _read_toml(_find_toml(toml))
 

@@ -174,10 +174,6 @@ def normal_unit(text: str) -> str:
     ----------
     text : str
         Such as "dps", "rad s^-1", "degrees per second" or "m/s²".
-
-    Returns
-    -------
-    str
     """
     folded = " ".join(text.lower().replace("**", "^").replace(" per ", "/").translate(_RAISED).split())
     folded = _NEGATIVE_POWER.sub(lambda power: "/s" if power[1] == "1" else "/s^2", folded)
@@ -265,6 +261,8 @@ def parse_axis_map(text: str | None, name: str = "map_gyro") -> Array | None:
 def parse_lsb(text: str, sensor: str) -> Triple:
     """Read the scale factor of counts.
 
+    Raises InputError.
+
     Parameters
     ----------
     text : str
@@ -276,10 +274,6 @@ def parse_lsb(text: str, sensor: str) -> Triple:
     -------
     (float, float, float)
         SI units per count.
-
-    Raises
-    ------
-    InputError
     """
     name = f"{sensor}_lsb"
     split = _LSB.fullmatch(text.strip())

@@ -118,15 +118,10 @@ def samples_in_si(
     sample_rate_hz : float, optional
         Rate by the file.
     temperature : ndarray, shape (n,), °C, optional
-    serial, date : str, optional
     notes : tuple of str
         Notes of the reader.
     applied : AppliedCorrection, optional
         Correction that the readings had already.
-
-    Returns
-    -------
-    ImportedSamples
 
     Raises
     ------
@@ -359,14 +354,8 @@ def to_recording(
 
     Parameters
     ----------
-    imported : ImportedSamples
-    site : Site
-    fixture : Fixture, optional
-    noise : ImuNoise, optional
-    sequences : tuple of SequenceLabel
     serial, date : str, optional
         They override those of the file.
-    source, data_sha256 : str, optional
     temperature_c : float, optional
         Temperature of all samples, if the file has none.
     clock_sigma : float, optional

@@ -97,7 +97,6 @@ def register(name: str, target: str) -> None:
 
     Parameters
     ----------
-    name : str
     target : str
         "module:attribute" of an :class:`Importer`. It is tried before the existing ones.
 
@@ -133,10 +132,6 @@ def find_importer(path: Path, name: str = AUTO) -> Importer:
     name : str
         Name of a format, which is not checked, or "auto".
 
-    Returns
-    -------
-    Importer
-
     Raises
     ------
     InputError
@@ -165,8 +160,6 @@ def import_file(path: Path, options: ImportOptions | None = None, name: str = AU
 
     Parameters
     ----------
-    path : Path
-    options : ImportOptions, optional
     name : str
         Name of a format, or "auto".
 
@@ -247,16 +240,7 @@ def _names() -> str:
 
 
 def is_foreign(path: Path) -> bool:
-    """True for a file or folder of a format that has an importer, and is no format of samples in a recording.
-
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    bool
-    """
+    """True for a file or folder of a format that has an importer, and is no format of samples in a recording."""
     if path.suffix.lower().removeprefix(".") in SAMPLES_FORMATS:
         return False
     try:

@@ -6,9 +6,7 @@ from __future__ import annotations
 def require_memory(size: int) -> None:
     """Require memory, bytes, for a library that ends badly without it, if the system limits that of the process.
 
-    Raises
-    ------
-    MemoryError
+    Raises MemoryError.
     """
     if memory_is_limited():
         bytearray(size)

@@ -132,7 +132,6 @@ class Protocol:
     ----------
     name : str
         Name of a shipped protocol, or path of a file.
-    description : str
     steps : tuple of Step
         Repeats written out.
     place_s : float

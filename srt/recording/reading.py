@@ -127,23 +127,18 @@ def read_log(
 ) -> tuple[Recording, ImportedSamples, Importer]:
     """Read a log in another format.
 
+    Raises InputError.
+
     Parameters
     ----------
-    path : Path
     given : mapping
         As the keywords of :func:`read`, without None.
-    format : str
-    like : path-like or Recording, optional
 
     Returns
     -------
     recording : Recording
     imported : ImportedSamples
     importer : Importer
-
-    Raises
-    ------
-    InputError
     """
     options = import_options(given)
     try:
@@ -164,12 +159,7 @@ def read_log(
 
 
 def import_options(given: Mapping[str, Any]) -> ImportOptions:
-    """Options of the importers from keywords; columns, counts and offsets may be given as text.
-
-    Raises
-    ------
-    InputError
-    """
+    """Options of the importers from keywords; columns, counts and offsets may be given as text. Raises InputError."""
     chosen = {key: given[key] for key in SAMPLES_KEYS if given.get(key) is not None}
     for sensor in TRIADS:
         for name, parse in ((f"{sensor}_lsb", parse_lsb), (f"{sensor}_offset", parse_offset)):
@@ -189,7 +179,6 @@ def surroundings(given: Mapping[str, Any], like: str | os.PathLike[str] | Record
     ----------
     given : mapping
         As the keywords of :func:`read`; they override the other recording.
-    like : path-like or Recording, optional
 
     Raises
     ------

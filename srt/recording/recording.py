@@ -192,18 +192,15 @@ class Recording(Presented):
         rad/s for kind "rate", rad for "increment".
     accel : ndarray, shape (n, 3)
         m/s² for "rate", m/s for "increment".
-    site : Site
     kind : "rate" or "increment"
     fixture : Fixture or None
         None: no fixture, attitudes and heading unknown (a free recording).
-    noise : ImuNoise
     sequences : tuple of SequenceLabel
         Empty: the recording is segmented automatically.
     sample_rate_hz : float or None
         Overrides the spacing of the time stamps, if given.
     temperature : ndarray, shape (n,), °C, or None
         One value broadcast to n samples is a stated, not a recorded temperature.
-    serial, date, source : str or None
     data_sha256 : str or None
         Hash of the samples file.
     clock_sigma : float or None

@@ -90,10 +90,6 @@ def read_samples(path: str | Path, *, time_required: bool = True) -> Samples:
     time_required : bool
         Refuse a table without a time column.
 
-    Returns
-    -------
-    Samples
-
     Raises
     ------
     InputError
@@ -121,7 +117,6 @@ def write_samples(path: str | Path, samples: Samples) -> None:
     ----------
     path : path-like
         A .csv, .npz, .parquet or .h5 file; an existing file is replaced.
-    samples : Samples
 
     Raises
     ------
@@ -143,12 +138,6 @@ def select_columns(path: Path, available: Sequence[str], *, time_required: bool)
     ----------
     path : Path
         Named in messages.
-    available : sequence of str
-    time_required : bool
-
-    Returns
-    -------
-    tuple of str
 
     Raises
     ------

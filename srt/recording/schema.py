@@ -286,7 +286,6 @@ def read_section(file: str, section: str, values: object, keys: tuple[Key, ...])
         Named in messages.
     values : object
         Value of the section in TOML.
-    keys : tuple of Key
 
     Returns
     -------
@@ -326,7 +325,6 @@ def check_fields(what: str, source: object, keys: Iterable[Key]) -> None:
         Owner of the fields, as the start of a sentence: "The unit's".
     source : object
         Site, Fixture, ImuNoise or Recording; fields that are None are not checked.
-    keys : iterable of Key
 
     Raises
     ------
@@ -360,11 +358,6 @@ def emit_section(source: object, keys: tuple[Key, ...]) -> list[str]:
     ----------
     source : object
         Site, Fixture, ImuNoise, SequenceLabel or Recording.
-    keys : tuple of Key
-
-    Returns
-    -------
-    list of str
     """
     lines = []
     for key in keys:

@@ -65,10 +65,6 @@ def sample_timing(time: Array, sample_rate_hz: float | None = None) -> SampleTim
     sample_rate_hz : float, optional
         Sample rate that overrides the spacing of the stamps.
 
-    Returns
-    -------
-    SampleTiming
-
     Raises
     ------
     InputError

@@ -39,7 +39,6 @@ def write_recording(
 
     Parameters
     ----------
-    recording : Recording
     directory : path-like
         Folder; created if absent.
     samples_format : str

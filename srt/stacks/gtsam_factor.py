@@ -73,7 +73,6 @@ class ErrorVariable:
 
         Parameters
         ----------
-        key : int
         weight : float
             Factor on all sigmas; 1 is the calibration as it states itself.
         """
@@ -95,14 +94,8 @@ def preintegrated_factor(
     ----------
     keys : tuple of 5 int
         Pose and velocity at the start, pose and velocity at the end, errors: Pose3, Vector3, Pose3, Vector3, Vector m.
-    readings : PreintegratedReadings
-    variable : ErrorVariable
     gravity : ndarray, shape (3,), m/s²
         In navigation axes, as (0, 0, -9.8) where z points up.
-
-    Returns
-    -------
-    gtsam.CustomFactor
 
     Raises
     ------
@@ -139,8 +132,6 @@ def residual_of(
 
     Parameters
     ----------
-    readings : PreintegratedReadings
-    variable : ErrorVariable
     gravity : ndarray, shape (3,)
     start, end : (R, p, v)
         Attitude (body to navigation), position, velocity. A pose changes as gtsam's: R Exp(ω), p + R ρ.

@@ -49,7 +49,6 @@ class PreintegratedReadings:
         Derivative with respect to the errors: rotation vector (right), velocity, position.
     covariance : ndarray, shape (9, 9)
         By the white noise of the readings, in the same order.
-    duration_s : float
     errors : SensorErrors
         e₀.
     """
@@ -82,10 +81,6 @@ def preintegrate(
     dt : float, s
     errors : SensorErrors, optional
         Linearisation point; after an estimate that is far from the calibration, sum again at the estimate.
-
-    Returns
-    -------
-    PreintegratedReadings
 
     Raises
     ------

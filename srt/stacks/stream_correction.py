@@ -105,9 +105,7 @@ class StreamCorrector:
 
     Parameters
     ----------
-    calibration : Calibration
     frame : "mars" or "table"
-    options : StreamOptions
     tell : callable
         Takes a sentence on an event; called at the 1st, 10th, 100th ... of a kind.
 
@@ -184,14 +182,7 @@ class StreamCorrector:
         return corrected + self._sigma(gyro, accel) if self._options.covariance else corrected
 
     def event(self, kind: str, sentence: str, count: int = 1) -> None:
-        """Count an event, and tell it if it is among the first of its kind.
-
-        Parameters
-        ----------
-        kind : str
-        sentence : str
-        count : int
-        """
+        """Count an event, and tell it if it is among the first of its kind."""
         before = self.counts[kind]
         self.counts[kind] += count
         if any(before < times <= self.counts[kind] for times in _TIMES_TOLD):

@@ -37,7 +37,6 @@ class LineCorrector:
 
     Parameters
     ----------
-    corrector : StreamCorrector
     covariance : bool
         True: six 1-sigma are appended to each line.
     counts : Counts, optional
@@ -59,10 +58,6 @@ class LineCorrector:
 
     def correct(self, line: str) -> str:
         """Answer one line.
-
-        Parameters
-        ----------
-        line : str
 
         Returns
         -------

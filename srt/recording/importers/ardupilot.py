@@ -65,7 +65,6 @@ class _LogMessages:
 
     Attributes
     ----------
-    path : Path
     tables : dict of message name to dict of column to ndarray, shape (n,)
     parameters : dict of str to list of float
         Values of each parameter, in their order in the log.
@@ -108,21 +107,7 @@ class _LogMessages:
 
 
 def read_log(path: Path, options: ImportOptions) -> ImportedSamples:
-    """Read the IMU of a log, in this process.
-
-    Parameters
-    ----------
-    path : Path
-    options : ImportOptions
-
-    Returns
-    -------
-    ImportedSamples
-
-    Raises
-    ------
-    InputError
-    """
+    """Read the IMU of a log, in this process. Raises InputError."""
     wanted = options.topic
     require_topic(wanted, TOPICS)
     log = _LogMessages(path, *_tables(path))

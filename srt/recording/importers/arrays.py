@@ -51,7 +51,6 @@ class ArrayFile:
 
     Attributes
     ----------
-    path : Path
     shapes : mapping of str to tuple of int
         Shapes of all arrays of numbers; nested names are separated by "/". A single array without a name has "".
     read : callable
@@ -78,7 +77,6 @@ def samples_from_arrays(
 
     Parameters
     ----------
-    file : ArrayFile
     options : ImportOptions
         ``variable`` names a group, or the one array that holds all columns.
     stated : StatedUnits, optional
@@ -87,10 +85,6 @@ def samples_from_arrays(
         Rate by the file.
     notes : tuple of str
         Notes of the reader.
-
-    Returns
-    -------
-    ImportedSamples
 
     Raises
     ------
@@ -148,17 +142,11 @@ def samples_from_table(
 
     Parameters
     ----------
-    path : Path
     values : ndarray, shape (n, m)
     options : ImportOptions
         ``columns`` by number.
-    stated : StatedUnits, optional
     **fixed
         Further arguments of :func:`~srt.recording.imported_samples.samples_in_si`.
-
-    Returns
-    -------
-    ImportedSamples
 
     Raises
     ------
@@ -295,21 +283,14 @@ def _read_hdf5(path: Path, options: ImportOptions) -> ImportedSamples:
 def open_hdf5(path: Path, title: str, *, matlab: bool = False) -> Iterator[ArrayFile]:
     """Open the arrays of an HDF5 file; links are neither listed nor followed.
 
+    Raises InputError.
+
     Parameters
     ----------
-    path : Path
     title : str
         Kind of file, for messages.
     matlab : bool
         True for a file written by MATLAB, which stores arrays with their axes in reverse.
-
-    Yields
-    ------
-    ArrayFile
-
-    Raises
-    ------
-    InputError
     """
     try:
         import h5py

@@ -149,7 +149,6 @@ class ColumnAssignment:
     stated : StatedUnits
         Units by the names of the columns.
     kind : "increment" or None
-    notes : tuple of str
     """
 
     columns: dict[str, int]
@@ -165,10 +164,6 @@ def meaning_of(name: str) -> ColumnMeaning | None:
     ----------
     name : str
         Such as "gyr_x", "w_RS_S_x [rad s^-1]", "Acc X (g)" or "gyro_x_deg_s".
-
-    Returns
-    -------
-    ColumnMeaning or None
     """
     # "inertial:6254.12345:scaledAccelX": MicroStrain names the unit before the column.
     name = name.rpartition(":")[2] if ":" in name.partition("[")[0].partition("(")[0] else name
@@ -217,10 +212,6 @@ def assign(
         Columns that are read where a table has both; rates if left out.
     units : sequence of str or None, optional
         Unit that the file states for each column beside its name; an unknown one is kept, for an error or a note.
-
-    Returns
-    -------
-    ColumnAssignment
 
     Raises
     ------

@@ -124,12 +124,6 @@ def read_in_child(reader: str, path: Path, options: ImportOptions) -> ImportedSa
     ----------
     reader : str
         "module:function".
-    path : Path
-    options : ImportOptions
-
-    Returns
-    -------
-    ImportedSamples
 
     Raises
     ------
@@ -165,13 +159,8 @@ def spawn(request: bytes, scratch: Path) -> Child:
 
     Parameters
     ----------
-    request : bytes
     scratch : Path
         Folder for temporary files.
-
-    Returns
-    -------
-    Child
     """
     # -P: a module in the current folder is not imported, unless the parent imports from there, too.
     environment = (
@@ -199,11 +188,6 @@ def spawn(request: bytes, scratch: Path) -> Child:
 
 def answer(request: bytes, out: BinaryIO) -> None:
     """Read a file and write the answer: the part of the child, in any process.
-
-    Parameters
-    ----------
-    request : bytes
-    out : BinaryIO
 
     Raises
     ------

@@ -47,22 +47,14 @@ def read_csv_table(
 ) -> ImportedSamples:
     """Read a text table by its header, or by the columns in the options.
 
+    Raises InputError.
+
     Parameters
     ----------
-    path : Path
-    options : ImportOptions
     published : mapping of kind to StatedUnits, optional
         Units that the format defines, by the kind of samples; they override the header.
     sample_rate_hz : float, optional
         Rate by the format, used where the table has no stamps.
-
-    Returns
-    -------
-    ImportedSamples
-
-    Raises
-    ------
-    InputError
     """
     layout = find_layout(path, options)
     found = assign(path, layout.header, len(layout.cells), options.columns, kind=options.kind)
@@ -94,20 +86,14 @@ def read_csv_table(
 def read_pair(path: Path, options: ImportOptions) -> ImportedSamples:
     """Read a pair of text tables, one for each sensor, of ``time x y z``.
 
+    Raises InputError.
+
     Parameters
     ----------
     path : Path
         File of the accelerometers, unless the name of a file contains "gyr".
     options : ImportOptions
         With ``second``.
-
-    Returns
-    -------
-    ImportedSamples
-
-    Raises
-    ------
-    InputError
     """
     second = options.second
     if second is None:

@@ -61,19 +61,12 @@ def choose(path: Path, what: str, counts: Mapping[str, int], wanted: str | None,
 
     Parameters
     ----------
-    path : Path
     what : str
         Word for a sensor in messages, such as "topic".
     counts : mapping of str to int
         Samples of each.
-    wanted : str or None
     how : str
         The option that chooses.
-    notes : list of str
-
-    Returns
-    -------
-    str
 
     Raises
     ------
@@ -106,18 +99,6 @@ def require_topic(wanted: str | None, topics: Iterable[str]) -> None:
 
 def choose_instance(path: Path, topic: str, there: list[int], wanted: int | None, notes: list[str]) -> int:
     """Choose one of several sensors of a kind: the given one, else the first; a note names the others.
-
-    Parameters
-    ----------
-    path : Path
-    topic : str
-    there : list of int
-    wanted : int or None
-    notes : list of str
-
-    Returns
-    -------
-    int
 
     Raises
     ------
@@ -156,11 +137,6 @@ def join(gyro: Stream, accel: Stream, notes: list[str]) -> Stream:
     ----------
     gyro, accel : Stream
         Of three columns each, with the same clock.
-    notes : list of str
-
-    Returns
-    -------
-    Stream
 
     Raises
     ------
@@ -185,15 +161,8 @@ def to_imported(stream: Stream, options: ImportOptions, notes: list[str], **more
 
     Parameters
     ----------
-    stream : Stream
-    options : ImportOptions
-    notes : list of str
     **more
         Further arguments of :func:`srt.recording.imported_samples.samples_in_si`.
-
-    Returns
-    -------
-    ImportedSamples
     """
     stream = in_order(stream, notes)
     gyro_unit, accel_unit = more.pop("units", SI_UNITS)

@@ -40,19 +40,7 @@ _STRUCT_LEVELS = 4
 def open_matlab(path: Path) -> Iterator[ArrayFile]:
     """Open the arrays of a MATLAB file; the name of a struct's field is "struct/field".
 
-    Objects, function handles, cells and tables are left out: they are no arrays of numbers.
-
-    Parameters
-    ----------
-    path : Path
-
-    Yields
-    ------
-    ArrayFile
-
-    Raises
-    ------
-    InputError
+    Objects, function handles, cells and tables are left out: they are no arrays of numbers. Raises InputError.
     """
     if is_level_73(path):
         with open_hdf5(path, _TITLE, matlab=True) as file:

@@ -21,15 +21,12 @@ def clear_errors(path: Path, title: str) -> Iterator[None]:
 
     Only calls of the library belong into the block. A lack of memory passes through: the caller knows the limit.
 
+    Raises InputError.
+
     Parameters
     ----------
-    path : Path
     title : str
         The kind of file, such as "ROS 1 bag".
-
-    Raises
-    ------
-    InputError
     """
     try:
         yield

@@ -56,21 +56,7 @@ are larger by the sample rate."""
 
 
 def read_increments(path: Path, options: ImportOptions) -> ImportedSamples:
-    """Read a table of increments, in this process.
-
-    Parameters
-    ----------
-    path : Path
-    options : ImportOptions
-
-    Returns
-    -------
-    ImportedSamples
-
-    Raises
-    ------
-    InputError
-    """
+    """Read a table of increments, in this process. Raises InputError."""
     values, notes = _table(path, options)
     untimed = values.ndim == 2 and values.shape[1] == UNTIMED_COLUMNS
     if values.ndim != 2 or (values.shape[1] != COLUMNS and not untimed):

@@ -59,20 +59,14 @@ class _Topic(NamedTuple):
 def read_bag(path: Path, options: ImportOptions) -> ImportedSamples:
     """Read the IMU of a bag, in this process.
 
+    Raises InputError.
+
     Parameters
     ----------
     path : Path
         File or folder.
     options : ImportOptions
         ``topic`` names one topic, or "GYRO,ACCEL".
-
-    Returns
-    -------
-    ImportedSamples
-
-    Raises
-    ------
-    InputError
     """
     notes: list[str] = []
     with clear_errors(path, title_of(path) or "ROS bag"):

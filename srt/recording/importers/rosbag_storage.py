@@ -102,10 +102,6 @@ def open_bag(path: Path, message_type: str) -> Bag:
     message_type : str
         The type whose definition and serialisation are checked.
 
-    Returns
-    -------
-    Bag
-
     Raises
     ------
     InputError

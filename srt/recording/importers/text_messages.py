@@ -39,7 +39,6 @@ class _Messages:
 
     Attributes
     ----------
-    title : str
     pattern : re.Pattern
         Groups: text that the checksum covers, name, fields, checksum.
     checksum : callable
@@ -49,7 +48,6 @@ class _Messages:
         (None without).
     signs : tuple of 6 floats
         Signs of gyros and accelerometers, x, y, z.
-    stated : StatedUnits
     kind : "rate" or "increment"
     """
 

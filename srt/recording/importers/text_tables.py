@@ -58,7 +58,6 @@ class TableLayout:
     ----------
     delimiter : str or None
         None: any run of blanks.
-    decimal_comma : bool
     header : tuple of str
         Names of the columns; empty without a header.
     first_row : int
@@ -82,13 +81,8 @@ def find_layout(path: Path, options: ImportOptions) -> TableLayout:
 
     Parameters
     ----------
-    path : Path
     options : ImportOptions
         ``delimiter``, ``decimal_comma`` and ``skip`` are used without a check.
-
-    Returns
-    -------
-    TableLayout
 
     Raises
     ------
@@ -139,8 +133,6 @@ def read_table(
 
     Parameters
     ----------
-    path : Path
-    layout : TableLayout
     columns : mapping of str to int
         Name to position, from 0.
     integers : str, optional

@@ -72,7 +72,6 @@ class _LogTopics:
 
     Attributes
     ----------
-    path : Path
     data : dict of (topic, instance) to dict of column to ndarray
     info : dict of str to object
         Key and value pairs on the system that wrote the log.
@@ -80,7 +79,6 @@ class _LogTopics:
         At the start of the log.
     changed : frozenset of str
         Parameters that changed within the log.
-    damaged : bool
     """
 
     path: Path
@@ -133,21 +131,7 @@ class _LogTopics:
 
 
 def read_log(path: Path, options: ImportOptions) -> ImportedSamples:
-    """Read the IMU of a log, in this process.
-
-    Parameters
-    ----------
-    path : Path
-    options : ImportOptions
-
-    Returns
-    -------
-    ImportedSamples
-
-    Raises
-    ------
-    InputError
-    """
+    """Read the IMU of a log, in this process. Raises InputError."""
     wanted = options.topic
     require_topic(wanted, TOPICS)
     log = _parse(path)
