@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from srt.exceptions import InputError
-from srt.recording import csv_samples
+from srt.recording import text_tables
 from srt.recording.samples import ACCEL_COLUMNS, GYRO_COLUMNS, read_samples
 
 HEADER = ",".join(("time", *GYRO_COLUMNS, *ACCEL_COLUMNS))
@@ -26,7 +26,7 @@ def by_pyarrow(monkeypatch):
         calls.append("read")
         return table
 
-    monkeypatch.setattr(csv_samples, "_PYARROW_BYTES", 0)
+    monkeypatch.setattr(text_tables, "_PYARROW_BYTES", 0)
     monkeypatch.setattr(arrow_csv, "read_csv", counted)
     return calls
 
