@@ -28,9 +28,10 @@ from srt.exporters.file_format import (
     field,
     from_json,
     from_yaml,
+    heading,
     invertible,
+    matrix,
     numbers,
-    rotation,
     rows,
     to_json,
     to_yaml,
@@ -64,7 +65,7 @@ def _write_openvins(model: ExportModel) -> dict[str, str]:
             "Tg": model.g_sensitivity.tolist(),
         }
     }
-    return {"": to_yaml(document, "%YAML:1.0\n" + comment([*model.heading(OPENVINS), *statement(model)]))}
+    return {"": to_yaml(document, "%YAML:1.0\n" + comment([*heading(OPENVINS, model), *statement(model)]))}
 
 
 def _read_openvins(texts: Texts) -> Fields:
@@ -74,12 +75,8 @@ def _read_openvins(texts: Texts) -> Fields:
     if model not in _TRIANGLES:
         raise InputError(f"the model of imu0 is {model[:40]!r}, but one of {', '.join(_TRIANGLES)} is expected.")
     fields = {"Tg": field(document, "imu0.Tg", (3, 3))}
-    for name in ("Tw", "Ta"):
-        matrix = triangular(field(document, f"imu0.{name}", (3, 3)), name, _TRIANGLES[model])
-        fields[name] = invertible(matrix, name)
-    for name in ("R_IMUtoGYRO", "R_IMUtoACC"):
-        fields[name] = rotation(field(document, f"imu0.{name}", (3, 3)), name)
-    return fields
+    fields |= {name: matrix(document, name, "imu0.", triangle=_TRIANGLES[model]) for name in ("Tw", "Ta")}
+    return fields | {name: matrix(document, name, "imu0.", turn=True) for name in ("R_IMUtoGYRO", "R_IMUtoACC")}
 
 
 def _apply_openvins(fields: Fields, gyro: Array, accel: Array) -> tuple[Array, Array]:
@@ -126,7 +123,7 @@ _IMUCAL_SHAPES: Final = {
 def _write_imucal(model: ExportModel) -> dict[str, str]:
     document: dict[str, object] = {
         **_IMUCAL_UNITS,
-        "comment": "\n".join(model.heading(IMUCAL)),
+        "comment": "\n".join(heading(IMUCAL, model)),
     }
     for letter, linear, unit in (("a", model.accel, 1.0), ("g", model.gyro, DEG)):
         size = np.linalg.norm(linear.matrix, axis=1)
@@ -182,11 +179,11 @@ def _write_imu_tk(model: ExportModel) -> dict[str, str]:
     corrections = {"_acc": np.triu(model.accel.inverse), "_gyro": model.gyro.inverse}
     biases = {"_acc": model.accel.bias, "_gyro": model.gyro.bias}
     out = {}
-    for part, matrix in corrections.items():
-        scale = np.diag(matrix)
+    for part, correction in corrections.items():
+        scale = np.diag(correction)
         if not np.all(scale > 0.0):
             raise InputError("A gyro is turned by more than 90° against these axes, which imu_tk's form cannot state.")
-        blocks = [matrix / scale, np.diag(scale), biases[part][:, None]]
+        blocks = [correction / scale, np.diag(scale), biases[part][:, None]]
         out[part] = "\n".join("".join(" ".join(f"{v:.17g}" for v in row) + "\n" for row in b.tolist()) for b in blocks)
     return out
 
@@ -248,8 +245,8 @@ def _write_basalt(model: ExportModel) -> dict[str, str]:
         "calib_gyro_bias": [*(model.gyro.inverse @ model.gyro.bias).tolist(), *S_g.T.ravel().tolist()],
         **{name: value if name == "imu_update_rate" else [value] * 3 for name, value in noise.items()},
     }
-    heading = [*model.heading(BASALT), *statement(model)]
-    return {"": to_json({"comment": heading, "value0": document})}
+    head = [*heading(BASALT, model), *statement(model)]
+    return {"": to_json({"comment": head, "value0": document})}
 
 
 def _read_basalt(texts: Texts) -> Fields:

@@ -14,7 +14,7 @@ import numpy as np
 from srt.constants import DEG_PER_H, DEG_PER_SQRT_H, HOUR_S
 from srt.exceptions import InputError
 from srt.exporters.export_model import comment
-from srt.exporters.file_format import Exporter, field, from_yaml, to_yaml, whole_lines
+from srt.exporters.file_format import Exporter, field, from_yaml, heading, to_yaml, whole_lines
 from srt.exporters.linear_model import axis_factors
 from srt.exporters.noise_fields import known_figures, worst_bias_instability
 from srt.sensor_errors import GROUP_SLICES
@@ -79,7 +79,7 @@ def _write(model: ExportModel) -> dict[str, str]:
             noise[name] = [found / unit] * 3
     if noise:
         document["imunoise"] = noise
-    return {"": to_yaml(document, comment(model.heading(KF_GINS)))}
+    return {"": to_yaml(document, comment(heading(KF_GINS, model)))}
 
 
 def _read(texts: Texts) -> Fields:

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 import numpy as np
 
 from srt.exceptions import InputError, MissingExtraError
-from srt.exporters.file_format import Exporter, field, from_json, to_json
+from srt.exporters.file_format import Exporter, field, from_json, heading, to_json
 from srt.exporters.noise_fields import known_figures, statement
 from srt.model.sensor_model import accel_triad, gyro_triad
 from srt.noise.stated_figures import white_density
@@ -169,8 +169,8 @@ def _write(model: ExportModel) -> dict[str, str]:
         figures[name] = figures[name] * (model.settings.inflate or 1.0) ** 2
     # A fit of the asymmetry moves the biases.
     figures["bias_accel"], figures["bias_gyro"] = model.accel.bias, model.gyro.bias
-    heading = [*model.heading(GTSAM), *statement(model)]
-    return {"": to_json({"comment": heading, **{name: value.tolist() for name, value in figures.items()}})}
+    head = [*heading(GTSAM, model), *statement(model)]
+    return {"": to_json({"comment": head, **{name: value.tolist() for name, value in figures.items()}})}
 
 
 def _read(texts: Texts) -> Fields:
