@@ -151,6 +151,13 @@ def matrix(
     return invertible(values if triangle is None else triangular(values, path, triangle), path)
 
 
+def each_sensor(
+    correct: Callable[[Fields, str, Array], Array],
+) -> Callable[[Fields, Array, Array], tuple[Array, Array]]:
+    """Formula of a target for both triads alike; ``correct`` takes fields, "gyro" or "accel", and readings."""
+    return lambda fields, gyro, accel: (correct(fields, "gyro", gyro), correct(fields, "accel", accel))
+
+
 def field(document: Any, path: str, shape: tuple[int, ...]) -> Array:
     """Take an array out of a nested document.
 

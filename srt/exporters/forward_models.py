@@ -22,6 +22,7 @@ from srt.exceptions import InputError
 from srt.exporters.export_model import comment
 from srt.exporters.file_format import (
     Exporter,
+    each_sensor,
     field,
     from_json,
     from_yaml,
@@ -151,14 +152,6 @@ def _read_pyins(texts: Texts) -> Fields:
     return fields
 
 
-def _apply_pyins(fields: Fields, gyro: Array, accel: Array) -> tuple[Array, Array]:
-    out = [
-        solved(fields[f"{sensor}.transform"], readings - fields[f"{sensor}.bias"])
-        for sensor, readings in zip(_SENSORS, (gyro, accel), strict=True)
-    ]
-    return out[0], out[1]
-
-
 PYINS: Final = Exporter(
     name="pyins",
     title="pyins inertial sensor parameters",
@@ -172,5 +165,5 @@ PYINS: Final = Exporter(
     frames=("mars", "table"),
     write=_write_pyins,
     read=_read_pyins,
-    apply=_apply_pyins,
+    apply=each_sensor(lambda fields, sensor, y: solved(fields[f"{sensor}.transform"], y - fields[f"{sensor}.bias"])),
 )

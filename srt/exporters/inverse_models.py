@@ -25,6 +25,7 @@ from srt.exceptions import InputError
 from srt.exporters.export_model import comment
 from srt.exporters.file_format import (
     Exporter,
+    each_sensor,
     field,
     from_json,
     from_yaml,
@@ -171,7 +172,7 @@ IMUCAL: Final = Exporter(
     apply=_apply_imucal,
 )
 
-_IMU_TK_PARTS: Final = {"_acc": "acc", "_gyro": "gyr"}
+_IMU_TK_PARTS: Final = {"_acc": "accel", "_gyro": "gyro"}
 
 
 def _write_imu_tk(model: ExportModel) -> dict[str, str]:
@@ -202,14 +203,6 @@ def _read_imu_tk(texts: Texts) -> Fields:
     return fields
 
 
-def _apply_imu_tk(fields: Fields, gyro: Array, accel: Array) -> tuple[Array, Array]:
-    out = [
-        rows(fields[f"T_{name}"] @ fields[f"K_{name}"], readings - fields[f"B_{name}"])
-        for name, readings in (("gyr", gyro), ("acc", accel))
-    ]
-    return out[0], out[1]
-
-
 IMU_TK: Final = Exporter(
     name="imu_tk",
     title="imu_tk pair of calibrations",
@@ -222,7 +215,7 @@ IMU_TK: Final = Exporter(
     parts=tuple(_IMU_TK_PARTS),
     write=_write_imu_tk,
     read=_read_imu_tk,
-    apply=_apply_imu_tk,
+    apply=each_sensor(lambda fields, s, y: rows(fields[f"T_{s}"] @ fields[f"K_{s}"], y - fields[f"B_{s}"])),
 )
 
 _LOWER_BY_COLUMNS: Final = ((0, 1, 2, 1, 2, 2), (0, 0, 0, 1, 1, 2))
@@ -258,14 +251,7 @@ def _read_basalt(texts: Texts) -> Fields:
     S_g = gyro[3:].reshape(3, 3).T
     for name, S in (("calib_accel_bias", S_a), ("calib_gyro_bias", S_g)):
         invertible(np.eye(3) + S, name)
-    return {"S_a": S_a, "b_a": accel[:3], "S_g": S_g, "b_g": gyro[:3]}
-
-
-def _apply_basalt(fields: Fields, gyro: Array, accel: Array) -> tuple[Array, Array]:
-    return (
-        rows(np.eye(3) + fields["S_g"], gyro) - fields["b_g"],
-        rows(np.eye(3) + fields["S_a"], accel) - fields["b_a"],
-    )
+    return {"S_accel": S_a, "b_accel": accel[:3], "S_gyro": S_g, "b_gyro": gyro[:3]}
 
 
 BASALT: Final = Exporter(
@@ -282,6 +268,6 @@ BASALT: Final = Exporter(
     triangle="lower",
     write=_write_basalt,
     read=_read_basalt,
-    apply=_apply_basalt,
+    apply=each_sensor(lambda fields, s, y: rows(np.eye(3) + fields[f"S_{s}"], y) - fields[f"b_{s}"]),
     options=OPTIONS - {"topic"},
 )

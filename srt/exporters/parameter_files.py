@@ -24,6 +24,7 @@ from srt.exporters.export_model import comment
 from srt.exporters.file_format import (
     SINGLE,
     Exporter,
+    each_sensor,
     field,
     from_yaml,
     heading,
@@ -88,14 +89,6 @@ def _read_vectornav(texts: Texts) -> Fields:
     return fields
 
 
-def _apply_vectornav(fields: Fields, gyro: Array, accel: Array) -> tuple[Array, Array]:
-    out = [
-        rows(fields[f"C_{sensor}"], readings - fields[f"B_{sensor}"])
-        for sensor, readings in (("gyro", gyro), ("accel", accel))
-    ]
-    return out[0], out[1]
-
-
 VECTORNAV: Final = Exporter(
     name="vectornav",
     title="VectorNav compensation registers",
@@ -109,7 +102,7 @@ VECTORNAV: Final = Exporter(
     frames=("mars", "table"),
     write=_write_vectornav,
     read=_read_vectornav,
-    apply=_apply_vectornav,
+    apply=each_sensor(lambda fields, sensor, y: rows(fields[f"C_{sensor}"], y - fields[f"B_{sensor}"])),
     within=SINGLE,
     replaces=True,
     find_applied="send $VNRRG,25*XX and $VNRRG,84*XX to the unit and save its two answers",

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 import numpy as np
 
 from srt.exceptions import InputError, MissingExtraError
-from srt.exporters.file_format import Exporter, field, from_json, heading, to_json
+from srt.exporters.file_format import Exporter, each_sensor, field, from_json, heading, to_json
 from srt.exporters.noise_fields import known_figures, statement
 from srt.model.sensor_model import accel_triad, gyro_triad
 from srt.noise.stated_figures import white_density
@@ -180,10 +180,6 @@ def _read(texts: Texts) -> Fields:
     return fields | {name: field(document, name, shape) for name, shape in walks.items()}
 
 
-def _apply(fields: Fields, gyro: Array, accel: Array) -> tuple[Array, Array]:
-    return gyro - fields["bias_gyro"], accel - fields["bias_accel"]
-
-
 GTSAM: Final = Exporter(
     name="gtsam",
     title="gtsam preintegration parameters for raw readings",
@@ -198,7 +194,7 @@ GTSAM: Final = Exporter(
     frames=("mars",),
     write=_write,
     read=_read,
-    apply=_apply,
+    apply=each_sensor(lambda fields, sensor, y: y - fields[f"bias_{sensor}"]),
     within=None,
     imports=False,
     options=frozenset({"gyro_random_walk", "accel_random_walk", "inflate"}),
