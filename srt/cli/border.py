@@ -14,7 +14,7 @@ import click
 
 from srt.cli.messages import output_errors, say
 from srt.exceptions import InputError, SrtError
-from srt.recording.memory_limit import memory_is_limited, require_memory
+from srt.recording.file_guards import memory_is_limited, require_memory
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field, fields, replace
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -23,36 +23,7 @@ if TYPE_CHECKING:
 
 _UNSAFE: Final = re.compile(r"[^A-Za-z0-9 ./:,;()+@=_-]")
 _TOPIC: Final = re.compile(r"[A-Za-z0-9_/~.-]+")
-_AXES: Final = {
-    "mars": "MARS, those of the calibration",
-    "table": "those of the table-mounted frame",
-    "accel": "those that the accelerometer matrix defines",
-}
 LAST_INSTANCE: Final = 9
-
-
-class FormatDescription(Protocol):
-    """Description of a format in the heading of its files; :class:`srt.exporters.file_format.Exporter` is one."""
-
-    @property
-    def title(self) -> str:
-        """Name of the format in text."""
-
-    @property
-    def formula(self) -> str:
-        """Formula that its reader applies."""
-
-    @property
-    def losses(self) -> tuple[str, ...]:
-        """Parts of a calibration that it does not hold."""
-
-    @property
-    def asymmetry(self) -> bool:
-        """True if it holds scale-factor asymmetry."""
-
-    @property
-    def g_sensitivity(self) -> bool:
-        """True if it holds gyro g-sensitivity."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,20 +109,6 @@ class ExportModel:
     settings: ExportSettings
     g_sensitivity: Array = field(default_factory=lambda: np.zeros((3, 3)))
     applied: AppliedCorrection | None = None
-
-    def heading(self, item: FormatDescription) -> list[str]:
-        """ASCII lines for a comment: unit, origin, formula, axes and losses."""
-        lost: tuple[str, ...] = () if item.asymmetry else ("scale-factor asymmetry",)
-        lost += ("g-sensitivity",) if self.calibration.g_sensitivity is not None and not item.g_sensitivity else ()
-        return [
-            f"{item.title}; generated, do not edit.",
-            *origin(self.calibration),
-            f"formula: {item.formula}",
-            f"axes: {_AXES[self.frame]}; a vector v in MARS axes is C v in these, C =",
-            *(f"  [{', '.join(f'{value:.15g}' for value in row)}]" for row in self.C_FB.tolist()),
-            *(self.applied_lines()),
-            *(f"not held: {loss}" for loss in (*lost, *item.losses, "covariance")),
-        ]
 
     def composed(self, applied: AppliedCorrection) -> ExportModel:
         """Model of the readings that the sensors had before a correction that was applied to them.

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from srt.exceptions import InputError, MissingExtraError
+from srt.exporters.export_model import origin
 from srt.result.json_file import parse_json
 
 if TYPE_CHECKING:
@@ -25,6 +26,11 @@ ROUNDING: Final = 1e-11
 SINGLE: Final = 2e-6
 """The same for files in single precision: 6e-8 for each of about a dozen numbers, times a margin of 3."""
 
+_AXES: Final = {
+    "mars": "MARS, those of the calibration",
+    "table": "those of the table-mounted frame",
+    "accel": "those that the accelerometer matrix defines",
+}
 _ROTATION_WITHIN: Final = 1e-6
 """Largest departure from orthogonality of a rotation written with seven digits."""
 _ZERO_WITHIN: Final = 1e-12
@@ -104,6 +110,52 @@ class Exporter:
     replaces: bool = False
     find_applied: str = ""
     limits: Callable[[ExportModel, Fields], tuple[str, ...]] = lambda model, fields: ()  # noqa: ARG005
+
+
+def heading(item: Exporter, model: ExportModel) -> list[str]:
+    """ASCII lines for a comment: unit, origin, formula, axes and losses."""
+    lost: tuple[str, ...] = () if item.asymmetry else ("scale-factor asymmetry",)
+    lost += ("g-sensitivity",) if model.calibration.g_sensitivity is not None and not item.g_sensitivity else ()
+    return [
+        f"{item.title}; generated, do not edit.",
+        *origin(model.calibration),
+        f"formula: {item.formula}",
+        f"axes: {_AXES[model.frame]}; a vector v in MARS axes is C v in these, C =",
+        *(f"  [{', '.join(f'{value:.15g}' for value in row)}]" for row in model.C_FB.tolist()),
+        *(model.applied_lines()),
+        *(f"not held: {loss}" for loss in (*lost, *item.losses, "covariance")),
+    ]
+
+
+def matrix(
+    document: Any, path: str, within: str = "", *, triangle: str | None = None, turn: bool = False, flat: bool = False
+) -> Array:
+    """Take a matrix of 3 by 3 out of a nested document, which has an inverse. Raises InputError.
+
+    Parameters
+    ----------
+    path : str
+        Keys, separated by points, as messages name them.
+    within : str
+        Keys before these, with a point at the end.
+    triangle : "lower", "upper" or None
+        Shape that its reader takes.
+    turn : bool
+        True for a rotation.
+    flat : bool
+        True for nine numbers by rows.
+    """
+    values = field(document, within + path, (9,) if flat else (3, 3)).reshape(3, 3)
+    if turn:
+        return rotation(values, path)
+    return invertible(values if triangle is None else triangular(values, path, triangle), path)
+
+
+def each_sensor(
+    correct: Callable[[Fields, str, Array], Array],
+) -> Callable[[Fields, Array, Array], tuple[Array, Array]]:
+    """Formula of a target for both triads alike; ``correct`` takes fields, "gyro" or "accel", and readings."""
+    return lambda fields, gyro, accel: (correct(fields, "gyro", gyro), correct(fields, "accel", accel))
 
 
 def field(document: Any, path: str, shape: tuple[int, ...]) -> Array:

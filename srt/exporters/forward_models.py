@@ -22,16 +22,16 @@ from srt.exceptions import InputError
 from srt.exporters.export_model import comment
 from srt.exporters.file_format import (
     Exporter,
+    each_sensor,
     field,
     from_json,
     from_yaml,
-    invertible,
-    rotation,
+    heading,
+    matrix,
     rows,
     solved,
     to_json,
     to_yaml,
-    triangular,
 )
 from srt.exporters.linear_model import lower_rotation
 from srt.exporters.noise_fields import DEFAULT_TOPIC, OPTIONS, named, statement
@@ -81,8 +81,8 @@ def _write_kalibr(model: ExportModel) -> dict[str, str]:
         }
     }
     flat = {**named(model, NOISE_NAMES), "rostopic": model.settings.topic or DEFAULT_TOPIC}
-    heading = comment([*model.heading(KALIBR), *statement(model)])
-    return {"": to_yaml(document, heading), _KALIBR_INPUT: to_yaml(flat, heading)}
+    head = comment([*heading(KALIBR, model), *statement(model)])
+    return {"": to_yaml(document, head), _KALIBR_INPUT: to_yaml(flat, head)}
 
 
 def _read_kalibr(texts: Texts) -> Fields:
@@ -92,15 +92,10 @@ def _read_kalibr(texts: Texts) -> Fields:
     if model != _KALIBR_MODEL:
         raise InputError(f"the model of imu0 is {str(model)[:40]!r}, but {_KALIBR_MODEL!r} is read: export that one.")
     return {
-        "M_a": invertible(
-            triangular(field(document, "imu0.accelerometers.M", (3, 3)), "accelerometers.M", "lower"),
-            "accelerometers.M",
-        ),
-        "M_g": invertible(
-            triangular(field(document, "imu0.gyroscopes.M", (3, 3)), "gyroscopes.M", "lower"), "gyroscopes.M"
-        ),
+        "M_a": matrix(document, "accelerometers.M", "imu0.", triangle="lower"),
+        "M_g": matrix(document, "gyroscopes.M", "imu0.", triangle="lower"),
         "A": field(document, "imu0.gyroscopes.A", (3, 3)),
-        "C_gyro_i": rotation(field(document, "imu0.gyroscopes.C_gyro_i", (3, 3)), "gyroscopes.C_gyro_i"),
+        "C_gyro_i": matrix(document, "gyroscopes.C_gyro_i", "imu0.", turn=True),
     }
 
 
@@ -138,7 +133,7 @@ def _write_pyins(model: ExportModel) -> dict[str, str]:
     return {
         "": to_json(
             {
-                "comment": model.heading(PYINS),
+                "comment": heading(PYINS, model),
                 **{
                     name: {"transform": linear.matrix.tolist(), "bias": linear.bias.tolist()}
                     for name, linear in zip(_SENSORS, (model.gyro, model.accel), strict=True)
@@ -152,18 +147,9 @@ def _read_pyins(texts: Texts) -> Fields:
     document = from_json(texts[""])
     fields = {}
     for sensor in _SENSORS:
-        name = f"{sensor}.transform"
-        fields[name] = invertible(field(document, name, (3, 3)), name)
+        fields[f"{sensor}.transform"] = matrix(document, f"{sensor}.transform")
         fields[f"{sensor}.bias"] = field(document, f"{sensor}.bias", (3,))
     return fields
-
-
-def _apply_pyins(fields: Fields, gyro: Array, accel: Array) -> tuple[Array, Array]:
-    out = [
-        solved(fields[f"{sensor}.transform"], readings - fields[f"{sensor}.bias"])
-        for sensor, readings in zip(_SENSORS, (gyro, accel), strict=True)
-    ]
-    return out[0], out[1]
 
 
 PYINS: Final = Exporter(
@@ -179,5 +165,5 @@ PYINS: Final = Exporter(
     frames=("mars", "table"),
     write=_write_pyins,
     read=_read_pyins,
-    apply=_apply_pyins,
+    apply=each_sensor(lambda fields, sensor, y: solved(fields[f"{sensor}.transform"], y - fields[f"{sensor}.bias"])),
 )

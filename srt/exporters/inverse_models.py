@@ -25,12 +25,14 @@ from srt.exceptions import InputError
 from srt.exporters.export_model import comment
 from srt.exporters.file_format import (
     Exporter,
+    each_sensor,
     field,
     from_json,
     from_yaml,
+    heading,
     invertible,
+    matrix,
     numbers,
-    rotation,
     rows,
     to_json,
     to_yaml,
@@ -64,7 +66,7 @@ def _write_openvins(model: ExportModel) -> dict[str, str]:
             "Tg": model.g_sensitivity.tolist(),
         }
     }
-    return {"": to_yaml(document, "%YAML:1.0\n" + comment([*model.heading(OPENVINS), *statement(model)]))}
+    return {"": to_yaml(document, "%YAML:1.0\n" + comment([*heading(OPENVINS, model), *statement(model)]))}
 
 
 def _read_openvins(texts: Texts) -> Fields:
@@ -74,12 +76,8 @@ def _read_openvins(texts: Texts) -> Fields:
     if model not in _TRIANGLES:
         raise InputError(f"the model of imu0 is {model[:40]!r}, but one of {', '.join(_TRIANGLES)} is expected.")
     fields = {"Tg": field(document, "imu0.Tg", (3, 3))}
-    for name in ("Tw", "Ta"):
-        matrix = triangular(field(document, f"imu0.{name}", (3, 3)), name, _TRIANGLES[model])
-        fields[name] = invertible(matrix, name)
-    for name in ("R_IMUtoGYRO", "R_IMUtoACC"):
-        fields[name] = rotation(field(document, f"imu0.{name}", (3, 3)), name)
-    return fields
+    fields |= {name: matrix(document, name, "imu0.", triangle=_TRIANGLES[model]) for name in ("Tw", "Ta")}
+    return fields | {name: matrix(document, name, "imu0.", turn=True) for name in ("R_IMUtoGYRO", "R_IMUtoACC")}
 
 
 def _apply_openvins(fields: Fields, gyro: Array, accel: Array) -> tuple[Array, Array]:
@@ -126,7 +124,7 @@ _IMUCAL_SHAPES: Final = {
 def _write_imucal(model: ExportModel) -> dict[str, str]:
     document: dict[str, object] = {
         **_IMUCAL_UNITS,
-        "comment": "\n".join(model.heading(IMUCAL)),
+        "comment": "\n".join(heading(IMUCAL, model)),
     }
     for letter, linear, unit in (("a", model.accel, 1.0), ("g", model.gyro, DEG)):
         size = np.linalg.norm(linear.matrix, axis=1)
@@ -174,7 +172,7 @@ IMUCAL: Final = Exporter(
     apply=_apply_imucal,
 )
 
-_IMU_TK_PARTS: Final = {"_acc": "acc", "_gyro": "gyr"}
+_IMU_TK_PARTS: Final = {"_acc": "accel", "_gyro": "gyro"}
 
 
 def _write_imu_tk(model: ExportModel) -> dict[str, str]:
@@ -182,11 +180,11 @@ def _write_imu_tk(model: ExportModel) -> dict[str, str]:
     corrections = {"_acc": np.triu(model.accel.inverse), "_gyro": model.gyro.inverse}
     biases = {"_acc": model.accel.bias, "_gyro": model.gyro.bias}
     out = {}
-    for part, matrix in corrections.items():
-        scale = np.diag(matrix)
+    for part, correction in corrections.items():
+        scale = np.diag(correction)
         if not np.all(scale > 0.0):
             raise InputError("A gyro is turned by more than 90° against these axes, which imu_tk's form cannot state.")
-        blocks = [matrix / scale, np.diag(scale), biases[part][:, None]]
+        blocks = [correction / scale, np.diag(scale), biases[part][:, None]]
         out[part] = "\n".join("".join(" ".join(f"{v:.17g}" for v in row) + "\n" for row in b.tolist()) for b in blocks)
     return out
 
@@ -205,14 +203,6 @@ def _read_imu_tk(texts: Texts) -> Fields:
     return fields
 
 
-def _apply_imu_tk(fields: Fields, gyro: Array, accel: Array) -> tuple[Array, Array]:
-    out = [
-        rows(fields[f"T_{name}"] @ fields[f"K_{name}"], readings - fields[f"B_{name}"])
-        for name, readings in (("gyr", gyro), ("acc", accel))
-    ]
-    return out[0], out[1]
-
-
 IMU_TK: Final = Exporter(
     name="imu_tk",
     title="imu_tk pair of calibrations",
@@ -225,7 +215,7 @@ IMU_TK: Final = Exporter(
     parts=tuple(_IMU_TK_PARTS),
     write=_write_imu_tk,
     read=_read_imu_tk,
-    apply=_apply_imu_tk,
+    apply=each_sensor(lambda fields, s, y: rows(fields[f"T_{s}"] @ fields[f"K_{s}"], y - fields[f"B_{s}"])),
 )
 
 _LOWER_BY_COLUMNS: Final = ((0, 1, 2, 1, 2, 2), (0, 0, 0, 1, 1, 2))
@@ -248,8 +238,8 @@ def _write_basalt(model: ExportModel) -> dict[str, str]:
         "calib_gyro_bias": [*(model.gyro.inverse @ model.gyro.bias).tolist(), *S_g.T.ravel().tolist()],
         **{name: value if name == "imu_update_rate" else [value] * 3 for name, value in noise.items()},
     }
-    heading = [*model.heading(BASALT), *statement(model)]
-    return {"": to_json({"comment": heading, "value0": document})}
+    head = [*heading(BASALT, model), *statement(model)]
+    return {"": to_json({"comment": head, "value0": document})}
 
 
 def _read_basalt(texts: Texts) -> Fields:
@@ -261,14 +251,7 @@ def _read_basalt(texts: Texts) -> Fields:
     S_g = gyro[3:].reshape(3, 3).T
     for name, S in (("calib_accel_bias", S_a), ("calib_gyro_bias", S_g)):
         invertible(np.eye(3) + S, name)
-    return {"S_a": S_a, "b_a": accel[:3], "S_g": S_g, "b_g": gyro[:3]}
-
-
-def _apply_basalt(fields: Fields, gyro: Array, accel: Array) -> tuple[Array, Array]:
-    return (
-        rows(np.eye(3) + fields["S_g"], gyro) - fields["b_g"],
-        rows(np.eye(3) + fields["S_a"], accel) - fields["b_a"],
-    )
+    return {"S_accel": S_a, "b_accel": accel[:3], "S_gyro": S_g, "b_gyro": gyro[:3]}
 
 
 BASALT: Final = Exporter(
@@ -285,6 +268,6 @@ BASALT: Final = Exporter(
     triangle="lower",
     write=_write_basalt,
     read=_read_basalt,
-    apply=_apply_basalt,
+    apply=each_sensor(lambda fields, s, y: rows(np.eye(3) + fields[f"S_{s}"], y) - fields[f"b_{s}"]),
     options=OPTIONS - {"topic"},
 )

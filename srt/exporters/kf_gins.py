@@ -14,7 +14,7 @@ import numpy as np
 from srt.constants import DEG_PER_H, DEG_PER_SQRT_H, HOUR_S
 from srt.exceptions import InputError
 from srt.exporters.export_model import comment
-from srt.exporters.file_format import Exporter, field, from_yaml, to_yaml, whole_lines
+from srt.exporters.file_format import Exporter, each_sensor, field, from_yaml, heading, to_yaml, whole_lines
 from srt.exporters.linear_model import axis_factors
 from srt.exporters.noise_fields import known_figures, worst_bias_instability
 from srt.sensor_errors import GROUP_SLICES
@@ -79,7 +79,7 @@ def _write(model: ExportModel) -> dict[str, str]:
             noise[name] = [found / unit] * 3
     if noise:
         document["imunoise"] = noise
-    return {"": to_yaml(document, comment(model.heading(KF_GINS)))}
+    return {"": to_yaml(document, comment(heading(KF_GINS, model)))}
 
 
 def _read(texts: Texts) -> Fields:
@@ -89,13 +89,6 @@ def _read(texts: Texts) -> Fields:
     for name in _NOISE if "imunoise" in document else ():
         field(document, f"imunoise.{name}", (3,))
     return {group: field(document, name, (3,)) * unit for name, (group, unit) in _STATES.items()}
-
-
-def _apply(fields: Fields, gyro: Array, accel: Array) -> tuple[Array, Array]:
-    return (
-        (gyro - fields["gyro_bias"]) / (1.0 + fields["gyro_scale"]),
-        (accel - fields["accel_bias"]) / (1.0 + fields["accel_scale"]),
-    )
 
 
 KF_GINS: Final = Exporter(
@@ -115,7 +108,7 @@ KF_GINS: Final = Exporter(
     frames=("mars", "table"),
     write=_write,
     read=_read,
-    apply=_apply,
+    apply=each_sensor(lambda fields, s, y: (y - fields[f"{s}_bias"]) / (1.0 + fields[f"{s}_scale"])),
     within=None,
     imports=False,
     options=frozenset({"inflate"}),

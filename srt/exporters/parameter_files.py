@@ -24,11 +24,13 @@ from srt.exporters.export_model import comment
 from srt.exporters.file_format import (
     SINGLE,
     Exporter,
+    each_sensor,
     field,
     from_yaml,
+    heading,
     invertible,
+    matrix,
     numbers,
-    rotation,
     rows,
     single,
     to_yaml,
@@ -87,14 +89,6 @@ def _read_vectornav(texts: Texts) -> Fields:
     return fields
 
 
-def _apply_vectornav(fields: Fields, gyro: Array, accel: Array) -> tuple[Array, Array]:
-    out = [
-        rows(fields[f"C_{sensor}"], readings - fields[f"B_{sensor}"])
-        for sensor, readings in (("gyro", gyro), ("accel", accel))
-    ]
-    return out[0], out[1]
-
-
 VECTORNAV: Final = Exporter(
     name="vectornav",
     title="VectorNav compensation registers",
@@ -108,7 +102,7 @@ VECTORNAV: Final = Exporter(
     frames=("mars", "table"),
     write=_write_vectornav,
     read=_read_vectornav,
-    apply=_apply_vectornav,
+    apply=each_sensor(lambda fields, sensor, y: rows(fields[f"C_{sensor}"], y - fields[f"B_{sensor}"])),
     within=SINGLE,
     replaces=True,
     find_applied="send $VNRRG,25*XX and $VNRRG,84*XX to the unit and save its two answers",
@@ -164,7 +158,7 @@ def _write_px4(model: ExportModel) -> dict[str, str]:
     ]
     for name, number in _ids(model, autopilots.PX4).items():
         lines.append(f"1\t1\t{name}\t{number - (number >> 31 << 32)}\t6\n")
-    head = [*model.heading(PX4), "", "Vehicle-Id Component-Id Name Value Type"]
+    head = [*heading(PX4, model), "", "Vehicle-Id Component-Id Name Value Type"]
     return {"": comment(head) + "".join(sorted(lines))}
 
 
@@ -188,7 +182,7 @@ def _write_ardupilot(model: ExportModel) -> dict[str, str]:
         f"{name},{value:.9g}\n" for key in values for name, value in zip(names[key], values[key].tolist(), strict=True)
     ]
     lines += [f"{name},{number}\n" for name, number in _ids(model, autopilots.ARDUPILOT).items()]
-    return {"": comment(model.heading(ARDUPILOT)) + "".join(lines)}
+    return {"": comment(heading(ARDUPILOT, model)) + "".join(lines)}
 
 
 def parameter_values(text: str) -> dict[str, float]:
@@ -338,22 +332,22 @@ def _write_ros2(model: ExportModel) -> dict[str, str]:
             }
         }
     }
-    return {"": to_yaml(document, comment([*model.heading(ROS2), "Matrices by rows."]))}
+    return {"": to_yaml(document, comment([*heading(ROS2, model), "Matrices by rows."]))}
 
 
 def _read_ros2(texts: Texts) -> Fields:
     document = from_yaml(texts[""])
     at = f"{_ROS2}.ros__parameters.imu_calibration"
-    fields = {"rotation": rotation(field(document, f"{at}.rotation", (9,)).reshape(3, 3), "rotation")}
+    fields = {"rotation": matrix(document, "rotation", f"{at}.", turn=True, flat=True)}
     fields["g_sensitivity"] = field(document, f"{at}.g_sensitivity", (9,)).reshape(3, 3)
     for sensor in _SENSORS:
-        matrix = invertible(field(document, f"{at}.{sensor}.matrix", (9,)).reshape(3, 3), f"{sensor}.matrix")
+        M = matrix(document, f"{sensor}.matrix", f"{at}.", flat=True)
         correction = field(document, f"{at}.{sensor}.correction", (9,)).reshape(3, 3)
-        if np.abs(correction @ matrix - fields["rotation"]).max() > 1e-9:
+        if np.abs(correction @ M - fields["rotation"]).max() > 1e-9:
             raise InputError(
                 f"{sensor}.correction is not rotation times the inverse of {sensor}.matrix: it was edited."
             )
-        fields[f"{sensor}.matrix"] = matrix
+        fields[f"{sensor}.matrix"] = M
         for name in ("asymmetry", "bias"):
             fields[f"{sensor}.{name}"] = field(document, f"{at}.{sensor}.{name}", (3,))
     return fields

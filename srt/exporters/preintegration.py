@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 import numpy as np
 
 from srt.exceptions import InputError, MissingExtraError
-from srt.exporters.file_format import Exporter, field, from_json, to_json
+from srt.exporters.file_format import Exporter, each_sensor, field, from_json, heading, to_json
 from srt.exporters.noise_fields import known_figures, statement
 from srt.model.sensor_model import accel_triad, gyro_triad
 from srt.noise.stated_figures import white_density
@@ -169,8 +169,8 @@ def _write(model: ExportModel) -> dict[str, str]:
         figures[name] = figures[name] * (model.settings.inflate or 1.0) ** 2
     # A fit of the asymmetry moves the biases.
     figures["bias_accel"], figures["bias_gyro"] = model.accel.bias, model.gyro.bias
-    heading = [*model.heading(GTSAM), *statement(model)]
-    return {"": to_json({"comment": heading, **{name: value.tolist() for name, value in figures.items()}})}
+    head = [*heading(GTSAM, model), *statement(model)]
+    return {"": to_json({"comment": head, **{name: value.tolist() for name, value in figures.items()}})}
 
 
 def _read(texts: Texts) -> Fields:
@@ -178,10 +178,6 @@ def _read(texts: Texts) -> Fields:
     fields = {name: field(document, name, shape) for name, shape in _SHAPES.items()}
     walks = {name: shape for name, shape in _WALK_SHAPES.items() if name in document}
     return fields | {name: field(document, name, shape) for name, shape in walks.items()}
-
-
-def _apply(fields: Fields, gyro: Array, accel: Array) -> tuple[Array, Array]:
-    return gyro - fields["bias_gyro"], accel - fields["bias_accel"]
 
 
 GTSAM: Final = Exporter(
@@ -198,7 +194,7 @@ GTSAM: Final = Exporter(
     frames=("mars",),
     write=_write,
     read=_read,
-    apply=_apply,
+    apply=each_sensor(lambda fields, sensor, y: y - fields[f"bias_{sensor}"]),
     within=None,
     imports=False,
     options=frozenset({"gyro_random_walk", "accel_random_walk", "inflate"}),

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -16,48 +15,38 @@ import numpy as np
 
 from srt.constants import normal_gravity_m_s2
 from srt.exceptions import InputError, clipped, did_you_mean
-from srt.recording.applied import AppliedCorrection, applied_correction
-from srt.recording.importer_registry import is_foreign
-from srt.recording.recording import Fixture, ImuNoise, Recording, Site, require_bounded
+from srt.recording.applied import applied_correction
+from srt.recording.import_options import SENSOR_UNITS, ImportOptions
+from srt.recording.imported_samples import ImportedSamples, to_recording
+from srt.recording.importer_registry import import_file, is_foreign
+from srt.recording.protocol import load_protocol
+from srt.recording.recording import Fixture, ImuNoise, Recording, Site
 from srt.recording.samples import read_samples
 from srt.recording.schema import (
-    ACCEL_UNITS,
     COUNTS,
     FIXTURE_KEYS,
-    GYRO_UNITS,
     IMU_KEYS,
+    POSE_KEYS,
     RECORDING_KEYS,
     SECTIONS,
+    SEQUENCE_KEYS,
     SITE_KEYS,
     TIME_UNITS,
     fields_of,
     read_section,
 )
-from srt.recording.sequence_tables import read_protocol, read_sequences
+from srt.recording.sequence_label import SequenceLabel
 from srt.recording.toml_text import read_toml
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from srt.recording.protocol import Protocol
-    from srt.recording.sequence_label import SequenceLabel
     from srt.types import Array
 
 TOML_NAME: Final = "recording.toml"
 
 _NORMAL_GRAVITY_SIGMA_M_S2 = 5e-4  # 1 sigma: local anomalies, which normal gravity does not include
-
-
-@dataclass(frozen=True, slots=True)
-class RecordingMetadata:
-    """Site, fixture, noise and sequence labels of a recording."""
-
-    site: Site
-    fixture: Fixture | None
-    noise: ImuNoise
-    sequences: tuple[SequenceLabel, ...]
-    applied: AppliedCorrection | None = None
-    protocol: Protocol | None = None
 
 
 def load_recording(path: str | os.PathLike[str]) -> Recording:
@@ -93,48 +82,46 @@ def load_recording(path: str | os.PathLike[str]) -> Recording:
     if "samples" not in main:
         raise InputError(f'{toml}: recording.samples is missing: name the samples file, as samples = "samples.csv".')
     samples_path = _inside(toml, main["samples"])
-    if is_foreign(samples_path):
-        return _import_recording(toml, samples_path, main, about, os.fspath(path))
-    kind = main.get("kind", "rate")
-    gyro = _conversion(str(toml), "gyro", kind, main, GYRO_UNITS)
-    accel = _conversion(str(toml), "accel", kind, main, ACCEL_UNITS)
-    rate = main.get("sample_rate_hz")
-    samples = read_samples(samples_path, time_required=rate is None)
-    _apply(samples.gyro, gyro)
-    _apply(samples.accel, accel)
-    time = samples.time
-    if time is None:
-        assert rate is not None
-        time = np.arange(1, len(samples.gyro) + 1) / rate
-    elif main.get("time_unit", "s") != "s":
-        time *= TIME_UNITS[main["time_unit"]]
-    temperature = samples.temperature
-    if temperature is None and "temperature_c" in main:
-        temperature = np.broadcast_to(np.float64(main["temperature_c"]), time.shape)
+    foreign = is_foreign(samples_path)
     try:
-        recording = Recording(
-            time=time,
-            gyro=samples.gyro,
-            accel=samples.accel,
-            site=about.site,
-            fixture=about.fixture,
-            noise=about.noise,
-            sequences=about.sequences,
-            temperature=temperature,
+        return to_recording(
+            _imported(samples_path, main) if foreign else _own(str(toml), samples_path, main),
+            **about,
+            temperature_c=main.get("temperature_c"),
             source=os.fspath(path),
             data_sha256=sha256_of(samples_path),
-            applied=about.applied,
-            protocol=about.protocol,
-            **fields_of({"kind": kind, **main}, RECORDING_KEYS),
+            serial=main.get("serial"),
+            date=main.get("date"),
+            clock_sigma=main.get("clock_sigma_ppm"),
         )
-        require_bounded(recording)
     except InputError as error:
+        if type(error) is not InputError or str(toml.parent) in str(error):
+            raise
         raise InputError(f"{toml.parent}: {error}", fault=error.fault) from None
-    return recording
 
 
-def read_metadata(file: str, document: Mapping[str, Any]) -> RecordingMetadata:
-    """Read the sections [site], [fixture], [imu] and [[sequence]].
+def _imported(path: Path, main: Mapping[str, Any]) -> ImportedSamples:
+    """Samples in a foreign format, with the units and other keys of [recording]."""
+    names = {f"{sensor}_offset": f"{sensor}_offset_counts" for sensor in ("gyro", "accel")}
+    fields = ("kind", "time_unit", "sample_rate_hz", "gyro_unit", "accel_unit", "gyro_lsb", "accel_lsb", *names)
+    said: dict[str, Any] = {name: main.get(names.get(name, name)) for name in fields}
+    return import_file(path, ImportOptions(**said))[1]
+
+
+def _own(file: str, path: Path, main: Mapping[str, Any]) -> ImportedSamples:
+    """Samples in a format of recordings, converted to SI in place."""
+    kind, rate = main.get("kind", "rate"), main.get("sample_rate_hz")
+    conversions = [_conversion(file, sensor, kind, main, units) for sensor, units in SENSOR_UNITS.items()]
+    samples = read_samples(path, time_required=rate is None)
+    for values, conversion in zip((samples.gyro, samples.accel), conversions, strict=True):
+        _apply(values, conversion)
+    if samples.time is not None and main.get("time_unit", "s") != "s":
+        samples.time *= TIME_UNITS[main["time_unit"]]
+    return ImportedSamples(samples.gyro, samples.accel, kind, samples.time, rate, samples.temperature)
+
+
+def read_metadata(file: str, document: Mapping[str, Any]) -> dict[str, Any]:
+    """Fields of a recording out of the sections [site], [fixture], [imu] and [[sequence]].
 
     Parameters
     ----------
@@ -161,8 +148,52 @@ def read_metadata(file: str, document: Mapping[str, Any]) -> RecordingMetadata:
         applied = applied_correction(file, imu["applied"])
         imu = {name: value for name, value in imu.items() if name != "applied"}
     noise = ImuNoise(**fields_of(read_section(file, "imu", imu, IMU_KEYS), IMU_KEYS))
-    sequences = read_sequences(file, document.get("sequence", []))
-    return RecordingMetadata(site, fixture, noise, sequences, applied, read_protocol(file, document))
+    sequences = _read_sequences(file, document.get("sequence", []))
+    return {
+        "site": site,
+        "fixture": fixture,
+        "noise": noise,
+        "sequences": sequences,
+        "applied": applied,
+        "protocol": _read_protocol(file, document),
+    }
+
+
+def _read_sequences(file: str, values: object) -> tuple[SequenceLabel, ...]:
+    """Labels of the tables [[sequence]]; one with ``static_s`` is a pose.
+
+    Raises
+    ------
+    InputError
+        An unknown key, a wrong type or value, a window that is missing.
+    """
+    if not isinstance(values, list):
+        raise InputError(f"{file}: sequence is no list: write each as [[sequence]], in double brackets.")
+    labels = []
+    for number, value in enumerate(values, start=1):
+        posed = isinstance(value, dict) and "static_s" in value
+        keys = POSE_KEYS if posed else SEQUENCE_KEYS
+        section = read_section(file, f"sequence[{number}]", value, keys)
+        for name in () if posed else ("start_static_s", "end_static_s"):
+            if name not in section:
+                raise InputError(f"{file}: sequence[{number}].{name} is missing: add the window [from, to] in s.")
+        try:
+            labels.append((SequenceLabel.of_pose if posed else SequenceLabel)(**fields_of(section, keys)))
+        except InputError as error:
+            raise InputError(f"{file}: sequence[{number}]: {error}") from None
+    return tuple(labels)
+
+
+def _read_protocol(file: str, document: Mapping[str, Any]) -> Protocol | None:
+    """Protocol that [recording] names; a relative path starts from the folder of the file."""
+    main = document.get("recording")
+    name = main.get("protocol") if isinstance(main, dict) else None
+    if not isinstance(name, str):
+        return None
+    try:
+        return load_protocol(name, near=Path(file).parent)
+    except InputError as error:
+        raise InputError(f"{file}: recording.protocol: {error}", fault=error.fault) from None
 
 
 def read_document(toml: Path) -> dict[str, Any]:
@@ -223,40 +254,6 @@ def _inside(toml: Path, name: str) -> Path:
             "folder, and give the file's name alone."
         )
     return path
-
-
-def _import_recording(
-    toml: Path, samples_path: Path, main: Mapping[str, Any], about: RecordingMetadata, source: str
-) -> Recording:
-    """Import samples in a foreign format, with the units and other keys of [recording]."""
-    from srt.recording.import_options import ImportOptions
-    from srt.recording.imported_samples import to_recording
-    from srt.recording.importer_registry import import_file
-
-    names = {f"{sensor}_offset": f"{sensor}_offset_counts" for sensor in ("gyro", "accel")}
-    fields = ("kind", "time_unit", "sample_rate_hz", "gyro_unit", "accel_unit", "gyro_lsb", "accel_lsb", *names)
-    said: dict[str, Any] = {name: main.get(names.get(name, name)) for name in fields}
-    try:
-        _, imported = import_file(samples_path, ImportOptions(**said))
-        recording = to_recording(
-            imported,
-            about.site,
-            fixture=about.fixture,
-            noise=about.noise,
-            sequences=about.sequences,
-            serial=main.get("serial"),
-            date=main.get("date"),
-            source=source,
-            data_sha256=sha256_of(samples_path),
-            temperature_c=main.get("temperature_c"),
-            clock_sigma=fields_of(main, RECORDING_KEYS).get("clock_sigma"),
-            applied=about.applied,
-        )
-        return recording if about.protocol is None else replace(recording, protocol=about.protocol)
-    except InputError as error:
-        if str(toml.parent) in str(error):
-            raise
-        raise InputError(f"{toml.parent}: {error}", fault=error.fault) from None
 
 
 def _read_toml(toml: Path) -> dict[str, Any]:

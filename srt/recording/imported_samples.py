@@ -9,18 +9,26 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from srt.exceptions import InputError, NotStatedError, clipped
-from srt.recording.import_options import SENSOR_UNITS, ImportOptions, counts_text, option, parse_axis_map
-from srt.recording.recording import Fixture, ImuNoise, Kind, Recording, SequenceLabel, Site, require_bounded
+from srt.recording.import_options import (
+    SENSOR_UNITS,
+    TRIADS,
+    ImportOptions,
+    counts_text,
+    option,
+    parse_axis_map,
+)
+from srt.recording.recording import Kind, Recording, Site, require_bounded
+from srt.recording.samples import TEMPERATURE, TIME
 from srt.recording.schema import COUNTS, TIME_UNITS
 from srt.recording.timing import GAP_STEPS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Mapping
 
     from numpy.typing import NDArray
 
     from srt.recording.applied import AppliedCorrection
-    from srt.types import Array, Indices
+    from srt.types import Array, Indices, Mask
 
 REBASE_BEYOND_S: Final = 1e6
 """Stamps above this, s, are counted from the first: a double holds smaller ones to 0.2 ns."""
@@ -95,10 +103,8 @@ def samples_in_si(
     kind: Kind | None = None,
     sample_rate_hz: float | None = None,
     temperature: NDArray[Any] | None = None,
-    serial: str | None = None,
-    date: str | None = None,
     notes: tuple[str, ...] = (),
-    applied: AppliedCorrection | None = None,
+    **others: Any,
 ) -> ImportedSamples:
     """Convert arrays to SI: the last step of every reader.
 
@@ -120,8 +126,8 @@ def samples_in_si(
     temperature : ndarray, shape (n,), °C, optional
     notes : tuple of str
         Notes of the reader.
-    applied : AppliedCorrection, optional
-        Correction that the readings had already.
+    **others
+        Serial, date and applied correction, where the file states them.
 
     Raises
     ------
@@ -165,11 +171,9 @@ def samples_in_si(
         time=seconds,
         sample_rate_hz=options.sample_rate_hz or sample_rate_hz,
         temperature=None if temperature is None else np.asarray(temperature, dtype=np.float64),
-        serial=serial,
-        date=date,
         units=units,
         notes=(*notes, *changes),
-        applied=applied,
+        **others,
     )
 
 
@@ -281,17 +285,9 @@ def without_repeats(imported: ImportedSamples) -> ImportedSamples:
     A repeated stamp with other readings stays, and the recording refuses it: it is not known which one is right.
     """
     time = imported.time
-    if time is None or time.size < 2:
+    keep = None if time is None else first_of_repeats(time, imported.gyro, imported.accel)
+    if time is None or keep is None:
         return imported
-    same = np.concatenate(([False], time[1:] == time[:-1]))
-    if not same.any():
-        return imported
-    for values in (imported.gyro, imported.accel):
-        same[1:] &= np.all(values[1:] == values[:-1], axis=1)
-    count = int(same.sum())
-    if count == 0:
-        return imported
-    keep = ~same
     temperature = imported.temperature
     return replace(
         imported,
@@ -299,8 +295,16 @@ def without_repeats(imported: ImportedSamples) -> ImportedSamples:
         gyro=imported.gyro[keep],
         accel=imported.accel[keep],
         temperature=None if temperature is None else temperature[keep],
-        notes=(*imported.notes, f"{count} repeated samples (same stamp, same readings) dropped."),
+        notes=(*imported.notes, f"{(~keep).sum()} repeated samples (same stamp, same readings) dropped."),
     )
+
+
+def first_of_repeats(stamps: NDArray[Any], *readings: Array) -> Mask | None:
+    """Mask, shape (n,), of the records that do not repeat the one before, stamp and readings; None if none does."""
+    same = stamps[1:] == stamps[:-1]
+    for values in readings if same.any() else ():
+        same &= np.all(values[1:] == values[:-1], axis=1)
+    return np.concatenate(([True], ~same)) if same.any() else None
 
 
 def in_imu_axes(imported: ImportedSamples, options: ImportOptions) -> ImportedSamples:
@@ -336,32 +340,16 @@ def in_imu_axes(imported: ImportedSamples, options: ImportOptions) -> ImportedSa
 
 
 def to_recording(
-    imported: ImportedSamples,
-    site: Site,
-    *,
-    fixture: Fixture | None = None,
-    noise: ImuNoise | None = None,
-    sequences: tuple[SequenceLabel, ...] = (),
-    serial: str | None = None,
-    date: str | None = None,
-    source: str | None = None,
-    data_sha256: str | None = None,
-    temperature_c: float | None = None,
-    clock_sigma: float | None = None,
-    applied: AppliedCorrection | None = None,
+    imported: ImportedSamples, site: Site, *, temperature_c: float | None = None, **others: Any
 ) -> Recording:
     """Make a recording of imported samples.
 
     Parameters
     ----------
-    serial, date : str, optional
-        They override those of the file.
     temperature_c : float, optional
         Temperature of all samples, if the file has none.
-    clock_sigma : float, optional
-        1-sigma relative error of the time base.
-    applied : AppliedCorrection, optional
-        It overrides that of the file.
+    **others
+        Further fields of :class:`~srt.recording.recording.Recording`; those that are not None override the file's.
 
     Returns
     -------
@@ -384,26 +372,20 @@ def to_recording(
     temperature = imported.temperature
     if temperature is None and temperature_c is not None:
         temperature = np.broadcast_to(np.float64(temperature_c), time.shape)
-    recording = Recording(
-        time=time,
-        gyro=imported.gyro,
-        accel=imported.accel,
-        site=site,
-        kind=imported.kind,
-        fixture=fixture,
-        noise=noise or ImuNoise(),
-        sequences=sequences,
-        sample_rate_hz=rate,
-        temperature=temperature,
-        serial=serial or imported.serial,
-        date=date or imported.date,
-        source=source,
-        data_sha256=data_sha256,
-        clock_sigma=clock_sigma,
-        applied=applied or imported.applied,
-    )
+    known = {name: getattr(imported, name) for name in ("gyro", "accel", "kind", "serial", "date", "applied")}
+    known |= {name: value for name, value in others.items() if value is not None}
+    recording = Recording(time=time, site=site, sample_rate_hz=rate, temperature=temperature, **known)
     require_bounded(recording)
     return recording
+
+
+def of_channels(table: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
+    """Arguments of :func:`samples_in_si` from arrays by channel, each sensor whole, shape (n, 3), or by its axes."""
+    arrays: dict[str, Any] = {TIME: table.get(TIME), TEMPERATURE: table.get(TEMPERATURE)}
+    for sensor, channels in TRIADS.items():
+        found = table[sensor] if sensor in table else np.column_stack([table[name] for name in channels])
+        arrays[sensor] = np.asarray(found, dtype=np.float64)
+    return arrays
 
 
 def _require_units(options: ImportOptions, stated: dict[str, str | None]) -> None:

@@ -24,18 +24,15 @@ from srt.recording.imported_samples import StatedUnits, in_imu_axes, samples_in_
 from srt.recording.importer_registry import AUTO, import_file
 from srt.recording.recording import Recording
 from srt.recording.samples import TIME
-from srt.recording.schema import FIXTURE_KEYS, IMU_KEYS, SITE_KEYS, in_file_unit
+from srt.recording.schema import SECTIONS
+from srt.recording.writing import sections_of
 
 if TYPE_CHECKING:
-    from srt.recording.folder import RecordingMetadata
     from srt.recording.import_options import Triple
     from srt.recording.imported_samples import ImportedSamples
     from srt.recording.importer_registry import Importer
 
-SECTION_KEYS: Final = {
-    section: tuple(key.name for key in keys)
-    for section, keys in (("site", SITE_KEYS), ("fixture", FIXTURE_KEYS), ("imu", IMU_KEYS))
-}
+SECTION_KEYS: Final = {section: tuple(key.name for key in SECTIONS[section]) for section in ("site", "fixture", "imu")}
 """Keys of the sections of ``recording.toml`` that can be given as keywords."""
 SAMPLES_KEYS: Final = tuple(item.name for item in fields(ImportOptions))
 IDENTIFICATION_KEYS: Final = ("serial", "date", "temperature_c", "applied")
@@ -172,8 +169,8 @@ def import_options(given: Mapping[str, Any]) -> ImportOptions:
     return ImportOptions(**chosen)
 
 
-def surroundings(given: Mapping[str, Any], like: str | os.PathLike[str] | Recording | None = None) -> RecordingMetadata:
-    """Site, fixture, noise and sequences, as stated and of another recording.
+def surroundings(given: Mapping[str, Any], like: str | os.PathLike[str] | Recording | None = None) -> dict[str, Any]:
+    """Fields site, fixture, noise and sequences, as stated and of another recording.
 
     Parameters
     ----------
@@ -186,7 +183,7 @@ def surroundings(given: Mapping[str, Any], like: str | os.PathLike[str] | Record
         Gravity is not given, a wrong value, or a file that cannot be read.
     """
     if isinstance(like, Recording):
-        document = _sections_of(like)
+        document = sections_of(like)
     else:
         document = {} if like is None else {k: v for k, v in read_document(Path(like)).items() if k != "recording"}
     if isinstance(document.get("imu"), dict):
@@ -201,7 +198,7 @@ def surroundings(given: Mapping[str, Any], like: str | os.PathLike[str] | Record
         )
     name = str(like) if isinstance(like, str | os.PathLike) else "What was said of the recording"
     about = read_metadata(name, document)
-    return replace(about, sequences=like.sequences) if isinstance(like, Recording) else about
+    return about | {"sequences": like.sequences} if isinstance(like, Recording) else about
 
 
 def restated(
@@ -221,14 +218,14 @@ def restated(
         )
     if not given and like is None:
         return recording
-    document = _sections_of(recording)
+    document = sections_of(recording)
     if like is not None:
-        other = _sections_of(like if isinstance(like, Recording) else load_recording(like))
+        other = sections_of(like if isinstance(like, Recording) else load_recording(like))
         document |= other
     _state(document, given)
     about = read_metadata("What was said of the recording", document)
     rest = {key: given[key] for key in ("serial", "date", "sample_rate_hz", "applied") if key in given}
-    return replace(recording, site=about.site, fixture=about.fixture, noise=about.noise, **rest)
+    return replace(recording, **{name: about[name] for name in ("site", "fixture", "noise")}, **rest)
 
 
 def _state(document: dict[str, Any], given: Mapping[str, Any]) -> None:
@@ -242,19 +239,6 @@ def _state(document: dict[str, Any], given: Mapping[str, Any]) -> None:
         # Gravity that is given replaces all values from the other recording.
         drop = {"gravity_m_s2", "height_m", "gravity_sigma_m_s2"} if {"gravity_m_s2", "height_m"} & set(said) else set()
         document[section] = {key: value for key, value in before.items() if key not in drop} | said
-
-
-def _sections_of(recording: Recording) -> dict[str, Any]:
-    """Sections [site], [fixture] and [imu] of a recording, in the units of the file."""
-    parts = (("site", recording.site, SITE_KEYS), ("fixture", recording.fixture, FIXTURE_KEYS),
-             ("imu", recording.noise, IMU_KEYS))  # fmt: skip
-    document: dict[str, Any] = {}
-    for section, part, keys in parts:
-        if part is None:
-            continue
-        values = {key: getattr(part, key.attribute) for key in keys if key.attribute is not None}
-        document[section] = {k.name: in_file_unit(value, k.factor) for k, value in values.items() if value is not None}
-    return document
 
 
 def _from_arrays(source: Any, given: Mapping[str, Any], like: str | os.PathLike[str] | Recording | None) -> Recording:
@@ -325,10 +309,8 @@ def _matrix(name: str, values: Any) -> np.ndarray[Any, Any]:
     return np.asarray(real_array(name, values), dtype=np.float64)
 
 
-def _recording(imported: ImportedSamples, about: RecordingMetadata, rest: Mapping[str, Any]) -> Recording:
-    recording = to_recording(
-        imported, about.site, fixture=about.fixture, noise=about.noise, sequences=about.sequences, **rest
-    )
+def _recording(imported: ImportedSamples, about: Mapping[str, Any], rest: Mapping[str, Any]) -> Recording:
+    recording = to_recording(imported, **{**about, **rest})
     # Timing is found when it is first needed; a rate that contradicts the stamps is refused here already.
     recording.timing  # noqa: B018
     return recording

@@ -7,23 +7,23 @@ allows, columns are read one at a time, so that memory never has a table twice.
 
 from __future__ import annotations
 
+import csv
 import io
-import tokenize
-import zipfile
-import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from srt.exceptions import InputError, MissingExtraError, clipped, did_you_mean
+from srt.exceptions import InputError, clipped, did_you_mean
+from srt.recording.array_files import ArrayFile, load_h5py, open_hdf5, open_npz, open_parquet
 from srt.recording.atomic_file import atomic_path
-from srt.recording.csv_samples import read_csv, write_csv
-from srt.recording.file_guards import guard_hdf5, guard_hdf5_trees, guard_npz, guard_parquet, load_pyarrow
+from srt.recording.file_guards import load_pyarrow, reason_of
+from srt.recording.text_tables import TableLayout, is_number, read_table, write_csv
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
+    from contextlib import AbstractContextManager
 
     from numpy.typing import NDArray
 
@@ -105,7 +105,7 @@ def read_samples(path: str | Path, *, time_required: bool = True) -> Samples:
     try:
         return reader(path, time_required)
     except OSError as error:
-        raise InputError(f"Cannot read {path} ({error.strerror or _first_line(error)}).") from None
+        raise InputError(f"Cannot read {path} ({error.strerror or reason_of(error)}).") from None
     except MemoryError:
         raise InputError(f"{path} does not fit into memory: split the recording, or give more memory.") from None
 
@@ -179,11 +179,45 @@ def _format(path: Path) -> tuple[Callable[[Path, bool], Samples], Callable[[Path
 
 
 def _read_csv(path: Path, time_required: bool) -> Samples:
-    names, columns = read_csv(path, lambda header: select_columns(path, header, time_required=time_required))
-    samples = Samples.empty(names, len(columns[0]))
-    for name, column in zip(names, columns, strict=True):
+    try:
+        layout = _csv_layout(path)
+        names = select_columns(path, layout.header, time_required=time_required)
+        table = read_table(path, layout, {name: layout.header.index(name) for name in names})
+    except UnicodeDecodeError:
+        raise InputError(f"{path} is not a text file in UTF-8: export it again as CSV.") from None
+    except csv.Error as error:
+        raise InputError(f"{path} is not a table of numbers ({error} characters): export it again as CSV.") from None
+    samples = Samples.empty(names, len(table[names[0]]))
+    for name, column in table.items():
         samples.column(name)[:] = column
     return samples
+
+
+def _csv_layout(path: Path) -> TableLayout:
+    """Layout by the header row, the first line that is no comment; it may be marked as one itself."""
+    with path.open(encoding="utf-8-sig", newline="") as file:
+        for number, line in enumerate(file, start=1):
+            text = line.strip()
+            if text.startswith("#") and "gyro_x" in text:
+                text = text.lstrip("#").lstrip()
+            if not text or text.startswith("#"):
+                continue
+            names = tuple(name.strip() for name in next(csv.reader([text])))
+            if not any(row.strip() and not row.lstrip().startswith("#") for row in file):
+                raise InputError(f"{path} ends after its header row: there are no samples in it.")
+            first_row = number
+            break
+        else:
+            raise InputError(f"{path} is empty: a header row with column names, then one row per sample, is expected.")
+    if all(map(is_number, names)):
+        raise InputError(
+            f"{path} starts with a row of numbers, but a header row is expected: put the column names first."
+        )
+    marks = {";": "semicolons", "\t": "tabs", " ": "blanks"}
+    found = next((called for mark, called in marks.items() if len(names) == 1 and mark in names[0]), None)
+    if found:
+        raise InputError(f"{path} is separated by {found}, but commas are expected: export it again.")
+    return TableLayout(",", False, names, first_row, names, "#", own=True)
 
 
 def _write_csv(path: Path, samples: Samples) -> None:
@@ -214,54 +248,22 @@ def _fill(path: Path, names: Sequence[str], read: Callable[[str], NDArray[Any]])
     return samples
 
 
-def _read_npz(path: Path, time_required: bool) -> Samples:
-    # Exceptions of numpy and zipfile for a damaged file; they depend on the place of the damage. A member marked as
-    # encrypted raises RuntimeError, of which NotImplementedError and RecursionError are kinds.
-    damage = (
-        zipfile.BadZipFile, zlib.error, tokenize.TokenError, ValueError, EOFError, KeyError, OSError, SyntaxError,
-        RuntimeError,
-    )  # fmt: skip
-    try:
-        # Opened here because numpy does not close files that it cannot read.
-        with path.open("rb") as file:
-            archive = np.load(file, allow_pickle=False)
-            if not isinstance(archive, np.lib.npyio.NpzFile):
+def _array_reader(
+    opened: Callable[[Path], AbstractContextManager[ArrayFile]],
+) -> Callable[[Path, bool], Samples]:
+    def read(path: Path, time_required: bool) -> Samples:
+        with opened(path) as file:
+            if "" in file.shapes:
                 raise InputError(f"{path} holds a single array, but an archive with one array per column is expected.")
-            names = select_columns(path, archive.files, time_required=time_required)
-            size = path.stat().st_size
+            names = select_columns(path, (*file.shapes, *file.others), time_required=time_required)
+            return _fill(path, names, file.read)
 
-            def column(name: str) -> NDArray[Any]:
-                guard_npz(path, archive, name, size)
-                values: NDArray[Any] = archive[name]
-                return values
-
-            return _fill(path, names, column)
-    except damage as error:
-        raise _damaged(path, "NPZ", error) from None
+    return read
 
 
 def _write_npz(path: Path, samples: Samples) -> None:
     with path.open("wb") as file:
         np.savez(file, **{name: samples.column(name) for name in samples.names})  # type: ignore[arg-type]
-
-
-def _read_parquet(path: Path, time_required: bool) -> Samples:
-    pa, parquet = load_pyarrow("parquet")
-
-    def column(name: str) -> NDArray[Any]:
-        values = file.read(columns=[name]).column(0)
-        if not (pa.types.is_floating(values.type) or pa.types.is_integer(values.type)):
-            raise InputError(f"{path}: column {name} is of type {values.type}, but numbers are expected.")
-        array: NDArray[Any] = values.to_numpy()  # an absent value becomes nan, which Recording refuses with its row
-        return array
-
-    try:
-        with parquet.ParquetFile(path, page_checksum_verification=True) as file:
-            guard_parquet(path, file.metadata, path.stat().st_size)
-            names = select_columns(path, file.schema_arrow.names, time_required=time_required)
-            return _fill(path, names, column)
-    except (pa.ArrowException, OSError, ValueError) as error:
-        raise _damaged(path, "Parquet", error) from None
 
 
 def _write_parquet(path: Path, samples: Samples) -> None:
@@ -270,63 +272,21 @@ def _write_parquet(path: Path, samples: Samples) -> None:
     parquet.write_table(table, path, write_page_checksum=True)
 
 
-def _read_hdf5(path: Path, time_required: bool) -> Samples:
-    h5py = _h5py()
-
-    def column(name: str) -> NDArray[Any]:
-        guard_hdf5(path, h5py, file, name, path.stat().st_size)
-        node = file[name]
-        if not isinstance(node, h5py.Dataset):
-            raise InputError(f"{path}: {name} is a group, but a dataset with one number per sample is expected.")
-        values: NDArray[Any] = np.asarray(node[()])
-        return values
-
-    try:
-        guard_hdf5_trees(path)
-        with h5py.File(path, "r") as file:
-            # Names that are not UTF-8 are bytes, and never column names.
-            available = [name if isinstance(name, str) else repr(name) for name in file]
-            names = select_columns(path, available, time_required=time_required)
-            return _fill(path, names, column)
-    except (OSError, KeyError, ValueError, RuntimeError, TypeError) as error:
-        raise _damaged(path, "HDF5", error) from None
-
-
 def _write_hdf5(path: Path, samples: Samples) -> None:
     # In memory first: a file that HDF5 cannot close, as on a full disk, ends the interpreter with a segmentation fault.
     image = io.BytesIO()
     # The newest file layout has checksums of its structure, fletcher32 of the data.
-    with _h5py().File(image, "w", libver="latest") as file:
+    with load_h5py().File(image, "w", libver="latest") as file:
         for name in samples.names:
             file.create_dataset(name, data=samples.column(name), track_times=False, fletcher32=True)
     path.write_bytes(image.getbuffer())
 
 
-def _h5py() -> Any:
-    try:
-        import h5py
-    except ImportError:
-        raise MissingExtraError("h5py", "io", "An HDF5 file") from None
-    return h5py
-
-
-def _damaged(path: Path, kind: str, error: Exception) -> InputError:
-    return InputError(
-        f"{path} is not a readable {kind} file ({_first_line(error)}): "
-        "it may be cut off or of another kind; copy or export it again."
-    )
-
-
-def _first_line(error: Exception) -> str:
-    lines = str(error).strip().splitlines()
-    return lines[0].rstrip(".")[:160] if lines else type(error).__name__
-
-
 _FORMATS: Final[dict[str, tuple[Callable[[Path, bool], Samples], Callable[[Path, Samples], None]]]] = {
     ".csv": (_read_csv, _write_csv),
-    ".npz": (_read_npz, _write_npz),
-    ".parquet": (_read_parquet, _write_parquet),
-    ".h5": (_read_hdf5, _write_hdf5),
+    ".npz": (_array_reader(open_npz), _write_npz),
+    ".parquet": (_array_reader(open_parquet), _write_parquet),
+    ".h5": (_array_reader(open_hdf5), _write_hdf5),
 }
 
 SAMPLES_FORMATS: Final = tuple(extension.lstrip(".") for extension in _FORMATS)

@@ -351,27 +351,22 @@ def fields_of(section: Mapping[str, Any], keys: tuple[Key, ...]) -> dict[str, An
     return {key.attribute: section[key.name] for key in keys if key.attribute is not None and key.name in section}
 
 
-def emit_section(source: object, keys: tuple[Key, ...]) -> list[str]:
-    """Lines of TOML for the fields of a dataclass that are not None.
+def section_of(source: object, keys: Iterable[Key]) -> dict[str, Any]:
+    """Fields of a dataclass that are neither None nor empty, by key, in the units of the file.
 
     Parameters
     ----------
     source : object
         Site, Fixture, ImuNoise, SequenceLabel or Recording.
     """
-    lines = []
-    for key in keys:
-        value = None if key.attribute is None else getattr(source, key.attribute)
-        if value is None or (isinstance(value, tuple) and not value):
-            continue
-        if key.name == "rotations":
-            value = [[axis, in_file_unit(angle, key.factor)] for axis, angle in value]
-        elif key.name == "rate_deg_s":
-            value = [value[0], in_file_unit(value[1], key.factor)]
-        elif isinstance(value, int | float):
-            value = in_file_unit(value, key.factor)
-        lines.append(f"{key.name} = {toml_value(value)}")
-    return lines
+    values = {key: getattr(source, key.attribute) for key in keys if key.attribute is not None}
+    return {key.name: _in_file(value, key.factor) for key, value in values.items() if value not in (None, ())}
+
+
+def _in_file(value: Any, factor: float) -> Any:
+    if isinstance(value, tuple):
+        return [_in_file(item, factor) for item in value] if factor != 1.0 else list(value)
+    return in_file_unit(value, factor) if isinstance(value, int | float) else value
 
 
 def in_file_unit(value: float, factor: float) -> float:

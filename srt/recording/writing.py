@@ -10,6 +10,7 @@ import re
 from contextlib import suppress
 from itertools import chain, count
 from pathlib import Path
+from typing import Any
 
 from srt.arguments import require_path, require_type
 from srt.exceptions import InputError, did_you_mean
@@ -17,15 +18,7 @@ from srt.recording.atomic_file import atomic_write_text, remove_leftovers, unwri
 from srt.recording.folder import TOML_NAME, read_document
 from srt.recording.recording import Recording
 from srt.recording.samples import SAMPLES_FORMATS, Samples, write_samples
-from srt.recording.schema import (
-    FIXTURE_KEYS,
-    IMU_KEYS,
-    RECORDING_KEYS,
-    SITE_KEYS,
-    emit_section,
-    toml_value,
-)
-from srt.recording.sequence_tables import protocol_lines, sequence_lines
+from srt.recording.schema import POSE_KEYS, SECTIONS, SEQUENCE_KEYS, section_of, toml_value
 
 
 def write_recording(
@@ -138,25 +131,31 @@ def _prepare(folder: Path, *, overwrite: bool) -> bool:
     return True
 
 
+def sections_of(recording: Recording) -> dict[str, Any]:
+    """Sections [site], [fixture] and [imu] of a recording, in the units of the file."""
+    parts = {"site": recording.site, "fixture": recording.fixture, "imu": recording.noise}
+    return {name: section_of(part, SECTIONS[name]) for name, part in parts.items() if part is not None}
+
+
 def _emit(recording: Recording, samples_name: str, folder: Path) -> str:
-    rate = recording.kind == "rate"
-    lines = ["[recording]", f"samples = {toml_value(samples_name)}"]
-    lines.append(f"gyro_unit = {toml_value('rad/s' if rate else 'rad')}")
-    lines.append(f"accel_unit = {toml_value('m/s^2' if rate else 'm/s')}")
-    lines.append('time_unit = "s"')
-    lines += emit_section(recording, RECORDING_KEYS) + protocol_lines(recording, folder)
+    units = ("rad/s", "m/s^2") if recording.kind == "rate" else ("rad", "m/s")
+    main: dict[str, Any] = {"samples": samples_name, "gyro_unit": units[0], "accel_unit": units[1], "time_unit": "s"}
+    main |= section_of(recording, SECTIONS["recording"])
+    if recording.protocol is not None:
+        name = recording.protocol.name
+        # The path of a file is relative to the folder.
+        main["protocol"] = os.path.relpath(name, folder) if name.endswith(".toml") else name
     temperature = recording.temperature
     if temperature is not None and temperature.strides == (0,):
-        lines.append(f"temperature_c = {toml_value(float(temperature[0]))}")
-    lines += ["", "[site]", *emit_section(recording.site, SITE_KEYS)]
-    if recording.fixture is not None:
-        lines += ["", "[fixture]", *emit_section(recording.fixture, FIXTURE_KEYS)]
-    imu = emit_section(recording.noise, IMU_KEYS)
-    if imu:
-        lines += ["", "[imu]", *imu]
+        main["temperature_c"] = float(temperature[0])
+    tables = [("[recording]", main), *((f"[{name}]", section) for name, section in sections_of(recording).items())]
     if recording.applied is not None:
-        applied = recording.applied.document()
-        lines += ["", "[imu.applied]", *(f"{name} = {toml_value(value)}" for name, value in applied.items())]
-    for label in recording.sequences:
-        lines += ["", "[[sequence]]", *sequence_lines(label)]
-    return "\n".join(lines) + "\n"
+        tables.append(("[imu.applied]", recording.applied.document()))
+    tables += [
+        ("[[sequence]]", section_of(label, POSE_KEYS if label.pose else SEQUENCE_KEYS)) for label in recording.sequences
+    ]
+    return "\n".join(
+        "\n".join([title, *(f"{name} = {toml_value(value)}" for name, value in table.items()), ""])
+        for title, table in tables
+        if table or title != "[imu]"
+    )

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, Final
 from srt.exceptions import InputError
 from srt.recording.import_options import CHANNELS
 from srt.recording.importers.channels import assign
+from srt.recording.text_tables import is_number
 from srt.stacks.stream_correction import LOST, MALFORMED, NOT_ADVANCING
 
 if TYPE_CHECKING:
@@ -81,7 +82,7 @@ class LineCorrector:
         cells = text.split(",")
         if self._first:
             self._first = False
-            if not _is_number(cells[0]):
+            if not is_number(cells[0]):
                 return self._header(cells)
         columns = self._columns or self._nameless(len(cells))
         if len(cells) != self._width:
@@ -159,11 +160,3 @@ def _finite(value: float) -> float:
     if not math.isfinite(value):
         raise ValueError("its time is not a finite number")
     return value
-
-
-def _is_number(cell: str) -> bool:
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return True

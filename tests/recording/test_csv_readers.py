@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from srt.exceptions import InputError
-from srt.recording import csv_samples
+from srt.recording import text_tables
+from srt.recording.import_options import ImportOptions
+from srt.recording.importer_registry import import_file
 from srt.recording.samples import ACCEL_COLUMNS, GYRO_COLUMNS, read_samples
 
 HEADER = ",".join(("time", *GYRO_COLUMNS, *ACCEL_COLUMNS))
@@ -26,15 +28,15 @@ def by_pyarrow(monkeypatch):
         calls.append("read")
         return table
 
-    monkeypatch.setattr(csv_samples, "_PYARROW_BYTES", 0)
+    monkeypatch.setattr(text_tables, "_PYARROW_BYTES", 0)
     monkeypatch.setattr(arrow_csv, "read_csv", counted)
     return calls
 
 
-def by_numpy(path):
+def by_numpy(path, read=None):
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(sys.modules, "pyarrow", None)
-        return outcome(path)
+        return (read or outcome)(path)
 
 
 def outcome(path):
@@ -45,8 +47,17 @@ def outcome(path):
     return [samples.column(name).tobytes() for name in samples.names]
 
 
-def written(path, cells, header=HEADER, end="\n"):
-    path.write_bytes(end.join([header, *(",".join(row) for row in cells)]).encode() + end.encode())
+def imported(path):
+    """Samples of a log in ns, °/s and g, whose stamps are counted from the first as whole numbers."""
+    try:
+        found = import_file(path, ImportOptions(gyro_unit="deg/s", accel_unit="g", time_unit="ns"), "csv")[1]
+    except InputError as error:
+        return str(error)
+    return [found.time.tobytes(), found.gyro.tobytes(), found.accel.tobytes(), found.notes]
+
+
+def written(path, cells, header=HEADER, end="\n", mark=","):
+    path.write_bytes(end.join([header, *(mark.join(row) for row in cells)]).encode() + end.encode())
     return path
 
 
@@ -77,24 +88,24 @@ def spoiled(row, column, text):
     return [[text if (i, j) == (row, column) else cell for j, cell in enumerate(cells)] for i, cells in enumerate(ROWS)]
 
 
-@pytest.mark.parametrize(
-    "cells",
-    [
-        *(
-            spoiled(7, 3, text)
-            for text in (
-                "nan", "NaN", "inf", "-Infinity", "", " 1", "1 ", "+1", "1.", ".5", "1_000", "0x10", "1e400", "1d5",
-                "NULL", "NA", '"1.5"', '"1,5"', "1#", "#", "1;2", "é", "nan(1)", "1e", "--1", "true", "1\t",
-            )
-        ),
-        [*ROWS[:9], ["# a comment, with commas"], *ROWS[9:]],
-        [*ROWS[:9], [""], *ROWS[9:]],
-        [*ROWS[:9], ["   "], *ROWS[9:]],
-        [*ROWS[:9], ROWS[9][:-1], *ROWS[10:]],
-        [*ROWS[:9], [*ROWS[9], "5"], *ROWS[10:]],
-        [*ROWS[:9], ["#1", *ROWS[9][1:]], *ROWS[10:]],
-    ],
-)  # fmt: skip
+SPOILED = [
+    *(
+        spoiled(7, 3, text)
+        for text in (
+            "nan", "NaN", "inf", "-Infinity", "", " 1", "1 ", "+1", "1.", ".5", "1_000", "0x10", "1e400", "1d5",
+            "NULL", "NA", '"1.5"', '"1,5"', "1#", "#", "1;2", "é", "nan(1)", "1e", "--1", "true", "1\t",
+        )
+    ),
+    [*ROWS[:9], ["# a comment, with commas"], *ROWS[9:]],
+    [*ROWS[:9], [""], *ROWS[9:]],
+    [*ROWS[:9], ["   "], *ROWS[9:]],
+    [*ROWS[:9], ROWS[9][:-1], *ROWS[10:]],
+    [*ROWS[:9], [*ROWS[9], "5"], *ROWS[10:]],
+    [*ROWS[:9], ["#1", *ROWS[9][1:]], *ROWS[10:]],
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("cells", SPOILED)
 @pytest.mark.parametrize("others", [False, True])
 @pytest.mark.usefixtures("by_pyarrow")
 def test_both_readers_accept_and_refuse_alike(tmp_path, cells, others):
@@ -111,6 +122,28 @@ def test_both_readers_find_the_first_row(tmp_path, by_pyarrow, start):
     path.write_bytes(start + path.read_bytes())
     assert outcome(path) == by_numpy(path)
     assert ("read" in by_pyarrow) == (b"#" not in start)
+
+
+def stamped(cells):
+    """Rows with nanoseconds since 1970 in place of seconds: whole numbers beyond the digits of a double."""
+    return [[f"1700000000{k:08d}7" if len(row) > 1 else row[0], *row[1:]] for k, row in enumerate(cells)]
+
+
+@pytest.mark.parametrize("cells", SPOILED)
+@pytest.mark.parametrize("mark", [",", ";", "\t"])
+@pytest.mark.usefixtures("by_pyarrow")
+def test_both_readers_accept_and_refuse_logs_alike(tmp_path, cells, mark):
+    path = written(tmp_path / "a.txt", stamped(cells), HEADER.replace(",", mark), mark=mark)
+    assert imported(path) == by_numpy(path, imported)
+
+
+@pytest.mark.parametrize("mark", [",", ";", "\t"])
+def test_whole_stamps_stay_whole_by_both_readers(tmp_path, by_pyarrow, mark):
+    path = written(tmp_path / "a.txt", stamped(random_cells(300, 2)), HEADER.replace(",", mark), mark=mark)
+    found = imported(path)
+    assert found == by_numpy(path, imported)
+    np.testing.assert_array_equal(np.frombuffer(found[0]), np.arange(300) * 10 / 1e9)
+    assert "read" in by_pyarrow
 
 
 def test_pyarrow_is_not_asked_for_small_files(tmp_path, monkeypatch):

@@ -14,11 +14,12 @@ import numpy as np
 
 from srt.exceptions import InputError
 from srt.recording.autopilots import ARDUPILOT as PARAMETERS
+from srt.recording.file_guards import clear_errors
 from srt.recording.import_options import option
 from srt.recording.importer_registry import Importer, head
 from srt.recording.importers.child_process import in_child
 from srt.recording.importers.log_streams import Stream, choose_instance, join, require_topic, to_imported
-from srt.recording.importers.parser_errors import clear_errors
+from srt.recording.text_tables import is_number
 
 if TYPE_CHECKING:
     import mmap
@@ -219,7 +220,7 @@ def _from_text(path: Path, reader: Any, name: str, *, texts: bool = False) -> di
             # Integers of 64 bits do not fit into a double.
             table[column] = np.array(cells).astype(np.int64 if kinds[column] in whole else np.float64)
         except (ValueError, OverflowError):
-            bad = next((cell for cell in cells if not _is_number(cell)), cells[0]).strip()[:40]
+            bad = next((cell for cell in cells if not is_number(cell)), cells[0]).strip()[:40]
             raise InputError(f"{path}: column {column} of {name} holds {bad!r}, which is no number there.") from None
     return table
 
@@ -227,14 +228,6 @@ def _from_text(path: Path, reader: Any, name: str, *, texts: bool = False) -> di
 def _line(data: mmap.mmap, start: int) -> str:
     end = data.find(b"\n", start, start + _LONGEST_LINE)
     return data[start : end if end >= 0 else start + _LONGEST_LINE].decode("latin-1").rstrip()
-
-
-def _is_number(cell: str) -> bool:
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return True
 
 
 def _indexed(path: Path, *, binary: bool) -> Any:

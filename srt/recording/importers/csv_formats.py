@@ -11,11 +11,19 @@ import numpy as np
 from srt.exceptions import InputError
 from srt.model.table1 import AXES
 from srt.recording.import_options import ImportOptions, option
-from srt.recording.imported_samples import ImportedSamples, StatedUnits, join_streams, samples_in_si, seconds_of
+from srt.recording.imported_samples import (
+    ImportedSamples,
+    StatedUnits,
+    join_streams,
+    of_channels,
+    samples_in_si,
+    seconds_of,
+)
 from srt.recording.importer_registry import Importer, head
 from srt.recording.importers.channels import ColumnAssignment, assign, listed, meaning_of, with_temperature
-from srt.recording.importers.text_tables import TableLayout, find_layout, is_date, read_table
-from srt.recording.samples import ACCEL_COLUMNS, GYRO_COLUMNS, TEMPERATURE, TIME
+from srt.recording.importers.table_layout import find_layout
+from srt.recording.samples import TIME
+from srt.recording.text_tables import TableLayout, is_date, read_table
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -63,22 +71,18 @@ def read_csv_table(
     if published is not None:
         kind = found.kind or "rate"
         stated = published.get(kind)
-    dates = TIME if TIME in found.columns and is_date(layout.cells[found.columns[TIME]]) else None
-    if options.sample_rate_hz is not None and TIME in found.columns and TIME not in options.columns and not dates:
-        found = _without_doubtful_time(found, options, stated)
     if TIME in found.columns:
-        found = _without_unusable_time(path, layout, found, options.sample_rate_hz or sample_rate_hz)
+        rate = options.sample_rate_hz or sample_rate_hz
+        found = _usable(path, layout, found, options, stated or found.stated, rate)
+    dates = TIME if TIME in found.columns and is_date(layout.cells[found.columns[TIME]]) else None
     table = read_table(path, layout, found.columns, integers=TIME, dates=dates)
     commas = ("Decimal commas were found, and read as points.",) if layout.decimal_comma > options.decimal_comma else ()
     return samples_in_si(
         options,
-        gyro=triad(table, GYRO_COLUMNS),
-        accel=triad(table, ACCEL_COLUMNS),
-        time=table.get(TIME),
+        **of_channels(table),
         stated=stated or found.stated,
         kind=kind,
         sample_rate_hz=None if TIME in table else sample_rate_hz,
-        temperature=table.get(TEMPERATURE),
         notes=(*(found.notes if stated is not None else with_temperature(found.notes, table)), *commas),
     )
 
@@ -119,10 +123,10 @@ def read_pair(path: Path, options: ImportOptions) -> ImportedSamples:
         seconds_of(np.concatenate((first, table[TIME])), unit, notes if table is gyro else [])[1:]
         for table in (gyro, accel)
     )
-    kept, force = join_streams(gyro_time, accel_time, triad(accel, AXES), notes)
+    kept, force = join_streams(gyro_time, accel_time, _triad(accel), notes)
     result = samples_in_si(
         replace(options, time_unit=None),
-        gyro=triad(gyro, AXES)[kept],
+        gyro=_triad(gyro)[kept],
         accel=force,
         time=gyro_time[kept],
         stated=StatedUnits(time="s"),
@@ -131,37 +135,38 @@ def read_pair(path: Path, options: ImportOptions) -> ImportedSamples:
     return replace(result, units={**result.units, "time": f"{unit} ({'as given' if options.time_unit else 'header'})"})
 
 
-def triad(table: dict[str, NDArray[Any]], names: tuple[str, ...]) -> Array:
-    """Three columns of a table, shape (n, 3)."""
-    return np.column_stack([table[name] for name in names]).astype(np.float64, copy=False)
+def _triad(table: dict[str, NDArray[Any]]) -> Array:
+    """Columns x, y, z of a table, shape (n, 3)."""
+    return np.column_stack([table[name] for name in AXES]).astype(np.float64, copy=False)
 
 
-def _without_doubtful_time(
-    found: ColumnAssignment, options: ImportOptions, stated: StatedUnits | None
+def _usable(
+    path: Path,
+    layout: TableLayout,
+    found: ColumnAssignment,
+    options: ImportOptions,
+    stated: StatedUnits,
+    rate: float | None,
 ) -> ColumnAssignment:
-    """Ignore a column of time whose unit is not stated, if a rate is given."""
-    if options.time_unit is not None or (stated or found.stated).time is not None:
-        return found
-    columns = {channel: i for channel, i in found.columns.items() if channel != TIME}
-    note = f"The time stamps are not used: their unit is not stated, and {option('sample_rate_hz')} is."
-    return replace(found, columns=columns, notes=(*found.notes, note))
+    """Ignore a column of time of unknown unit, empty, or rounded by a spreadsheet, if the rate is known.
 
-
-def _without_unusable_time(
-    path: Path, layout: TableLayout, found: ColumnAssignment, rate: float | None
-) -> ColumnAssignment:
-    """Ignore a column of time that a spreadsheet rounded or a program left empty, if a rate is known."""
+    Raises InputError if it is not.
+    """
     cell = layout.cells[found.columns[TIME]].strip()
-    if not cell:
-        reason = "the column of time is empty"
-    elif _ROUNDED.fullmatch(cell):
-        reason = f"the time stamps were rounded by a spreadsheet ({cell})"
-    else:
+    doubtful = TIME not in options.columns and options.time_unit is None and stated.time is None and not is_date(cell)
+    if options.sample_rate_hz is not None and doubtful:
+        note = f"The time stamps are not used: their unit is not stated, and {option('sample_rate_hz')} is."
+    elif cell and not _ROUNDED.fullmatch(cell):
         return found
-    if rate is None:
-        raise InputError(f"{path}: {reason}: export the log again, or state the rate with {option('sample_rate_hz')}.")
+    else:
+        reason = f"the time stamps were rounded by a spreadsheet ({cell})" if cell else "the column of time is empty"
+        if rate is None:
+            raise InputError(
+                f"{path}: {reason}: export the log again, or state the rate with {option('sample_rate_hz')}."
+            )
+        note = f"Not used: {reason}."
     columns = {channel: i for channel, i in found.columns.items() if channel != TIME}
-    return replace(found, columns=columns, notes=(*found.notes, f"Not used: {reason}."))
+    return replace(found, columns=columns, notes=(*found.notes, note))
 
 
 def _accel_and_gyro(first: Path, second: Path) -> tuple[Path, Path, str]:
@@ -220,6 +225,8 @@ def _read_published(path: Path, options: ImportOptions) -> ImportedSamples:
     return read_csv_table(file, options, _PUBLISHED)
 
 
+_OWN_UNITS: Final = frozenset({"columns", "time_unit", "delimiter", "decimal_comma"})
+
 EUROC: Final = Importer(
     "euroc",
     "EuRoC CSV",
@@ -227,7 +234,7 @@ EUROC: Final = Importer(
     None,
     _header_has("timestamp", "w_RS_S_x", "a_RS_S_z"),
     _read_published,
-    frozenset({"columns", "time_unit", "delimiter", "decimal_comma"}),
+    _OWN_UNITS,
 )
 
 KALIBR: Final = Importer(
@@ -237,9 +244,8 @@ KALIBR: Final = Importer(
     None,
     _header_has("timestamp", "omega_x", "alpha_z"),
     _read_published,
-    frozenset({"columns", "time_unit", "delimiter", "decimal_comma"}),
+    _OWN_UNITS,
 )
-
 
 IMU_TK: Final = Importer(
     "imu-tk",
@@ -251,12 +257,5 @@ IMU_TK: Final = Importer(
     frozenset({"second", "time_unit", "delimiter", "decimal_comma", "skip"}),
 )
 
-CSV: Final = Importer(
-    "csv",
-    "table as text",
-    (".csv", ".txt", ".tsv", ".dat", ".log", ".asc"),
-    None,
-    _is_text_table,
-    read_csv_table,
-    TEXT_OPTIONS,
-)
+_SUFFIXES: Final = (".csv", ".txt", ".tsv", ".dat", ".log", ".asc")
+CSV: Final = Importer("csv", "table as text", _SUFFIXES, None, _is_text_table, read_csv_table, TEXT_OPTIONS)

@@ -9,7 +9,13 @@ import numpy as np
 
 from srt.exceptions import InputError, did_you_mean
 from srt.recording.import_options import option
-from srt.recording.imported_samples import ImportedSamples, StatedUnits, join_streams, samples_in_si
+from srt.recording.imported_samples import (
+    ImportedSamples,
+    StatedUnits,
+    first_of_repeats,
+    join_streams,
+    samples_in_si,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -182,10 +188,8 @@ def to_imported(stream: Stream, options: ImportOptions, notes: list[str], **more
 
 def _without_repeats(stream: Stream, notes: list[str]) -> Stream:
     """Drop samples that repeat the one before, stamp and readings: interpolation needs stamps that increase."""
-    repeats = np.zeros(stream.stamps.size, dtype=bool)
-    repeats[1:] = (stream.stamps[1:] == stream.stamps[:-1]) & np.all(stream.values[1:] == stream.values[:-1], axis=1)
-    count = int(repeats.sum())
-    if not count:
+    keep = first_of_repeats(stream.stamps, stream.values)
+    if keep is None:
         return stream
-    notes.append(f"{stream.name}: {count} repeated samples (same stamp, same readings) dropped.")
-    return stream.rows(~repeats)
+    notes.append(f"{stream.name}: {(~keep).sum()} repeated samples (same stamp, same readings) dropped.")
+    return stream.rows(keep)

@@ -9,13 +9,14 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from srt.exceptions import InputError
+from srt.recording.array_files import HDF5_MAGIC, ArrayFile, open_hdf5
+from srt.recording.file_guards import clear_errors
 from srt.recording.import_options import option
 from srt.recording.imported_samples import StatedUnits
 from srt.recording.importer_registry import Importer, head
-from srt.recording.importers.arrays import ARRAY_OPTIONS, HDF5_MAGIC, ArrayFile, open_hdf5, samples_from_arrays
+from srt.recording.importers.arrays import ARRAY_OPTIONS, samples_from_arrays
 from srt.recording.importers.channels import listed
 from srt.recording.importers.child_process import in_child
-from srt.recording.importers.parser_errors import clear_errors
 from srt.recording.samples import TIME
 
 if TYPE_CHECKING:

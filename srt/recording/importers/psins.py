@@ -19,7 +19,8 @@ from srt.recording.importers.arrays import samples_from_table
 from srt.recording.importers.channels import listed
 from srt.recording.importers.child_process import in_child
 from srt.recording.importers.matlab import is_level_73, is_matlab, open_matlab
-from srt.recording.importers.text_tables import find_layout, read_table
+from srt.recording.importers.table_layout import find_layout
+from srt.recording.text_tables import read_table
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from srt.exceptions import InputError
+from srt.recording.file_guards import clear_errors
 from srt.recording.import_options import option
 from srt.recording.importer_registry import Importer
 from srt.recording.importers.child_process import in_child
 from srt.recording.importers.log_streams import Stream, choose, join, to_imported
-from srt.recording.importers.parser_errors import clear_errors
 from srt.recording.importers.rosbag_storage import BAG1, FOLDER, MCAP, SQLITE, Bag, open_bag, title_of
 
 if TYPE_CHECKING:

@@ -12,31 +12,48 @@ from __future__ import annotations
 import shutil
 import zipfile
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from srt.exceptions import InputError
-from srt.recording.file_guards import require_size
+from srt.recording.file_guards import clear_errors, require_size
 from srt.recording.importer_registry import Importer, head
 from srt.recording.importers.csv_formats import read_pair
-from srt.recording.importers.parser_errors import clear_errors
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from srt.recording.import_options import ImportOptions
     from srt.recording.imported_samples import ImportedSamples
 
-ACCEL_TABLES: Final = {"TotalAcceleration.csv": "m/s^2", "AccelerometerUncalibrated.csv": None}
-"""Tables of specific force in order of preference, with their unit; None: it depends on the telephone."""
 
-GYRO_TABLES: Final = ("Gyroscope.csv", "GyroscopeUncalibrated.csv")
-"""Tables of angular rate, in order of preference."""
+class _App(NamedTuple):
+    """Tables of an app in order of preference: of specific force with their unit, of angular rate in rad/s."""
 
-PHYPHOX_ACCEL: Final = "Accelerometer.csv"
-PHYPHOX_GYRO: Final = "Gyroscope.csv"
-"""Tables of phyphox: "Linear Acceleration.csv" lacks gravity and is not read."""
+    title: str
+    accel: Mapping[str, str | None]
+    gyro: tuple[str, ...]
+    time_unit: str
+    advice: str
 
-_TITLE = "archive of Sensor Logger"
+
+_SENSOR_LOGGER: Final = _App(
+    "archive of Sensor Logger",
+    {"TotalAcceleration.csv": "m/s^2", "AccelerometerUncalibrated.csv": None},  # None: it depends on the telephone
+    ("Gyroscope.csv", "GyroscopeUncalibrated.csv"),
+    "ns",
+    "record the sensor, uncalibrated",
+)
+# "Linear Acceleration.csv" of phyphox lacks gravity.
+_PHYPHOX: Final = _App(
+    "phyphox export",
+    {"Accelerometer.csv": "m/s^2"},
+    ("Gyroscope.csv",),
+    "s",
+    "export the raw data of accelerometer (with g) and gyroscope",
+)
 
 
 def _names(path: Path) -> set[str]:
@@ -51,102 +68,61 @@ def _sniff(path: Path) -> bool:
     if not path.is_dir() and head(path, 4) != b"PK\x03\x04":
         return False
     try:
-        return not _names(path).isdisjoint(GYRO_TABLES)
+        return not _names(path).isdisjoint(_SENSOR_LOGGER.gyro)
     except (OSError, ValueError, NotImplementedError, zipfile.BadZipFile):
         return False
 
 
-def _read(path: Path, options: ImportOptions) -> ImportedSamples:
-    with clear_errors(path, _TITLE):
+def _sniff_phyphox(path: Path) -> bool:
+    """Tables of the names of the app, with its head: Sensor Logger has tables of the same names."""
+    (gyro,) = _PHYPHOX.gyro
+    try:
+        if not _sniff(path) or not {gyro, *_PHYPHOX.accel} <= _names(path):
+            return False
+        if path.is_dir():
+            return b"Time (s)" in head(path / gyro)
+        with zipfile.ZipFile(path) as archive, archive.open(gyro) as table:
+            return b"Time (s)" in table.read(200)
+    except (OSError, ValueError, NotImplementedError, zipfile.BadZipFile):
+        return False
+
+
+def _read(app: _App, path: Path, options: ImportOptions) -> ImportedSamples:
+    with clear_errors(path, app.title):
         names = _names(path)
-    accel = next((name for name in ACCEL_TABLES if name in names), None)
-    gyro = next((name for name in GYRO_TABLES if name in names), None)
+    accel, gyro = (next((name for name in tables if name in names), None) for tables in (app.accel, app.gyro))
     if accel is None or gyro is None:
-        raise InputError(
-            f"{path} holds no {'gyro readings' if gyro is None else 'acceleration with gravity'} (expected: "
-            f"{' or '.join(GYRO_TABLES if gyro is None else ACCEL_TABLES)}): record the sensor, uncalibrated."
-        )
+        what, tables = ("gyro readings", app.gyro) if gyro is None else ("acceleration with gravity", app.accel)
+        raise InputError(f"{path} holds no {what} (expected: {' or '.join(tables)}): {app.advice}.")
+    options = replace(
+        options,
+        time_unit=app.time_unit,
+        gyro_unit=options.gyro_unit or ("rad/s" if options.gyro_lsb is None else None),
+        accel_unit=options.accel_unit or (app.accel[accel] if options.accel_lsb is None else None),
+    )
     if path.is_dir():
-        return _read_tables(path / accel, path / gyro, options)
+        return read_pair(path / accel, replace(options, second=path / gyro))
     with TemporaryDirectory(prefix="srt-") as folder:
         for name in (accel, gyro):
-            _extract(path, name, Path(folder))
+            _extract(app, path, name, Path(folder))
         try:
-            return _read_tables(Path(folder) / accel, Path(folder) / gyro, options)
+            return read_pair(Path(folder) / accel, replace(options, second=Path(folder) / gyro))
         except InputError as error:
             raise InputError(str(error).replace(folder, str(path)), fault=error.fault) from None
 
 
-def _read_tables(accel: Path, gyro: Path, options: ImportOptions) -> ImportedSamples:
-    return read_pair(
-        accel,
-        replace(
-            options,
-            second=gyro,
-            time_unit="ns",
-            gyro_unit=options.gyro_unit or ("rad/s" if options.gyro_lsb is None else None),
-            accel_unit=options.accel_unit or (ACCEL_TABLES[accel.name] if options.accel_lsb is None else None),
-        ),
-    )
-
-
-def _extract(path: Path, name: str, folder: Path) -> None:
-    with clear_errors(path, _TITLE), zipfile.ZipFile(path) as archive:
+def _extract(app: _App, path: Path, name: str, folder: Path) -> None:
+    with clear_errors(path, app.title), zipfile.ZipFile(path) as archive:
         info = archive.getinfo(name)
         require_size(path, f"table {name}", info.file_size, min(info.compress_size, path.stat().st_size))
         with archive.open(info) as table, (folder / name).open("wb") as copy:
             shutil.copyfileobj(table, copy)
 
 
-def _sniff_phyphox(path: Path) -> bool:
-    """Tables of the names of the app, with its head: Sensor Logger has tables of the same names."""
-    try:
-        if not _sniff(path) or not {PHYPHOX_ACCEL, PHYPHOX_GYRO} <= _names(path):
-            return False
-        if path.is_dir():
-            return b"Time (s)" in head(path / PHYPHOX_GYRO)
-        with zipfile.ZipFile(path) as archive, archive.open(PHYPHOX_GYRO) as table:
-            return b"Time (s)" in table.read(200)
-    except (OSError, ValueError, NotImplementedError, zipfile.BadZipFile):
-        return False
-
-
-def _read_phyphox(path: Path, options: ImportOptions) -> ImportedSamples:
-    def read(accel: Path, gyro: Path) -> ImportedSamples:
-        return read_pair(
-            accel,
-            replace(
-                options,
-                second=gyro,
-                time_unit="s",
-                gyro_unit=options.gyro_unit or "rad/s",
-                accel_unit=options.accel_unit or "m/s^2",
-            ),
-        )
-
-    with clear_errors(path, "phyphox export"):
-        names = _names(path)
-    for name in (PHYPHOX_ACCEL, PHYPHOX_GYRO):
-        if name not in names:
-            raise InputError(f"{path} holds no {name}: export the raw data of accelerometer (with g) and gyroscope.")
-    if path.is_dir():
-        return read(path / PHYPHOX_ACCEL, path / PHYPHOX_GYRO)
-    with TemporaryDirectory(prefix="srt-") as folder:
-        for name in (PHYPHOX_ACCEL, PHYPHOX_GYRO):
-            _extract(path, name, Path(folder))
-        try:
-            return read(Path(folder) / PHYPHOX_ACCEL, Path(folder) / PHYPHOX_GYRO)
-        except InputError as error:
-            raise InputError(str(error).replace(folder, str(path)), fault=error.fault) from None
-
-
-PHYPHOX: Final = Importer("phyphox", "phyphox (zip or folder of CSV)", (), None, _sniff_phyphox, _read_phyphox)
+PHYPHOX: Final = Importer(
+    "phyphox", "phyphox (zip or folder of CSV)", (), None, _sniff_phyphox, partial(_read, _PHYPHOX)
+)
 
 SENSOR_LOGGER: Final = Importer(
-    "sensor-logger",
-    "Sensor Logger (zip or folder of CSV)",
-    (),
-    None,
-    _sniff,
-    _read,
+    "sensor-logger", "Sensor Logger (zip or folder of CSV)", (), None, _sniff, partial(_read, _SENSOR_LOGGER)
 )

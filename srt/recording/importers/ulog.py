@@ -20,11 +20,11 @@ import numpy as np
 from srt.exceptions import InputError
 from srt.recording.applied import AppliedCorrection
 from srt.recording.autopilots import PX4
+from srt.recording.file_guards import clear_errors
 from srt.recording.import_options import option
 from srt.recording.importer_registry import Importer, head
 from srt.recording.importers.child_process import in_child
 from srt.recording.importers.log_streams import Stream, choose_instance, join, require_topic, to_imported
-from srt.recording.importers.parser_errors import clear_errors
 from srt.recording.timing import GAP_STEPS
 
 if TYPE_CHECKING:

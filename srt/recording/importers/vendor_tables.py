@@ -10,11 +10,12 @@ import numpy as np
 
 from srt.exceptions import InputError
 from srt.recording.import_options import ImportOptions, option
-from srt.recording.imported_samples import ImportedSamples, StatedUnits, samples_in_si
+from srt.recording.imported_samples import ImportedSamples, StatedUnits, of_channels, samples_in_si
 from srt.recording.importer_registry import Importer, head
-from srt.recording.importers.csv_formats import TEXT_OPTIONS, read_csv_table, triad
-from srt.recording.importers.text_tables import find_layout, read_table
+from srt.recording.importers.csv_formats import TEXT_OPTIONS, read_csv_table
+from srt.recording.importers.table_layout import find_layout
 from srt.recording.samples import ACCEL_COLUMNS, GYRO_COLUMNS, TIME
+from srt.recording.text_tables import read_table
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -81,14 +82,7 @@ def _read_kf_gins(path: Path, options: ImportOptions) -> ImportedSamples:
             f"{path} has {len(layout.cells)} columns, but {len(names)} are expected: time, angles, velocities."
         )
     table = read_table(path, layout, {name: i for i, name in enumerate(names)})
-    return samples_in_si(
-        options,
-        gyro=triad(table, GYRO_COLUMNS),
-        accel=triad(table, ACCEL_COLUMNS),
-        time=table[TIME],
-        stated=StatedUnits("rad", "m/s", "s"),
-        kind="increment",
-    )
+    return samples_in_si(options, **of_channels(table), stated=StatedUnits("rad", "m/s", "s"), kind="increment")
 
 
 KF_GINS: Final = Importer(
