@@ -12,6 +12,7 @@ from multiprocessing import get_context
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from studies import scored
 
 import srt
 from sims.physics.fixture import FixtureDraw, draw_fixture, rotation
@@ -72,16 +73,15 @@ def normal_errors(rng: np.random.Generator, sigma: float = 1e-3, gyro_bias: floa
     return SensorErrors(vector)
 
 
+def true_site(rng: np.random.Generator) -> Site:
+    """Site with gravity drawn with its sigma."""
+    return replace(SITE, gravity_m_s2=SITE.gravity_m_s2 + rng.standard_normal() * SITE.gravity_sigma_m_s2)
+
+
 _LARGE: Final = {
-    "gyro_scale": 0.5,
-    "gyro_asymmetry": 0.01,
-    "gyro_orthogonality": 0.3,
-    "accel_bias": 1.0,
-    "accel_scale": 0.5,
-    "accel_asymmetry": 0.01,
-    "accel_misalignment": 0.3,
-    "gyro_bias": 1.0 * DEG,
-}
+    "gyro_scale": 0.5, "gyro_asymmetry": 0.01, "gyro_orthogonality": 0.3, "accel_bias": 1.0, "accel_scale": 0.5,
+    "accel_asymmetry": 0.01, "accel_misalignment": 0.3, "gyro_bias": 1.0 * DEG,
+}  # fmt: skip
 """Half width of the uniform distribution of large errors by group, SI."""
 
 
@@ -165,12 +165,10 @@ class Trial:
 
 def score(calibration: Calibration, truth: SensorErrors) -> Trial:
     """Compare a calibration with the truth."""
-    d, sigma = calibration.errors.vector - truth.vector, calibration.sigma
-    seen = calibration.observed
-    scaled = d[seen] / sigma[seen]
-    correlation = calibration.covariance[np.ix_(seen, seen)] / np.outer(sigma[seen], sigma[seen])
-    nees = float(scaled @ np.linalg.solve(correlation, scaled)) / int(seen.sum()) if seen.any() else float("nan")
-    return Trial(d / IN_G, sigma / IN_G, nees, calibration.status, len(calibration.corrections))
+    found = scored(calibration, truth.vector)
+    nees = found.nees / found.freedom if found.freedom else float("nan")
+    error = calibration.errors.vector - truth.vector
+    return Trial(error / IN_G, calibration.sigma / IN_G, nees, calibration.status, len(calibration.corrections))
 
 
 def exact_trial(
@@ -248,9 +246,8 @@ def noisy_recording(
     """
     rng = np.random.default_rng(seed)
     truth = normal_errors(rng, 1e-3, 10.0 * DEG_PER_H)
-    true_site = replace(SITE, gravity_m_s2=SITE.gravity_m_s2 + rng.standard_normal() * SITE.gravity_sigma_m_s2)
     motion = table1_motion(
-        site=true_site,
+        site=true_site(rng),
         sample_rate_hz=sample_rate_hz,
         fixture_draw=fixture_errors(rng, sigma_rad),
         stated_fixture=Fixture(0.0, sigma_rad, sigma_rad, wobble_sigma_rad=0.0),
@@ -277,8 +274,7 @@ def fixture_recording(
     """
     rng = np.random.default_rng(seed)
     truth = normal_errors(rng, 1e-3, 10.0 * DEG_PER_H)
-    true_site = replace(SITE, gravity_m_s2=SITE.gravity_m_s2 + rng.standard_normal() * SITE.gravity_sigma_m_s2)
-    stated = Fixture(0.0, 1e-3, rotation_sigma_rad)
+    site, stated = true_site(rng), Fixture(0.0, 1e-3, rotation_sigma_rad)
     alignment = ("level_sigma_rad", "north_sigma_rad", "mounting_sigma_rad", "non_orthogonality_sigma_rad")
     draw = draw_fixture(
         rng,
@@ -290,7 +286,7 @@ def fixture_recording(
     if non_orthogonality_rad is not None:
         draw = replace(draw, non_orthogonality=non_orthogonality_rad)
     motion = table1_motion(
-        site=true_site, sample_rate_hz=sample_rate_hz, fixture_draw=draw, stated_fixture=stated, moves=moves
+        site=site, sample_rate_hz=sample_rate_hz, fixture_draw=draw, stated_fixture=stated, moves=moves
     )
     return read_out(motion.stated_as(site=SITE), truth, GRADES[grade], rng), truth
 
@@ -312,10 +308,10 @@ def free_trial(seed: int, *, turns: int = 36, sample_rate_hz: float = 100.0) -> 
         [rng.standard_normal(GROUP_SLICES[g].stop - GROUP_SLICES[g].start) * s for g, s in sizes.items()]
     )
     truth = SensorErrors(vector)
-    true_site = replace(SITE, gravity_m_s2=SITE.gravity_m_s2 + rng.standard_normal() * SITE.gravity_sigma_m_s2)
+    site = true_site(rng)
     motion = free_motion(
         random_turns(rng, turns, smallest_rad=0.8, largest_rad=3.0),
-        site=true_site,
+        site=site,
         attitude=random_attitude(rng),
         sample_rate_hz=sample_rate_hz,
     )

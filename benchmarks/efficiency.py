@@ -9,7 +9,8 @@ beyond a limit by more than 3.5 standard errors.
 
 ``python benchmarks/efficiency.py`` runs 2,000 units of each grade; ``--units N`` that many, ``--grade NAME`` (may be
 repeated) one grade, ``--workers N`` in N processes. The last table of each grade gives the gain of the closed form from
-the components that it does not use. The exit code is 1 if a criterion fails.
+the components that it does not use. ``fixture_study.py`` studies fixtures whose axes lean, and recorded moves. The exit
+code is 1 if a criterion fails.
 """
 
 from __future__ import annotations
@@ -31,8 +32,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from accuracy_trials import GRADES, IN_G, SITE, Trial, fixture_recording, normalised, run, score
-from rich.console import Console
-from rich.table import Table
+from studies import markdown
 
 import srt
 from sims.accuracy.bound import bayesian_bound
@@ -57,8 +57,9 @@ from srt.sensor_errors import (
 from srt.sequences.checked_preparation import prepare_checked
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Mapping, Sequence
+    from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 
+    from sims.physics.table_motion import Moves
     from srt.types import Array
 
 
@@ -73,28 +74,25 @@ _TWO_SIDED_95: Final = 1.959964
 """Half width of the 95 % interval of a normal error, sigma."""
 _GYRO_BIAS_RAD_S: Final = 10.0 * DEG_PER_H
 """Half width of the uniform distribution of the gyro bias."""
-_FIXTURE_SIGMA: Final = {
-    "level_sigma_rad": 1e-3,
-    "north_sigma_rad": 1e-3,
-    "mounting_sigma_rad": 1e-3,
-    "non_orthogonality_sigma_rad": 1e-3,
-    "rotation_sigma_rad": 1e-3,
-    "wobble_sigma_rad": 1e-5,
-}
-"""1-sigma errors of the fixture of :func:`accuracy_trials.fixture_recording`."""
 
 
 @cache
-def bound_sigma(grade: str) -> Array:
-    """Cramér-Rao bound (1 sigma) at zero unit and fixture errors, shape (27,), accelerometer bias in g."""
-    bound = bayesian_bound(
-        Schedule(table_sequences(tuple(TABLE_1))),
+def bound_si(grade: str, rotation_sigma_rad: float = 1e-3, moves: Moves = "skipped") -> Array:
+    """Cramér-Rao bound (1 sigma, SI) at zero errors, shape (27,), for :func:`accuracy_trials.fixture_recording`."""
+    alignment = ("level_sigma_rad", "north_sigma_rad", "mounting_sigma_rad", "non_orthogonality_sigma_rad")
+    rotations = {"rotation_sigma_rad": rotation_sigma_rad, "wobble_sigma_rad": 1e-2 * rotation_sigma_rad}
+    return bayesian_bound(
+        Schedule(table_sequences(tuple(TABLE_1)), moves=moves),
         site=SITE,
         imu=GRADES[grade],
-        fixture_sigma=_FIXTURE_SIGMA,
+        fixture_sigma=dict.fromkeys(alignment, 1e-3) | rotations,
         sample_rate_hz=100.0,
-    )
-    return np.asarray(bound.sigma / IN_G)
+    ).sigma
+
+
+def bound_sigma(grade: str) -> Array:
+    """The same on the 1 mrad fixture, accelerometer bias in g."""
+    return np.asarray(bound_si(grade) / IN_G)
 
 
 def prior_of_units() -> Prior:
@@ -282,7 +280,6 @@ def summarise(grade: str, units: Sequence[UnitTrials]) -> tuple[dict[str, Effici
     return found, claims + innovation_criteria(units)
 
 
-console = Console(width=150)
 BATCH = 200
 """Units between two lines of the report."""
 FIRST_SEED = {grade: 10_000 * (1 + i) for i, grade in enumerate(GRADES)}
@@ -300,32 +297,24 @@ def study(grade: str, count: int, workers: int) -> list[UnitTrials]:
         spent = time.monotonic() - began
         means = ", ".join(f"{name} {e.mean:.3f}" for name, e in found.items())
         missed = sum(not c.holds for c in claims)
-        console.print(
+        print(
             f"{grade}: {len(units)} of {count} units, {spent:.0f} s, {spent * (count / len(units) - 1.0):.0f} s to go; "
-            f"mean rms / bound {means}; {missed} criteria missed"
+            f"mean rms / bound {means}; {missed} criteria missed",
+            flush=True,
         )
     return units
 
 
-def parameter_table(grade: str, found: dict[str, Efficiency]) -> Table:
-    count = next(iter(found.values())).units
-    table = Table(
-        title=f"{grade}, {count} units: rms of error and own sigma over the bound "
-        f"(standard error of an rms {100.0 / (2.0 * count) ** 0.5:.1f} %)"
-    )
-    table.add_column("parameter")
-    table.add_column("bound, 1 sigma", justify="right")
-    for name in found:
-        table.add_column(f"{name}\nrms", justify="right")
-        table.add_column("\nsigma", justify="right")
-    bound = bound_sigma(grade) * IN_G
-    for i, symbol in enumerate(SYMBOLS):
-        ratios = (f"{value[i]:.3f}" for e in found.values() for value in (e.rms, e.own))
-        table.add_row(symbol, f"{bound[i] * DISPLAY_FACTORS[i]:#.3g} {DISPLAY_UNITS[i]}", *ratios)
-    table.add_section()
-    means = (f"{value.mean():.3f}" for e in found.values() for value in (e.rms, e.own))
-    table.add_row("mean", "", *means)
-    return table
+def parameter_table(grade: str, found: dict[str, Efficiency]) -> Iterator[str]:
+    """Rms of error and own sigma over the bound, by parameter and estimator."""
+    bound, ratios = bound_si(grade), [(e.rms, e.own) for e in found.values()]
+    rows = [
+        [symbol, f"{bound[i] * DISPLAY_FACTORS[i]:#.3g} {DISPLAY_UNITS[i]}"]
+        + [f"{value[i]:.3f}" for pair in ratios for value in pair]
+        for i, symbol in enumerate(SYMBOLS)
+    ]
+    rows.append(["mean", "", *(f"{value.mean():.3f}" for pair in ratios for value in pair)])
+    return markdown(("parameter", "bound", *(f"{n}: {what}" for n in found for what in ("rms", "sigma"))), rows)
 
 
 def limits(criterion: Criterion) -> str:
@@ -337,16 +326,14 @@ def limits(criterion: Criterion) -> str:
     return f"{low:g} to {high:g}"
 
 
-def criteria_table(grade: str, claims: list[Criterion]) -> Table:
-    table = Table(title=f"{grade}: criteria; a limit may be passed by {STANDARD_ERRORS} standard errors")
-    for column in ("criterion", "value", "standard error", "limits", "holds"):
-        table.add_column(column, justify="left" if column == "criterion" else "right")
-    for c in claims:
-        table.add_row(c.name, f"{c.value:.4f}", f"{c.standard_error:.4f}", limits(c), "yes" if c.holds else "NO")
-    return table
+def criteria_table(claims: list[Criterion]) -> Iterator[str]:
+    rows = (
+        [c.name, f"{c.value:.4f}", f"{c.standard_error:.4f}", limits(c), "yes" if c.holds else "NO"] for c in claims
+    )
+    return markdown(("criterion", "value", "standard error", "limits", "holds"), rows)
 
 
-def component_table(grade: str) -> Table:
+def component_table(grade: str) -> Iterator[str]:
     """Sigma over the bound from more and more of the 68 components, about a unit and a fixture without errors."""
     motion = table1_motion(site=SITE, sample_rate_hz=100.0, stated_fixture=Fixture(0.0, 1e-3, 1e-3))
     recording = read_out(motion, SensorErrors(), GRADES[grade], np.random.default_rng(FIRST_SEED[grade]))
@@ -370,14 +357,9 @@ def component_table(grade: str) -> Table:
         "and all horizontal": own | horizontal | rest,
         "all 68": np.ones_like(own),
     }
-    table = Table(title=f"{grade}: sigma over the bound, by components read")
-    for column in ("parameter", *columns):
-        table.add_column(column, justify="left" if column == "parameter" else "right")
-    bound = bound_sigma(grade) * IN_G
-    ratios = np.array([sigma(np.flatnonzero(read)) / bound for read in columns.values()])
-    for symbol, row in zip(SYMBOLS, ratios.T, strict=True):
-        table.add_row(symbol, *(f"{ratio:.3f}" for ratio in row))
-    return table
+    ratios = np.array([sigma(np.flatnonzero(read)) / bound_si(grade) for read in columns.values()])
+    rows = ([symbol, *(f"{ratio:.3f}" for ratio in row)] for symbol, row in zip(SYMBOLS, ratios.T, strict=True))
+    return markdown(("sigma over the bound", *columns), rows)
 
 
 def main() -> int:
@@ -388,11 +370,9 @@ def main() -> int:
     arguments = parser.parse_args()
     missed = 0
     for grade in arguments.grade or GRADES:
-        console.rule(f"{grade}: {', '.join(ESTIMATORS)}")
         found, claims = summarise(grade, study(grade, arguments.units, arguments.workers))
-        console.print(parameter_table(grade, found))
-        console.print(criteria_table(grade, claims))
-        console.print(component_table(grade))
+        for table in (parameter_table(grade, found), criteria_table(claims), component_table(grade)):
+            print("", *table, sep="\n", flush=True)
         missed += sum(not c.holds for c in claims)
     return 1 if missed else 0
 

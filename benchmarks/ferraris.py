@@ -146,29 +146,10 @@ def ferraris_motions(
     U: Array | None = None,
     earth_rate: bool = True,
 ) -> tuple[TrueMotion, TrueMotion]:
-    """Execute Ferraris' faces and turns on the fixture.
+    """Execute Ferraris' faces (:data:`FACE_SEQUENCES`) and turns (:data:`TURN_SEQUENCES`) on the fixture.
 
-    Parameters
-    ----------
-    site : Site
-    face_s : float
-        How long each face is to last at least, s.
-    profile : RateProfile, optional
-    sample_rate_hz : float
-    fixture_draw : FixtureDraw, optional
-        Base, mounting and axes are taken from it; starts and rotations, which are other ones here, are drawn.
-    rotation_sigma_rad : float
-        One sigma of each executed rotation and of each axis at the start, rad.
-    rng : numpy.random.Generator, optional
-        For these; needed with a ``rotation_sigma_rad`` that is not zero.
-    U : ndarray, shape (3, 3), optional
-        Rotation from table-mounted components to B; default identity.
-    earth_rate : bool
-
-    Returns
-    -------
-    faces, turns : TrueMotion
-        Of :data:`FACE_SEQUENCES` and :data:`TURN_SEQUENCES`.
+    Base, mounting and axes are those of ``fixture_draw``. Starts and rotations, which are other ones here, are drawn by
+    ``rng`` with a sigma of ``rotation_sigma_rad``. ``U``, shape (3, 3), takes table-mounted components to B.
 
     Raises
     ------
@@ -209,21 +190,7 @@ def signal_regions(
 def imucal_errors(
     regions: Mapping[str, Array], *, sample_rate_hz: float, gravity_m_s2: float, turn_rad: float = TURN_RAD
 ) -> SensorErrors:
-    """Calibrate by imucal.
-
-    Parameters
-    ----------
-    regions : mapping
-        As :func:`signal_regions` gives them.
-    sample_rate_hz : float
-    gravity_m_s2 : float
-    turn_rad : float
-        Angle turned about each axis, rad; positive by the right hand.
-
-    Returns
-    -------
-    SensorErrors
-        In MARS axes; asymmetries, which imucal does not know, are zero.
+    """Sensor errors by imucal in MARS axes, from :func:`signal_regions`; asymmetries, which it does not know, are zero.
 
     Raises
     ------
@@ -242,12 +209,7 @@ def imucal_errors(
 
 
 def mars_errors(gyro_matrix: Array, accel_matrix: Array, gyro_bias: Array, accel_bias: Array) -> SensorErrors:
-    """Sensor errors, in MARS axes, of triads whose readings are ``M v + bias`` for v in any common orthogonal axes.
-
-    Parameters
-    ----------
-    gyro_matrix, accel_matrix : ndarray, shape (3, 3)
-    gyro_bias, accel_bias : ndarray, shape (3,), rad/s and m/s²
+    """Sensor errors in MARS axes of triads whose readings are ``M v + bias`` (SI) for v in any common orthogonal axes.
 
     Raises
     ------
@@ -270,12 +232,6 @@ def mars_errors(gyro_matrix: Array, accel_matrix: Array, gyro_bias: Array, accel
 
 
 def non_orthogonality(matrix: Array) -> Array:
-    """Cosines of the angles between the axes xy, yz and zx of a triad, shape (3,): the same in whatever frame.
-
-    Parameters
-    ----------
-    matrix : ndarray, shape (3, 3)
-        Row i is axis i, of any length.
-    """
+    """Cosines of the angles between the axes xy, yz and zx of a triad, whose rows are the axes, in whatever frame."""
     rows = matrix / np.linalg.norm(matrix, axis=1, keepdims=True)
     return np.array([rows[0] @ rows[1], rows[1] @ rows[2], rows[2] @ rows[0]])

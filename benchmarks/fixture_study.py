@@ -11,23 +11,21 @@ Exits with 1 if a figure of the Kalman filter or the factor graph lies beyond it
 import argparse
 import sys
 from collections.abc import Iterator
-from functools import cache, partial
+from functools import partial
 from itertools import product
 from typing import Any, Final, NamedTuple
 
 import accuracy_trials
 import numpy as np
+from efficiency import ESTIMATORS, bound_si
 from scipy.special import ndtri
 from scipy.stats import binom, chi2
+from studies import markdown
 
 import srt
-from sims.accuracy.bound import bayesian_bound
-from sims.physics.sequences import TABLE_1, table_sequences
-from sims.physics.table_motion import Schedule
 from srt.comparison.estimator_comparison import compare
 from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, GROUP_SLICES, N_PARAMETERS
 
-ESTIMATORS: Final = ("ekf", "graph", "least-squares", "closed-form")
 EFFICIENT: Final = ("ekf", "graph")
 """Estimators that the limits apply to."""
 LARGEST_RATIO: Final = 1.03
@@ -59,22 +57,9 @@ class UnitResult(NamedTuple):
     disagree: bool
 
 
-@cache
-def bound_sigma(cell: Cell) -> Any:
+def bound_of(cell: Cell) -> Any:
     """Cramér-Rao bound of all parameters, SI."""
-    return bayesian_bound(
-        Schedule(table_sequences(tuple(TABLE_1)), moves="recorded" if cell.moves == "recorded" else "skipped"),
-        site=accuracy_trials.SITE,
-        imu=accuracy_trials.GRADES[cell.grade],
-        fixture_sigma={
-            **dict.fromkeys(
-                ("level_sigma_rad", "north_sigma_rad", "mounting_sigma_rad", "non_orthogonality_sigma_rad"), 1e-3
-            ),
-            "rotation_sigma_rad": 1e-3 * cell.rotation_mrad,
-            "wobble_sigma_rad": 1e-5 * cell.rotation_mrad,
-        },
-        sample_rate_hz=100.0,
-    ).sigma
+    return bound_si(cell.grade, 1e-3 * cell.rotation_mrad, cell.moves)
 
 
 def unit(seed: int, *, cell: Cell) -> UnitResult:
@@ -84,14 +69,14 @@ def unit(seed: int, *, cell: Cell) -> UnitResult:
         cell.grade,
         non_orthogonality_rad=1e-3 * cell.non_orthogonality_mrad,
         rotation_sigma_rad=1e-3 * cell.rotation_mrad,
-        moves="recorded" if cell.moves == "recorded" else "skipped",
+        moves=cell.moves,
         sample_rate_hz=SAMPLE_RATE_HZ,
     )
     found = {name: srt.calibrate(recording, name, checks=False) for name in ESTIMATORS}
     error = np.array([calibration.errors.vector - truth.vector for calibration in found.values()])
     nees = tuple(N_PARAMETERS * accuracy_trials.score(calibration, truth).nees for calibration in found.values())
     accused = tuple(calibration.status == "inconsistent" for calibration in found.values())
-    return UnitResult(error / bound_sigma(cell), nees, accused, not compare(found).agree)
+    return UnitResult(error / bound_of(cell), nees, accused, not compare(found).agree)
 
 
 class CellResult:
@@ -103,7 +88,7 @@ class CellResult:
         self.nees = np.mean([u.nees for u in units], axis=0)
         self.accused = np.sum([u.accused for u in units], axis=0)
         self.disagree = sum(u.disagree for u in units)
-        error = np.array([u.ratio for u in units]) * (bound_sigma(cell) * np.array(DISPLAY_FACTORS))
+        error = np.array([u.ratio for u in units]) * (bound_of(cell) * np.array(DISPLAY_FACTORS))
         self.square = np.mean(error**2, axis=0)
 
     def row(self) -> list[str]:
@@ -116,13 +101,10 @@ class CellResult:
 
     def errors(self) -> Iterator[list[str]]:
         """Rows of the Markdown table of errors: rms by parameter group, of the bound and of every estimator."""
-        bound = (bound_sigma(self.cell) * np.array(DISPLAY_FACTORS)) ** 2
+        bound = (bound_of(self.cell) * np.array(DISPLAY_FACTORS)) ** 2
         for name, square in zip(("bound", *ESTIMATORS), (bound, *self.square), strict=True):
-            rms = [float(np.sqrt(np.mean(square[group]))) for group in GROUP_SLICES.values()]
-            c = self.cell
-            yield [
-                c.grade, f"{c.non_orthogonality_mrad:g}", f"{c.rotation_mrad:g}", name, *(f"{r:.3g}" for r in rms)
-            ]  # fmt: skip
+            rms = [f"{np.sqrt(np.mean(square[group])):.3g}" for group in GROUP_SLICES.values()]
+            yield [*self.row()[:3], name, *rms]
 
     def failures(self, tests: int) -> Iterator[str]:
         """Limits that are not met, in sentences; ``tests`` is their number over the whole table."""
@@ -166,15 +148,14 @@ def main(arguments: list[str] | None = None) -> int:
     tests = len(cells) * (3 * len(EFFICIENT) + 1)
     heads = ["grade", "axes, mrad from square", "rotations, mrad", *ESTIMATORS, "disagree"]
     print(f"{a.units} units each, moves {a.moves}, seeds from {a.seed}. Rms over bound, NEES / 27, accused.\n")
-    print("| " + " | ".join(heads) + " |\n|" + "---|" * len(heads))
+    print(*markdown(heads, (), len(heads)), sep="\n")
     failures, errors = [], []
     for result in study(cells, a.units, a.seed, a.workers):
         print("| " + " | ".join(result.row()) + " |", flush=True)
         failures += result.failures(tests)
         errors += result.errors()
     groups = [f"{name}, {DISPLAY_UNITS[part.start]}" for name, part in GROUP_SLICES.items()]
-    print("\n| " + " | ".join([*heads[:3], "estimator", *groups]) + " |\n|" + "---|" * (4 + len(groups)))
-    print("\n".join("| " + " | ".join(row) + " |" for row in errors))
+    print("", *markdown((*heads[:3], "estimator", *groups), errors, 4), sep="\n")
     print("\n" + ("\n".join(failures) or "All limits are met."))
     return int(bool(failures))
 

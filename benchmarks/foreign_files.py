@@ -52,44 +52,41 @@ def imu_messages(store: Any, stamps: np.ndarray, values: np.ndarray, *, ros1: bo
     return result
 
 
-def write_bag1(path: Path, topics: dict[str, tuple[np.ndarray, np.ndarray, str]], compression: str = "") -> None:
-    """ROS 1 bag; topics are stamps, readings and the absent sensor by name."""
+Topics = dict[str, tuple[np.ndarray, np.ndarray, str]]
+"""Stamps, readings and the absent sensor by name."""
+
+
+def write_bag1(path: Path, topics: Topics, compression: str = "") -> None:
+    """ROS 1 bag."""
     from rosbags.rosbag1 import Writer
     from rosbags.typesys import Stores, get_typestore
 
-    store = get_typestore(Stores.ROS1_NOETIC)
     writer = Writer(path)
     if compression:
         writer.set_compression(Writer.CompressionFormat[compression.upper()])
+    write_messages(writer, get_typestore(Stores.ROS1_NOETIC), topics, ros1=True)
+
+
+def write_messages(writer: Any, store: Any, topics: Topics, *, ros1: bool) -> None:
+    """Write the messages of a bag, and close it."""
     with writer:
         for name, (stamps, values, absent) in topics.items():
             connection = writer.add_connection(name, IMU, typestore=store)
-            raw = imu_messages(store, stamps, values, ros1=True, absent=absent)
+            raw = imu_messages(store, stamps, values, ros1=ros1, absent=absent)
             for stamp, message in zip(stamps.tolist(), raw, strict=True):
                 writer.write(connection, abs(stamp), message)
 
 
-def write_bag2(
-    path: Path,
-    topics: dict[str, tuple[np.ndarray, np.ndarray, str]],
-    storage: str = "mcap",
-    compression: str = "",
-) -> None:
+def write_bag2(path: Path, topics: Topics, storage: str = "mcap", compression: str = "") -> None:
     """ROS 2 bag folder of storage "mcap" or "sqlite3"; compression "", "file", "message" or "storage"."""
     from rosbags.rosbag2 import StoragePlugin, Writer
     from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
     from rosbags.typesys import Stores, get_typestore
 
-    store = get_typestore(Stores.ROS2_HUMBLE)
     writer = Writer(path, version=9, storage_plugin=StoragePlugin[storage.upper()])
     if compression:
         writer.set_compression(CompressionMode[compression.upper()], CompressionFormat.ZSTD)
-    with writer:
-        for name, (stamps, values, absent) in topics.items():
-            connection = writer.add_connection(name, IMU, typestore=store)
-            raw = imu_messages(store, stamps, values, ros1=False, absent=absent)
-            for stamp, message in zip(stamps.tolist(), raw, strict=True):
-                writer.write(connection, abs(stamp), message)
+    write_messages(writer, get_typestore(Stores.ROS2_HUMBLE), topics, ros1=False)
 
 
 def write_ulog(
@@ -229,12 +226,8 @@ def write_phyphox(path: Path, stamps: np.ndarray, values: np.ndarray, mark: str 
 def microstrain_text(stamps: np.ndarray, values: np.ndarray) -> str:
     """Table of SensorConnect: rad/s and g, the names as public programs quote them, other columns between."""
     unit = "inertial-6253.76535"
-    names = [
-        "Time",
-        *(f"{unit}:scaledAccel{a}" for a in "XYZ"),
-        f"{unit}:flags",
-        *(f"{unit}:scaledGyro{a}" for a in "XYZ"),
-    ]
+    accel, gyro = ([f"{unit}:scaled{sensor}{a}" for a in "XYZ"] for sensor in ("Accel", "Gyro"))
+    names = ["Time", *accel, f"{unit}:flags", *gyro]
     rows = [
         ",".join(map(repr, (t, *(v / 9.80665 for v in row[3:]), 0, *row[:3])))
         for t, row in zip(stamps.tolist(), values.tolist(), strict=True)
@@ -255,24 +248,24 @@ def xsens_text(stamps: np.ndarray, values: np.ndarray) -> str:
     return "\n".join([*head, "\t".join(names), *rows, ""])
 
 
+def bitwise_crc(text: str) -> int:
+    """NovAtel's CRC by its definition."""
+    total = 0
+    for byte in text.encode():
+        total ^= byte
+        for _ in range(8):
+            total = (total >> 1) ^ (0xEDB88320 if total & 1 else 0)
+    return total
+
+
 def novatel_text(stamps: np.ndarray, counts: np.ndarray, name: str = "RAWIMUSA") -> str:
-    """Messages of raw increments in counts, with NovAtel's CRC by its bitwise definition."""
-
-    def crc(text: str) -> int:
-        total = 0
-        for byte in text.encode():
-            total ^= byte
-            for _ in range(8):
-                total = (total >> 1) ^ (0xEDB88320 if total & 1 else 0)
-        return total
-
+    """Messages of raw increments in counts."""
     lines = ["#BESTPOSA,USB1,0,0;not an IMU*00000000"]
     info = "00,5," if "X" in name.removeprefix("RAW") else ""
-    for stamp, (gx, gy, gz, ax, ay, az) in zip(
-        (stamps % (604800 * 10**9) / 1e9).tolist(), counts.tolist(), strict=True
-    ):
+    seconds = (stamps % (604800 * 10**9) / 1e9).tolist()
+    for stamp, (gx, gy, gz, ax, ay, az) in zip(seconds, counts.tolist(), strict=True):
         text = f"{name},2200,{stamp:.6f};{info}2200,{stamp:.9f},00000077,{az},{-ay},{ax},{gz},{-gy},{gx}"
-        lines.append(f"#{text}*{crc(text):08x}")
+        lines.append(f"#{text}*{bitwise_crc(text):08x}")
     return "\n".join([*lines, ""])
 
 

@@ -20,11 +20,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import accuracy_trials
-import hand_turns
-import numpy as np
-from foreign_motion import GRADES, drawn_errors, drifting
-from foreign_motion import hand_turns as turns_by_hand
-from foreign_motion import recording as foreign_recording
+from honesty_recordings import drifting_unit
 
 import sims
 import srt
@@ -56,14 +52,9 @@ def moving(seed: int, grade: str) -> Recording:
     return accuracy_trials.fixture_recording(seed, grade, moves="recorded", sample_rate_hz=50.0)[0]
 
 
-def drifting_biases(seed: int, form: str, size: str) -> Recording:
-    """Industrial unit turned by hand, with biases that drift."""
-    rng = np.random.default_rng((hand_turns.SEED, 7, seed))
-    errors = drawn_errors(GRADES["industrial"], rng)
-    turns = turns_by_hand(rng, shortest_s=hand_turns.SHORTEST_S, longest_s=12.0, count=36, rest_s=5.0)
-    unit = foreign_recording(turns, 5.0, errors, GRADES["industrial"], rng, profile="quintic")
-    accel_mg, gyro_deg_h = hand_turns.DRIFTS[size]
-    return drifting(unit, turns, 5.0, rng, form=form, accel_mg=accel_mg, gyro_deg_h=gyro_deg_h)
+def drifting_biases(seed: int, form: str, change: str) -> Recording:
+    """Industrial unit turned by hand, with biases that drift by "mg, °/h"."""
+    return drifting_unit(seed, "industrial", form, change, profile="quintic")[0]
 
 
 _QUICK: Final = {"dwell_s": 4.0, "rate_rad_s": 2.0, "acceleration_rad_s2": 20.0}
@@ -83,9 +74,9 @@ RECORDINGS: Final[dict[str, Callable[[], Recording]]] = {
     "free tactical": partial(
         simulated, seed=31, free={"turns": 24, "dwell_s": 6.0}, recording=_SLOW_SAMPLES
     ),
-    "drift linear": partial(drifting_biases, 100, "linear", "middle"),
-    "drift warm-up": partial(drifting_biases, 101, "warm-up", "large"),
-    "drift random walk": partial(drifting_biases, 102, "random walk", "small"),
+    "drift linear": partial(drifting_biases, 100, "linear", "4, 300"),
+    "drift warm-up": partial(drifting_biases, 101, "warm-up", "10, 1000"),
+    "drift random walk": partial(drifting_biases, 102, "random walk", "0.1, 10"),
     "half of Table 1": partial(
         simulated, seed=32, schedule={**_QUICK, "sequences": list(_HALF)}, recording=_SLOW_SAMPLES
     ),

@@ -6,6 +6,9 @@ fits (of this folder's files, and of the option's choices) or a hostile one. Str
 encoding, the working directory is deleted, and variables of the environment are absent or nonsense, each in some of
 the runs.
 
+``--limits N`` runs `calibrate`, `inspect` and `apply` as processes on N recordings instead, some killed at a random
+moment, some with little disk or memory: no traceback, no input that changes, no result that cannot be read.
+
 The seed and the number of a run repeat it. A run of more than ``--seconds`` is interrupted, as by Ctrl-C, and must then
 end with 130 or, for commands that follow a stream, as usual. ``--scheduler`` is left out: it would look up hosts of
 random names.
@@ -15,11 +18,14 @@ from __future__ import annotations
 
 import argparse
 import errno
+import hashlib
 import importlib
 import io
 import os
+import resource
 import shutil
 import signal
+import subprocess
 import sys
 import tempfile
 import time
@@ -33,6 +39,7 @@ from unittest import mock
 import click
 import numpy as np
 
+import srt
 from srt.cli import main as srt_main
 from srt.cli.app import COMMANDS, app
 
@@ -280,6 +287,62 @@ def runs(
             shutil.rmtree(scratch / "a", ignore_errors=True)
 
 
+def limited(limit: str, rng: np.random.Generator) -> Callable[[], None] | None:
+    """Limit of a process, set before it starts."""
+    if limit not in ("disk", "memory"):
+        return None
+    what, low, high = (resource.RLIMIT_FSIZE, 1e2, 1e6) if limit == "disk" else (resource.RLIMIT_DATA, 2e8, 2e9)
+    size = int(np.exp(rng.uniform(np.log(low), np.log(high))))
+    return lambda: resource.setrlimit(what, (size, size))
+
+
+def digests(folder: Path) -> dict[str, str]:
+    return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in folder.iterdir()}
+
+
+def defects_under_limits(recording: srt.Recording, place: Path, rng: np.random.Generator) -> Iterator[str]:
+    """Calibrate, inspect and apply a recording under one limit; yield what must not happen."""
+    unit, result, limit = place / "unit", place / "unit.json", str(rng.choice(["none", "kill", "disk", "memory"]))
+    kind = str(rng.choice(["csv", "npz", "parquet", "h5"]))
+    srt.write_recording(recording, unit, samples_format=kind)
+    before, corrected = digests(unit), str(place / "corrected")
+    commands = ["calibrate", unit, "-o", result], ["inspect", unit], ["apply", result, unit, "-o", corrected]
+    for command, *words in commands[: 3 if limit == "none" else 2]:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "srt.cli", command, *map(str, words)], stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE, text=True, preexec_fn=limited(limit, rng),  # noqa: PLW1509 - no threads here
+        )  # fmt: skip
+        try:
+            errors = process.communicate(timeout=float(rng.uniform(0.3, 4.0)) if limit == "kill" else 300.0)[1]
+        except subprocess.TimeoutExpired:
+            process.kill()
+            errors = process.communicate()[1]
+        name = f"{command} of {kind}, limit {limit}, exit {process.returncode}"
+        if "Traceback" in errors:
+            yield f"{name}: {errors.strip().splitlines()[-1]}"
+        if digests(unit) != before:
+            yield f"{name}: the recording changed"
+        if limit == "none" and process.returncode != 0:
+            yield f"{name}: {errors.strip()}"
+    if result.exists():
+        try:
+            srt.load_calibration(result)
+        except srt.SrtError as error:
+            yield f"limit {limit}: unreadable result ({error})"
+
+
+def under_limits(laboratory: Path, count: int, seed: int) -> int:
+    """Print the defects of so many recordings; their number."""
+    recording, found = srt.load_recording(laboratory / "unit"), 0
+    for index in range(count):
+        with tempfile.TemporaryDirectory() as place:
+            for defect in defects_under_limits(recording, Path(place), np.random.default_rng([seed, index])):
+                found += 1
+                print(f"recording {index}: {defect}", flush=True)
+    print(f"{count} recordings under limits, {found} defects")
+    return found
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--count", type=int, default=10_000)
@@ -287,6 +350,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--seconds", type=float, default=10.0, help="time after which a run is interrupted")
     parser.add_argument("--one", type=int, metavar="INDEX", help="one run again")
+    parser.add_argument("--limits", type=int, metavar="N", help="processes on N recordings, killed or limited, instead")
     given = parser.parse_args()
     failures = 0
     indices = range(given.start, given.start + given.count) if given.one is None else range(given.one, given.one + 1)
@@ -294,6 +358,8 @@ def main() -> int:
         pristine = Path(scratch) / "pristine"
         pristine.mkdir()
         laboratory(pristine)
+        if given.limits:
+            return int(under_limits(pristine, given.limits, given.seed) > 0)
         done = runs(pristine, Path(scratch), given.seed, indices, given.seconds)
         for index, (words, defect, said) in zip(indices, done, strict=True):
             failures += bool(defect)

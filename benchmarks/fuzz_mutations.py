@@ -29,20 +29,9 @@ Mutation = Callable[[bytearray, np.random.Generator], bytearray]
 
 
 def mutate(data: bytes, name: str, pool: list[bytes], rng: np.random.Generator) -> bytes:
-    """Damage a file in one to four places.
+    """Damage a file in one to four places, with pieces of other files (``pool``).
 
-    Parameters
-    ----------
-    data : bytes
-    name : str
-        Its name: members of a zip archive are damaged inside, too, as their checksums would hide it.
-    pool : list of bytes
-        Other files to take pieces from.
-    rng : Generator
-
-    Returns
-    -------
-    bytes
+    Members of a zip archive are damaged inside, too, as their checksums would hide it.
     """
     if name.endswith(".npz") and rng.random() < 0.6:
         return _inside_zip(data, pool, rng)
@@ -144,11 +133,10 @@ def insert_token(data: bytearray, rng: np.random.Generator) -> bytearray:
 
 
 def swap_words(data: bytearray, rng: np.random.Generator) -> bytearray:
-    words = [match.group() for match in _WORD.finditer(data)]
-    spans = [match.span() for match in _WORD.finditer(data)]
+    words = list(_WORD.finditer(data))
     if words:
-        start, end = spans[int(rng.integers(len(spans)))]
-        data[start:end] = words[int(rng.integers(len(words)))]
+        start, end = words[int(rng.integers(len(words)))].span()
+        data[start:end] = words[int(rng.integers(len(words)))].group()
     return data
 
 

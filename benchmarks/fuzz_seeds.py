@@ -90,6 +90,9 @@ class Seed:
     damaged: tuple[str, ...] = ()
 
 
+UNITS = ImportOptions(gyro_unit="deg/s", accel_unit="g", time_unit="ms")
+
+
 def _made(write: Callable[[Path], Any], name: str = "file", *, options: ImportOptions | None = None) -> Seed:
     """Let a writer write, and take what is there afterwards."""
     with TemporaryDirectory() as folder:
@@ -99,6 +102,11 @@ def _made(write: Callable[[Path], Any], name: str = "file", *, options: ImportOp
         if place.is_dir():
             return Seed({each.name: each.read_bytes() for each in place.iterdir()}, ".", options)
         return Seed({name: place.read_bytes()}, name, options)
+
+
+def _swapped(write: Callable[..., None], arguments: tuple[Any, ...], path: Path) -> None:
+    """Write a file at a path that is given last."""
+    write(path, *arguments)
 
 
 def _columns() -> dict[str, np.ndarray]:
@@ -111,19 +119,15 @@ def rosbag1() -> list[Seed]:
     stamps, values = ff.samples(ROWS)
     whole, other = {"/imu": (stamps, values, "")}, {"/other": (stamps[:4], values[:4], "")}
     apart = {"/gyro": (stamps, values, "accel"), "/accel": (stamps[:20] + 1_000_000, values[:20], "gyro")}
-    return [
-        _made(lambda path: ff.write_bag1(path, whole), "imu.bag"),
-        _made(lambda path: ff.write_bag1(path, whole, "bz2"), "imu.bag"),
-        _made(lambda path: ff.write_bag1(path, whole | other, "lz4"), "imu.bag"),
-        _made(lambda path: ff.write_bag1(path, apart), "imu.bag"),
-    ]
+    bags = (whole, ""), (whole, "bz2"), (whole | other, "lz4"), (apart, "")
+    return [_made(partial(_swapped, ff.write_bag1, bag), "imu.bag") for bag in bags]
 
 
 def rosbag2() -> list[Seed]:
     stamps, values = ff.samples(ROWS)
     whole = {"/imu": (stamps, values, "")}
     pairs = [("mcap", ""), ("mcap", "storage"), ("mcap", "message"), ("sqlite3", ""), ("mcap", "file")]
-    folders = [_made(lambda path, pair=pair: ff.write_bag2(path, whole, *pair), "bag") for pair in pairs]  # type: ignore[misc]
+    folders = [_made(partial(_swapped, ff.write_bag2, (whole, *pair)), "bag") for pair in pairs]
     alone = []
     for folder in folders[:4]:
         name = next(each for each in folder.files if each != "metadata.yaml")
@@ -151,28 +155,20 @@ def ulog() -> list[Seed]:
     us = ((stamps - stamps[0]) // 1000 + 1_000_000).astype(np.uint64)
     combined = ("sensor_combined", 0, ff.COMBINED, ff.combined(us, values))
     late = ("sensor_combined", 1, ff.COMBINED, ff.combined(us, values, -1000))
-    spans = {"delta_angle_dt": np.full(ROWS, 5000), "delta_velocity_dt": np.full(ROWS, 4900)}
     increments = {
-        "timestamp": us,
-        "timestamp_sample": us,
-        **ff.triad("delta_angle", values[:, :3]),
+        "timestamp": us, "timestamp_sample": us, **ff.triad("delta_angle", values[:, :3]),
         **ff.triad("delta_velocity", values[:, 3:]),
-        **spans,
-    }
+        "delta_angle_dt": np.full(ROWS, 5000), "delta_velocity_dt": np.full(ROWS, 4900),
+    }  # fmt: skip
+    stamped = {"timestamp": us, "timestamp_sample": us}
     drivers = [
-        (
-            name,
-            0,
-            ff.SENSOR,
-            dict(zip(("timestamp", "timestamp_sample", "x", "y", "z"), (us, us, *part.T), strict=True)),
-        )
+        (name, 0, ff.SENSOR, stamped | dict(zip("xyz", part.T, strict=True)))
         for name, part in (("sensor_gyro", values[:, :3]), ("sensor_accel", values[:, 3:]))
     ]
+    logs = ([combined], {}), ([combined, late], {"instance": 1}), ([("vehicle_imu", 0, ff.VEHICLE_IMU, increments)], {})
     return [
-        _made(lambda path: ff.write_ulog(path, [combined]), "log.ulg"),
-        _made(lambda path: ff.write_ulog(path, [combined, late]), "log.ulg", options=ImportOptions(instance=1)),
-        _made(lambda path: ff.write_ulog(path, [("vehicle_imu", 0, ff.VEHICLE_IMU, increments)]), "log.ulg"),
-        _made(lambda path: ff.write_ulog(path, drivers), "log.ulg"),
+        _made(partial(_swapped, ff.write_ulog, (topics,)), "log.ulg", options=ImportOptions(**options))
+        for topics, options in (*logs, (drivers, {}))
     ]
 
 
@@ -182,26 +178,13 @@ def ardupilot() -> list[Seed]:
     columns = "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ"
     imu = [("IMU", "QBffffff", columns, ff.imu_rows(us, values))]
     raw = [
-        (
-            "GYR",
-            "QBQfff",
-            "TimeUS,I,SampleUS,GyrX,GyrY,GyrZ",
-            [[t, 0, t, *row[:3]] for t, row in zip(us, values, strict=True)],
-        ),
-        (
-            "ACC",
-            "QBQfff",
-            "TimeUS,I,SampleUS,AccX,AccY,AccZ",
-            [[t, 0, t + 9, *row[3:]] for t, row in zip(us, values, strict=True)],
-        ),
-    ]
+        (name, "QBQfff", f"TimeUS,I,SampleUS,{kind}X,{kind}Y,{kind}Z",
+         [[t, 0, t + late, *row] for t, row in zip(us, part, strict=True)])
+        for name, kind, late, part in (("GYR", "Gyr", 0, values[:, :3]), ("ACC", "Acc", 9, values[:, 3:]))
+    ]  # fmt: skip
     old = [(f"IMU{k}", "Qffffff", columns.replace("I,", ""), ff.imu_rows(us, values, None)) for k in ("", "2")]
-    return [
-        _made(lambda path: ff.write_dataflash(path, imu), "log.bin"),
-        _made(lambda path: ff.write_dataflash(path, raw), "log.bin"),
-        _made(lambda path: ff.write_dataflash(path, old), "log.bin"),
-        _made(lambda path: ff.write_dataflash_text(path, imu), "log.log"),
-    ]
+    logs = [_made(partial(_swapped, ff.write_dataflash, (messages,)), "log.bin") for messages in (imu, raw, old)]
+    return [*logs, _made(partial(_swapped, ff.write_dataflash_text, (imu,)), "log.log")]
 
 
 def _text(header: str, table: np.ndarray, separator: str = ",", form: str = "%.9g") -> bytes:
@@ -237,33 +220,23 @@ def imu_tk() -> list[Seed]:
 def csv() -> list[Seed]:
     columns = _columns()
     table = np.column_stack(list(columns.values()))
-    units = ImportOptions(gyro_unit="deg/s", accel_unit="g", time_unit="ms")
     dated = [f"2024-05-06T07:08:09.{k:03d}Z," + ",".join(map(repr, row)) for k, row in enumerate(table[:, 1:].tolist())]
-    headless = ImportOptions(
-        gyro_unit="deg/s", accel_unit="g", sample_rate_hz=100.0, columns=parse_columns("accel,gyro"), skip=0
-    )
+    headless = replace(UNITS, time_unit=None, sample_rate_hz=100.0, columns=parse_columns("accel,gyro"), skip=0)
+    commas = _text(";".join(NAMES), table, ";").replace(b".", b",")
+    dates = "\n".join([",".join(NAMES), *dated, "," * 7, ""]).encode()
     return [
-        Seed({"a.csv": _text(",".join(NAMES), table)}, "a.csv", units),
-        Seed(
-            {"a.txt": _text(";".join(NAMES), table, ";").replace(b".", b",")},
-            "a.txt",
-            replace(units, decimal_comma=True),
-        ),
+        Seed({"a.csv": _text(",".join(NAMES), table)}, "a.csv", UNITS),
+        Seed({"a.txt": commas}, "a.txt", replace(UNITS, decimal_comma=True)),
         Seed({"a.log": _text("", table[:, [4, 5, 6, 1, 2, 3]], " ")}, "a.log", headless),
-        Seed(
-            {"b.csv": "\n".join([",".join(NAMES), *dated, "," * 7, ""]).encode()},
-            "b.csv",
-            replace(units, time_unit=None),
-        ),
+        Seed({"b.csv": dates}, "b.csv", replace(UNITS, time_unit=None)),
     ]
 
 
 def npz() -> list[Seed]:
     columns = _columns()
-    units = ImportOptions(gyro_unit="deg/s", accel_unit="g", time_unit="ms")
     return [
-        _made(lambda path: np.savez(path, **columns), "a.npz", options=units),  # type: ignore[arg-type]
-        _made(lambda path: np.savez_compressed(path, **columns), "a.npz", options=units),  # type: ignore[arg-type]
+        _made(lambda path: np.savez(path, **columns), "a.npz", options=UNITS),  # type: ignore[arg-type]
+        _made(lambda path: np.savez_compressed(path, **columns), "a.npz", options=UNITS),  # type: ignore[arg-type]
     ]
 
 
@@ -281,11 +254,10 @@ def hdf5() -> list[Seed]:
                 of_sensor = {"g": "deg/s", "a": "m s-2", "t": "s"}
                 file.create_dataset(name, data=values).attrs["units"] = of_sensor[name[0]]
 
-    units = ImportOptions(gyro_unit="deg/s", accel_unit="g", time_unit="ms")
     return [
-        _made(write, "a.h5", options=units),
-        _made(lambda path: write(path, chunks=(8,), compression="gzip"), "a.h5", options=units),
-        _made(lambda path: write(path, "latest", chunks=(8,)), "a.h5", options=units),
+        _made(write, "a.h5", options=UNITS),
+        _made(lambda path: write(path, chunks=(8,), compression="gzip"), "a.h5", options=UNITS),
+        _made(lambda path: write(path, "latest", chunks=(8,)), "a.h5", options=UNITS),
         _made(stated, "a.h5"),
     ]
 
@@ -294,16 +266,14 @@ def parquet() -> list[Seed]:
     import pyarrow as pa
     from pyarrow import parquet as writer
 
-    units = ImportOptions(gyro_unit="deg/s", accel_unit="g", time_unit="ms")
     table = pa.table(_columns())
     writers = [partial(writer.write_table, table, compression=each) for each in ("none", "snappy", "zstd")]
-    return [_made(write, "a.parquet", options=units) for write in writers]
+    return [_made(write, "a.parquet", options=UNITS) for write in writers]
 
 
 def matlab() -> list[Seed]:
     import h5py
 
-    units = ImportOptions(gyro_unit="deg/s", accel_unit="g", time_unit="ms")
     columns = _columns()
 
     gyro, accel = (np.column_stack([columns[f"{name}_{a}"] for a in "xyz"]) for name in ("gyro", "accel"))
@@ -317,9 +287,9 @@ def matlab() -> list[Seed]:
             raw.write(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM")
 
     return [
-        _made(lambda path: scipy.io.savemat(path, columns), "a.mat", options=units),
-        _made(lambda path: scipy.io.savemat(path, columns, do_compression=True), "a.mat", options=units),
-        _made(version_73, "a.mat", options=units),
+        _made(lambda path: scipy.io.savemat(path, columns), "a.mat", options=UNITS),
+        _made(lambda path: scipy.io.savemat(path, columns, do_compression=True), "a.mat", options=UNITS),
+        _made(version_73, "a.mat", options=UNITS),
         _made(lambda path: scipy.io.savemat(path, {"imu1": navego}), "a.mat"),
     ]
 
@@ -407,27 +377,12 @@ def _recording(kind: str) -> Callable[[], list[Seed]]:
 
 
 READERS: dict[str, Callable[[], list[Seed]]] = {
-    "rosbag1": rosbag1,
-    "rosbag2": rosbag2,
-    "ulog": ulog,
-    "ardupilot": ardupilot,
-    "matlab": matlab,
-    "hdf5": hdf5,
-    "parquet": parquet,
-    "npz": npz,
-    "euroc": euroc,
-    "kalibr": kalibr,
-    "imu-tk": imu_tk,
-    "psins": psins,
-    "sensor-logger": sensor_logger,
-    "phyphox": phyphox,
-    "microstrain": microstrain,
-    "xsens": xsens,
-    "kf-gins": kf_gins,
-    "novatel": novatel,
-    "vectornav": vectornav,
-    "csv": csv,
-}
+    make.__name__.replace("_", "-"): make
+    for make in (
+        rosbag1, rosbag2, ulog, ardupilot, matlab, hdf5, parquet, npz, euroc, kalibr, imu_tk, psins, sensor_logger,
+        phyphox, microstrain, xsens, kf_gins, novatel, vectornav, csv,
+    )
+}  # fmt: skip
 """Seeds by the name of the importer."""
 
 RECORDINGS: dict[str, Callable[[], list[Seed]]] = {

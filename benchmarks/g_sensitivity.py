@@ -21,6 +21,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from studies import markdown, nees_of
 
 import srt
 from sims.accuracy.budget import Budget, budget
@@ -72,14 +73,7 @@ class BiasCorrection:
 
 
 def mems_scenario(*, dwell_s: float = 10.0, sample_rate_hz: float = 100.0) -> Scenario:
-    """Scenario of Table 1 with an industrial MEMS unit: bias 0.5 °/s in every gyro, Γ of 30 °/h/g, white noise only.
-
-    Parameters
-    ----------
-    dwell_s : float
-        Length of each window, s.
-    sample_rate_hz : float
-    """
+    """Scenario of Table 1 with an industrial MEMS unit: bias 0.5 °/s in every gyro, Γ of 30 °/h/g, white noise only."""
     base = load_scenario("industrial-mems")
     assert base.schedule is not None
     bias = {f"gyro_bias_{axis}": BIAS_DEG_PER_S * DEG for axis in "xyz"}
@@ -97,18 +91,10 @@ def mems_scenario(*, dwell_s: float = 10.0, sample_rate_hz: float = 100.0) -> Sc
 
 
 def study(plan: Scenario, units: int, *, first_seed: int, draws: int = 30) -> dict[GyroBias, BiasCorrection]:
-    """Predict and observe all three corrections.
+    """Predict and observe all three corrections, by units of consecutive seeds, each with errors, Γ, fixture and noise.
 
-    Parameters
-    ----------
-    plan : Scenario
-        Labelled, with windows of one length; gyro noise and g-sensitivity alone disturb its rates at rest.
-    units : int
-        Simulated, each with its own sensor errors, Γ, fixture and noise.
-    first_seed : int
-        Seed of the first unit; the others follow in steps of one.
-    draws : int
-        Number of simulated fixtures for the prediction.
+    ``plan`` is labelled, with windows of one length; gyro noise and g-sensitivity alone disturb its rates at rest. The
+    prediction takes ``draws`` simulated fixtures.
     """
     squares = {mode: np.zeros(27) for mode in MODES}
     left = {mode: np.zeros(2) for mode in MODES}
@@ -120,7 +106,10 @@ def study(plan: Scenario, units: int, *, first_seed: int, draws: int = 30) -> di
             squares[mode] += (found.errors.vector - unit.truth.vector) ** 2 / units
             left[mode] += np.array([_predicted(plan, unit, mode), _observed(unit, found)]) / units
             if mode == "g-sensitive":
-                nees[mode] += _nees(unit, found) / units
+                assert found.g_sensitivity is not None
+                assert found.g_sensitivity_covariance is not None
+                error = (found.g_sensitivity - unit.imu.gyro_g_sensitivity).ravel()
+                nees[mode] += nees_of(error, found.g_sensitivity_covariance) / 9.0 / units
     predicted = {mode: budget(plan, draws=draws, gyro_bias=mode)[0] for mode in MODES}
     rms = {mode: np.sqrt(left[mode]).tolist() for mode in MODES}
     return {m: BiasCorrection(predicted[m], np.sqrt(squares[m]), rms[m][0], rms[m][1], nees[m]) for m in MODES}
@@ -156,14 +145,6 @@ def _observed(unit: Simulation, found: Calibration) -> float:
     return float(np.mean((bias - own[:, None] + force @ Gamma.T) ** 2))
 
 
-def _nees(unit: Simulation, found: Calibration) -> float:
-    estimate, covariance = found.g_sensitivity, found.g_sensitivity_covariance
-    assert estimate is not None
-    assert covariance is not None
-    error = (estimate - unit.imu.gyro_g_sensitivity).ravel()
-    return float(error @ np.linalg.solve(covariance, error)) / 9.0
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--units", type=int, default=300)
@@ -174,17 +155,21 @@ def main() -> None:
     plan = mems_scenario(dwell_s=arguments.dwell, sample_rate_hz=arguments.rate)
     found = study(plan, arguments.units, first_seed=arguments.seed)
 
-    def row(name: str, unit: str, pairs: list[tuple[float, float]]) -> None:
-        cells = [f"{p:.3g} | {o:.3g} | {p / o:.3f}" for p, o in pairs]
-        print(f"| {name} | {unit} | {' | '.join(cells)} |")
+    def row(name: str, unit: str, factor: float, pairs: list[tuple[float, float]]) -> list[str]:
+        return [
+            name,
+            unit,
+            *(text for p, o in pairs for text in (f"{factor * p:.3g}", f"{factor * o:.3g}", f"{p / o:.3f}")),
+        ]
 
-    print("| | unit |" + "".join(f" {mode}: predicted | observed | ratio |" for mode in MODES))
-    print("|---|---|" + "---:|---:|---:|" * len(MODES))
-    left = [(found[m].left_predicted / DEG_PER_H, found[m].left_observed / DEG_PER_H) for m in MODES]
-    row("bias left at rest", "°/h", left)
+    rows = [
+        row("bias left at rest", "°/h", 1.0 / DEG_PER_H, [(f.left_predicted, f.left_observed) for f in found.values()])
+    ]
     for i in range(len(NAMES)):
-        sizes = [(float(found[m].predicted.total[i]), float(found[m].observed[i])) for m in MODES]
-        row(SYMBOLS[i], DISPLAY_UNITS[i], [(DISPLAY_FACTORS[i] * p, DISPLAY_FACTORS[i] * o) for p, o in sizes])
+        sizes = [(float(f.predicted.total[i]), float(f.observed[i])) for f in found.values()]
+        rows.append(row(SYMBOLS[i], DISPLAY_UNITS[i], DISPLAY_FACTORS[i], sizes))
+    columns = [f"{mode}: {what}" for mode in MODES for what in ("predicted", "observed", "ratio")]
+    print(*markdown(("", "unit", *columns), rows, 2), sep="\n")
     print(f"\nSquared error of the g-sensitivity over its covariance, by nine: {found['g-sensitive'].nees:.3f}")
 
 

@@ -9,7 +9,6 @@ PSINS' figures are one draw of its own demonstration with the same noise, under 
 from __future__ import annotations
 
 import argparse
-import sys
 from dataclasses import replace
 from pathlib import Path
 from time import process_time
@@ -27,6 +26,7 @@ from foreign_motion import (
 )
 from motion_bound import Chain, Conditions, Leg, motion_bound
 from scipy.spatial.transform import Rotation
+from studies import markdown, replace_tables, rms
 
 import srt
 from srt.sensor_errors import GROUP_SLICES, NAMES
@@ -85,64 +85,27 @@ def study(
     return {name: (np.array([e for e, _ in rows]), np.array([t for _, t in rows])) for name, rows in found.items()}
 
 
-def rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(values**2)))
-
-
-def main() -> int:
+def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--units", type=int, default=100)
     parser.add_argument("--estimators", nargs="+", default=["least-squares", "graph", "ekf"])
-    parser.add_argument("--markdown", type=Path, help="Page to write.")
+    parser.add_argument("--markdown", type=Path, help="page whose tables are replaced")
     options = parser.parse_args()
-    lines = []
+    head, tables = ("estimator", *(f"{group}, {unit}" for group, (unit, _, _) in SHOWN.items()), "s"), {}
     for case, (_, fixed) in CASES.items():
-        limit = bound(fixed)
-        lines += [
-            "",
-            f"## {case[0].upper()}{case[1:]}",
-            "",
-            "| estimator | " + " | ".join(f"{group}, {unit}" for group, (unit, _, _) in SHOWN.items()) + " | s |",
-            "|---|" + "---:|" * (len(SHOWN) + 1),
-        ]
+        limit, rows = bound(fixed), []
+        limits = {group: rms(limit[GROUP_SLICES[group]]) for group in SHOWN}
         for estimator, (errors, seconds) in study(case, options.estimators, options.units).items():
-            cells = []
-            for group, (_, factor, _) in SHOWN.items():
-                at = GROUP_SLICES[group]
-                cells.append(f"{factor * rms(errors[:, at]):.2f} ({rms(errors[:, at]) / rms(limit[at]):.2f})")
-            lines.append(f"| {estimator} | {' | '.join(cells)} | {np.median(seconds):.2f} |")
-            print(lines[-1], flush=True)
-        bounds = " | ".join(f"{factor * rms(limit[GROUP_SLICES[g]]):.2f}" for g, (_, factor, _) in SHOWN.items())
-        lines += [
-            f"| Cramér-Rao bound | {bounds} | |",
-            "| PSINS (one draw) | " + " | ".join(f"{psins}" for _, _, psins in SHOWN.values()) + " | 102 |",
-        ]
-    text = PAGE.format(units=options.units, seed=SEED, tables="\n".join(lines))
-    print(text)
+            sizes = {group: rms(errors[:, GROUP_SLICES[group]]) for group in SHOWN}
+            cells = [f"{SHOWN[g][1] * size:.2f} ({size / limits[g]:.2f})" for g, size in sizes.items()]
+            rows.append([estimator, *cells, f"{np.median(seconds):.2f}"])
+        rows.append(["Cramér-Rao bound", *(f"{SHOWN[g][1] * size:.2f}" for g, size in limits.items()), ""])
+        rows.append(["PSINS (one draw)", *(str(psins) for _, _, psins in SHOWN.values()), "102"])
+        tables[case] = "\n".join(markdown(head, rows))
+        print(f"{case}\n\n{tables[case]}\n", flush=True)
     if options.markdown is not None:
-        options.markdown.write_text(text, encoding="utf-8")
-    return 0
-
-
-PAGE = """\
-# The 19-position test without labels
-
-`python benchmarks/nineteen_positions.py` ({units} units, seed {seed}): 18 rotations of 90° in 9 s with soft
-ends, rests of 20 s, 0.001 °/√h and 10 µg/√Hz, heading unknown, no labels. The recordings come from
-`benchmarks/foreign_motion.py`, which shares nothing with the estimators, and the bound is computed from the motion
-alone. Root mean square error, in parentheses over the Cramér-Rao bound; seconds per calibration.
-{tables}
-
-Extras are those of the demonstration of PSINS: quadratic terms of 10, 20 and 30 µg/g², lever arms of 1-6 cm and a lag
-of 5 ms of the accelerometers. Lever arms and lag act during the turns, in which the accelerometers are not used.
-Quadratic terms are taken up by the accelerometer asymmetries, which are estimated there. The figures of PSINS are one
-draw of its own demonstration with the same noise and extras, under Octave. Gravity is taken as known to 5e-6 m/s²,
-which is 0.5 ppm of every accelerometer scale, and is exact here; the bound includes its sigma.
-No noise is stated in these recordings. The rests cannot exclude some bias instability of the accelerometers: the sigmas
-include it, the weights do not. With the noise stated, least squares has the same ratios to 0.01 for the same 100 units;
-the standard error of a ratio is 0.04 (300 errors).
-"""
+        replace_tables(options.markdown, tables)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -100,15 +100,12 @@ def trial(grade: str, kind: str, seed: int) -> Trial:
         if kind == "moved":
             up = motion.velocity[(motion.time > a) & (motion.time < b)].mean(axis=0)
             axis = np.cross(up, axis)  # a turn about the vertical is one of the fixture's own
-        vector = axis / np.linalg.norm(axis)
-        if kind == "moved":
             length = float(rng.uniform(0.5, 0.9)) * (b - a)
-            start = float(rng.uniform(a, b - length))
-            motion = slipped(motion, start, length, CREEP_RAD_S[grade] * length * vector, steady=True)
+            start, size = float(rng.uniform(a, b - length)), CREEP_RAD_S[grade] * length
         else:
             length = float(rng.uniform(0.1, 0.3))
-            start = a + float(rng.uniform(0.15, 0.85)) * (b - a - length)
-            motion = slipped(motion, start, length, BUMP_RAD[grade] * vector)
+            start, size = a + float(rng.uniform(0.15, 0.85)) * (b - a - length), BUMP_RAD[grade]
+        motion = slipped(motion, start, length, size * axis / np.linalg.norm(axis), steady=kind == "moved")
     recording = replace(
         sims.read_out(motion, run.truth, run.imu, rng, kind="rate", state_noise=True), site=run.recording.site
     )

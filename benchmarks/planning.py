@@ -17,9 +17,7 @@ import math
 import time
 
 import numpy as np
-from rich.console import Console
-from rich.progress import track
-from rich.table import Table
+from studies import markdown
 
 import sims
 import srt
@@ -29,7 +27,6 @@ from srt.planning.plan import Plan
 from srt.planning.planner import make_plan, table_1_plan
 from srt.sensor_errors import NAMES
 
-console = Console(width=120)
 SEED = 41000
 """Seed of the first simulated unit."""
 
@@ -53,7 +50,7 @@ def observed_errors(file: PlanFile, plan: Plan, estimator: str, units: int, titl
     """RMS error of simulated units, shape (27,), SI."""
     squares = np.zeros(len(NAMES))
     scenario = file.scenario(plan)
-    for k in track(range(units), title, console=Console(stderr=True), transient=True):
+    for k in range(units):
         simulation = sims.simulate(scenario.model_copy(update={"seed": SEED + k}))
         found = srt.calibrate(simulation.recording, estimator, checks=False)
         if found.status != "converged":
@@ -77,12 +74,17 @@ def compare(file: PlanFile, plan: Plan, table_1: Plan, estimator: str, units: in
         ratio = without_gravity(one) / rms
         worst.append(float((rms / targets)[counted].max()))
         k = int(np.nanargmax(np.where(counted, rms / targets, np.nan)))
-        console.print(
+        print(
             f"  {title}: {units} units by {estimator}: worst observed error {NAMES[k]} at {worst[-1]:.3f} of its "
             f"target; predicted over observed sigma {ratio[counted].min():.3f} to {ratio[counted].max():.3f} "
             f"({error:.3f} standard error each)"
         )
-    console.print(f"  observed: the plan is {100.0 * (1.0 - worst[0] / worst[1]):.0f} % better")
+    print(f"  observed: the plan is {less(*worst)} better")
+
+
+def less(value: float, than: float) -> str:
+    """Relative difference."""
+    return f"{100.0 * (1.0 - value / than):.0f} %"
 
 
 def main() -> None:
@@ -92,25 +94,21 @@ def main() -> None:
     parser.add_argument("--estimator", default="least-squares")
     parser.add_argument("--no-time", action="store_true", help="leave the least time out")
     options = parser.parse_args()
-    table = Table(
-        "plan file", "plan", "Table 1", "better", "bound", "at most", "sequences", "time for the same", "planning"
-    )
+    rows = []
     for name in options.plans:
         file = load_plan_file(name)
         plan, table_1, spent = make_plans(file)
         shortest = None if options.no_time else least_time(file, table_1)
-        saved = "" if shortest is None else (
-            f"{shortest.total_s:.0f} s, {100.0 * (1.0 - shortest.total_s / table_1.total_s):.0f} % less"
-        )  # fmt: skip
-        table.add_row(
-            name, f"{plan.ratio:.3f}", f"{table_1.ratio:.3f}", f"{100.0 * (1.0 - plan.ratio / table_1.ratio):.0f} %",
-            f"{plan.bound:.3f}", f"{100.0 * (1.0 - plan.bound / table_1.ratio):.0f} %", str(len(plan.candidates)),
-            saved, f"{spent:.0f} s",
-        )  # fmt: skip
+        saved = "" if shortest is None else f"{shortest.total_s:.0f} s, {less(shortest.total_s, table_1.total_s)} less"
+        rows.append([
+            name, f"{plan.ratio:.3f}", f"{table_1.ratio:.3f}", less(plan.ratio, table_1.ratio), f"{plan.bound:.3f}",
+            less(plan.bound, table_1.ratio), str(len(plan.candidates)), saved, f"{spent:.0f} s",
+        ])  # fmt: skip
         if options.simulate:
-            console.print(name)
+            print(name)
             compare(file, plan, table_1, options.estimator, options.simulate)
-    console.print(table)
+    columns = "plan file", "plan", "Table 1", "better", "bound", "at most", "sequences", "time for the same", "planning"
+    print(*markdown(columns, rows), sep="\n")
 
 
 if __name__ == "__main__":

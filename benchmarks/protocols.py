@@ -22,6 +22,7 @@ from pathlib import Path
 import numpy as np
 from motion_bound import Chain, Conditions, Leg, motion_bound
 from scipy.spatial.transform import Rotation
+from studies import markdown, replace_tables
 
 import sims
 import srt
@@ -95,10 +96,7 @@ def bound(name: str, fixed: tuple[str, ...]) -> np.ndarray:
 
 def simulated(name: str, seed: int) -> tuple[np.ndarray, str]:
     """Errors of a calibrated unit in the units of the tables, NaN where not observed, and the status."""
-    quiet = dict.fromkeys(
-        ("gyro_bias_instability_deg_per_h", "accel_bias_instability_ug"),
-        0.0,
-    )
+    quiet = dict.fromkeys(("gyro_bias_instability_deg_per_h", "accel_bias_instability_ug"), 0.0)
     noise = {"gyro_noise_deg_per_sqrt_h": GYRO_DEG_PER_SQRT_H, "accel_noise_ug_per_sqrt_hz": ACCEL_UG_PER_SQRT_HZ}
     tables = {
         "seed": seed,
@@ -126,11 +124,10 @@ def rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(shown**2))) if 3 * shown.size > 2 * values.size else math.nan
 
 
-def figure(value: float) -> str:
-    if math.isnan(value):
-        return "–"
-    digits = max(0, 2 - math.floor(math.log10(max(value, 1e-9))) - 1)
-    return f"{value:.{min(digits, 3)}f}"
+def shown(value: float) -> str:
+    """Text of at least two digits; a dash for NaN."""
+    digits = 0 if math.isnan(value) else min(max(0, 1 - math.floor(math.log10(max(value, 1e-9)))), 3)
+    return "–" if math.isnan(value) else f"{value:.{digits}f}"
 
 
 def plot(path: Path, bounds: dict[str, np.ndarray], errors: dict[str, np.ndarray]) -> None:
@@ -169,36 +166,30 @@ def main() -> int:
         if bad:
             notes.append(f"{name}: {bad} of {options.units} units not converged or inconsistent, and left out")
         print(name, flush=True)
-    head = ["| protocol | " + " | ".join(GROUPS.values()) + " |", "|---|" + "---:|" * len(GROUPS)]
-    lines = head + [
-        f"| {name} | "
-        + " | ".join(
-            f"{figure(rms(errors[name][:, GROUP_SLICES[g]]))} ({figure(rms(bounds[name][GROUP_SLICES[g]]))})"
-            for g in GROUPS
-        )
-        + " |"
-        for name in PROTOCOLS
-    ]
+
+    def column(group: str, name: str) -> str:
+        at = GROUP_SLICES[group]
+        return f"{shown(rms(errors[name][:, at]))} ({shown(rms(bounds[name][at]))})"
+
     more = GROUPS | ASYMMETRIES
-    lines += ["", "The bound where asymmetries are estimated too:", ""]
-    lines += ["| protocol | " + " | ".join(more.values()) + " |", "|---|" + "---:|" * len(more)]
-    for name in PROTOCOLS:
-        limit = bound(name, ())
-        lines.append(f"| {name} | " + " | ".join(figure(rms(limit[GROUP_SLICES[g]])) for g in more) + " |")
-    if notes:
-        lines += ["", "; ".join(notes) + "."]
+    limits = {name: bound(name, ()) for name in PROTOCOLS}
+    lines = [
+        *markdown(("protocol", *GROUPS.values()), ([name, *(column(g, name) for g in GROUPS)] for name in PROTOCOLS)),
+        "", "The bound where asymmetries are estimated too:", "",
+        *markdown(
+            ("protocol", *more.values()),
+            ([name, *(shown(rms(limit[GROUP_SLICES[g]])) for g in more)] for name, limit in limits.items()),
+        ),
+        *(["", "; ".join(notes) + "."] if notes else []),
+    ]  # fmt: skip
     text = "\n".join(lines)
     print(text)
     if options.markdown is not None:
-        page = options.markdown.read_text(encoding="utf-8")
-        before, _, rest = page.partition(BEGIN)
-        options.markdown.write_text(f"{before}{BEGIN}\n\n{text}\n\n{END}{rest.partition(END)[2]}", encoding="utf-8")
+        replace_tables(options.markdown, {"benchmarks/protocols.py": text})
     if options.plot is not None:
         plot(options.plot, bounds, errors)
     return 0
 
-
-BEGIN, END = "<!-- table: benchmarks/protocols.py -->", "<!-- end of table -->"
 
 if __name__ == "__main__":
     sys.exit(main())

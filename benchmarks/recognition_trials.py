@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from studies import nees_of
 
 import srt
 from sims.faults.injection import GRADES, Case
@@ -159,8 +160,5 @@ def label_effect(test: RecognitionTest) -> LabelEffect:
     """Calibrate a recording with its labels and without them, by the default estimator."""
     labelled = srt.calibrate(test.recording, checks=False)
     found = srt.calibrate(test.recording.with_sequences(()), checks=False)
-    error = found.errors.vector - test.truth.vector
-    scaled = error / found.sigma
-    correlation = found.covariance / np.outer(found.sigma, found.sigma)
-    nees = float(scaled @ np.linalg.solve(correlation, scaled)) / N_PARAMETERS
+    nees = nees_of(found.errors.vector - test.truth.vector, found.covariance) / N_PARAMETERS
     return LabelEffect(found.errors.vector - labelled.errors.vector, labelled.sigma, nees)

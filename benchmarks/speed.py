@@ -1,9 +1,10 @@
 """Speed of everything in one table: estimators in memory, commands as processes, length of a recording, two workers.
 
-``python benchmarks/speed.py`` prints it as Markdown; ``--only memory processes length workers`` takes parts of it,
-``--long`` adds 20 million samples, ``--rounds N`` takes medians of N. Times are CPU times on one core (``workers``:
-wall times). Each has its ratio to a fixed numpy load that runs right before it, so that a busy or another machine
-matters less. benchmarks/README.md says what the rows are.
+``python benchmarks/speed.py`` prints it as Markdown; ``--only PART ...`` takes parts of it, or others: correction of
+readings, inspection of an hour at 1 kHz, units calibrated as arrays, sizes of results (a fleet of 10,000, a million
+trials). ``--long`` adds 20 million samples, ``--rounds N`` takes medians of N. Times are CPU times on one core
+(``workers``: wall times). Each has its ratio to a fixed numpy load that runs right before it, so that a busy or another
+machine matters less. benchmarks/README.md says what the rows are.
 """
 
 import os
@@ -16,10 +17,9 @@ import subprocess
 import sys
 import tempfile
 import time
-import tracemalloc
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
@@ -28,7 +28,8 @@ import accuracy_trials
 import numpy as np
 import recorded_sets
 import robustness
-from numpy_load import cpu_time, numpy_load
+from numpy_load import Row, beside_load, cpu_time, numpy_load
+from speed_of_parts import correction, inspection, nbytes, sizes, traced, units_as_arrays
 
 import srt
 from sims.physics.imu import read_out
@@ -44,7 +45,9 @@ from srt.model.sensor_model import gyro_triad
 from srt.noise.noise_model import noise_model
 from srt.sequences.preparation import prepare
 
-PARTS = ("memory", "processes", "length", "workers")
+MORE = {"correction": correction, "inspection": inspection, "units": units_as_arrays, "sizes": sizes}
+PARTS = ("memory", "processes", "length", *MORE, "workers")
+DEFAULT_PARTS = ("memory", "processes", "length", "workers")
 ROUNDS = 7
 """Repeats of each timing; figures are medians."""
 SAMPLE_RATE_HZ = 200.0
@@ -52,21 +55,6 @@ PEERS = {
     "Xsens MTi from its file": "imu_tk in C++: 4.0 loads",
 }
 """Other tools on the same work. imu_tk took 0.66 of this command as it was in November 2026, which took 6.1 loads."""
-
-
-@dataclass(frozen=True)
-class Row:
-    """Line of the table: name, CPU time and that of the numpy load beside it, s, and what to compare it with."""
-
-    name: str
-    seconds: float
-    load_s: float
-    limit_s: float | None = None
-    peer: str = ""
-
-    def text(self) -> str:
-        limit = "" if self.limit_s is None else f"{self.seconds / self.limit_s:.0f}"
-        return f"| {self.name} | {self.seconds * 1e3:.1f} | {self.seconds / self.load_s:.3f} | {limit} | {self.peer} |"
 
 
 def sum_once(recording: srt.Recording) -> float:
@@ -90,14 +78,6 @@ def process_time(arguments: list[str], environment: dict[str, str] | None = None
         raise RuntimeError(f"{' '.join(arguments)} ended with {done.returncode}: {done.stderr[-500:]}")
     after = os.times()
     return after.children_user + after.children_system - before.children_user - before.children_system
-
-
-def beside_load(measure: Callable[[], float], rounds: int) -> tuple[float, float]:
-    """Medians of a time and of the numpy load, measured in turns after one run of each; s."""
-    measure()
-    pairs = [(cpu_time(numpy_load), measure()) for _ in range(rounds)]
-    load_s, seconds = np.median(np.array(pairs), axis=0).tolist()
-    return seconds, load_s
 
 
 def in_memory(rounds: int) -> list[Row]:
@@ -178,6 +158,7 @@ def processes(rounds: int) -> Iterator[Row]:
         process_time([*command, "calibrate", str(at / "npz"), "-o", result, "-q"])
         commands = {
             "Python and numpy alone": [sys.executable, "-c", "import numpy"],
+            "import srt, to load and apply": [sys.executable, "-c", "import srt; srt.load_calibration, srt.Applier"],
             "srt --help": [*command, "--help"],
             "srt list": [*command, "list"],
             "srt calibrate, NPZ": [*command, "calibrate", str(at / "npz"), "-q"],
@@ -201,25 +182,20 @@ def processes(rounds: int) -> Iterator[Row]:
         yield Row("completion in the shell", seconds, load_s)
 
 
-def length(sizes: tuple[int, ...]) -> Iterator[Row]:
+def length(lengths: tuple[int, ...]) -> Iterator[Row]:
     """The closed form on longer recordings; names hold the time of a sample and the memory over that of the samples."""
     rng = np.random.default_rng(0)
-    for n in sizes:
+    for n in lengths:
         recording, _ = accuracy_trials.noisy_recording(
             int(rng.integers(1 << 30)), "tactical", sample_rate_hz=float(round(n / 456.0))
         )
         load_s = cpu_time(numpy_load)
         seconds = cpu_time(partial(srt.calibrate, replace(recording), "closed-form", checks=False))
         read_s = cpu_time(partial(sum_once, recording))
-        # Tracing takes time: memory is of a run of its own.
-        tracemalloc.start()
-        srt.calibrate(replace(recording), "closed-form", checks=False)
-        peak = tracemalloc.get_traced_memory()[1]
-        tracemalloc.stop()
-        samples = sum(a.nbytes for a in (recording.time, recording.gyro, recording.accel))
+        _, peak = traced(partial(srt.calibrate, replace(recording), "closed-form", checks=False))
         name = (
             f"closed-form, {len(recording.time):,} samples: {seconds / len(recording.time) * 1e9:.0f} ns each, "
-            f"memory {1.0 + peak / samples:.2f} of the samples"
+            f"memory {1.0 + peak / nbytes(recording):.2f} of the samples"
         )
         yield Row(name, seconds, load_s, read_s)
 
@@ -264,16 +240,17 @@ def dask_engine(count: int) -> Iterator[Engine]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--long", action="store_true", help="up to 20 million samples")
-    parser.add_argument("--only", nargs="+", choices=PARTS, default=PARTS, help="parts of the table")
+    parser.add_argument("--only", nargs="+", choices=PARTS, default=DEFAULT_PARTS, help="parts of the table")
     parser.add_argument("--rounds", type=int, default=ROUNDS, help="repeats of each timing")
     arguments = parser.parse_args()
     print("| what | CPU time, ms | over the numpy load | over one read of the samples | peer |")
     print("|---|---|---|---|---|")
-    sizes = (100_000, 1_000_000, 20_000_000) if arguments.long else (100_000, 1_000_000)
+    lengths = (100_000, 1_000_000, 20_000_000) if arguments.long else (100_000, 1_000_000)
     parts = {
         "memory": partial(in_memory, arguments.rounds),
         "processes": partial(processes, arguments.rounds),
-        "length": partial(length, sizes),
+        "length": partial(length, lengths),
+        **{name: partial(part, arguments.rounds) for name, part in MORE.items()},
     }
     for name, part in parts.items():
         if name in arguments.only:

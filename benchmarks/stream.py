@@ -12,16 +12,19 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
+from numpy_load import cpu_time
 
 from srt.result.calibration import Calibration
 from srt.sensor_errors import N_PARAMETERS, SensorErrors
 from srt.stacks.stream_correction import StreamCorrector, StreamOptions
 from srt.stacks.text_lines import LineCorrector
+
+COMMAND = [sys.executable, "-m", "srt.cli", "apply"]
 
 
 def unit() -> Calibration:
@@ -35,62 +38,51 @@ def lines(n: int) -> list[str]:
     return [",".join(f"{v:.9g}" for v in row) + "\n" for row in values.tolist()]
 
 
-def memory_kib(pid: int) -> int:
-    """Resident memory of a process, KiB; 0 where the system does not tell."""
-    try:
-        text = Path(f"/proc/{pid}/status").read_text()
-    except OSError:
-        return 0
-    return int(text.split("VmRSS:")[1].split()[0])
-
-
-def steps(texts: list[str]) -> dict[str, float]:
-    """CPU time of a line, µs: all of it in the process, and its parts alone."""
+def steps(texts: list[str]) -> None:
+    """Print the CPU time of a line, µs: all of it in the process, and its parts alone."""
     corrector = StreamCorrector(unit(), "mars", StreamOptions(gravity=9.80665), print)
-    whole, out = LineCorrector(corrector), io.StringIO()
-    parsed = []
-
-    def parse() -> None:
-        parsed[:] = [tuple(map(float, text.split(","))) for text in texts]
-
-    def correct() -> None:
-        for values in parsed:
-            corrector.correct(values[1:])
-
-    def everything() -> None:
-        out.seek(0)
-        for text in texts:
-            out.write(whole.correct(text) + "\n")
-
-    spans = {}
-    for name, call in (("parsing", parse), ("correction", correct), ("parsing, correction and text", everything)):
-        began = time.process_time()
-        call()
-        spans[name] = 1e6 * (time.process_time() - began) / len(texts)
-    return spans
+    whole, out, parsed = LineCorrector(corrector), io.StringIO(), []
+    calls: dict[str, Callable[[], object]] = {
+        "parsing": lambda: parsed.extend(tuple(map(float, text.split(","))) for text in texts),
+        "correction": lambda: [corrector.correct(values[1:]) for values in parsed],
+        "parsing, correction and text": lambda: [out.write(whole.correct(text) + "\n") for text in texts],
+    }
+    for name, call in calls.items():
+        print(f"{name}: {1e6 * cpu_time(call) / len(texts):.2f} µs a line")
 
 
-def latencies(texts: list[str], folder: Path) -> tuple[np.ndarray, int, int]:
-    """Time from a line written to its answer read, s, through the pipes of the command; memory early and late, KiB."""
-    unit().save(folder / "unit.json")
-    command = [sys.executable, "-m", "srt.cli", "apply", str(folder / "unit.json"), "-"]
-    spans = np.empty(len(texts))
-    early = 0
-    with subprocess.Popen(
-        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, bufsize=1
-    ) as child:
-        assert child.stdin is not None
-        assert child.stdout is not None
-        for i, text in enumerate(texts):
-            began = time.perf_counter()
+def memory_mib(pid: int) -> float:
+    """Resident memory of a process, MiB; NaN where the system does not tell."""
+    try:
+        return int(Path(f"/proc/{pid}/status").read_text().split("VmRSS:")[1].split()[0]) / 1024
+    except OSError:
+        return float("nan")
+
+
+def latencies(what: str, pid: int, inputs: Iterable, n: int, answered: Callable[[object], None]) -> None:
+    """Time from an input sent to its answer received; memory of the command early and at the end."""
+    spans, early = np.empty(n), 0.0
+    for i, each in enumerate(inputs):
+        began = time.perf_counter()
+        answered(each)
+        spans[i] = time.perf_counter() - began
+        if i == n // 10:
+            early = memory_mib(pid)
+    median, high = 1e6 * np.percentile(spans[100:], (50, 99))
+    print(f"{n} {what}: latency median {median:.0f} µs, 99th percentile {high:.0f} µs")
+    print(f"memory {early:.1f} MiB after a tenth, {memory_mib(pid):.1f} MiB at the end", flush=True)
+
+
+def by_pipes(texts: list[str], file: str) -> None:
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
+    with subprocess.Popen([*COMMAND, file, "-"], **pipes, text=True, bufsize=1) as child:
+
+        def answered(text: str) -> None:
             child.stdin.write(text)
             child.stdout.readline()
-            spans[i] = time.perf_counter() - began
-            if i == len(texts) // 10:
-                early = memory_kib(child.pid)
-        late = memory_kib(child.pid)
+
+        latencies("lines through the command", child.pid, texts, len(texts), answered)
         child.stdin.close()
-    return spans, early, late
 
 
 def packets(n: int) -> Iterator[bytes]:
@@ -105,50 +97,31 @@ def packets(n: int) -> Iterator[bytes]:
         link.seq = (link.seq + 1) % 256
 
 
-def mavlink_latencies(n: int, folder: Path) -> tuple[np.ndarray, int, int]:
-    """Time from a packet sent to its answer received, s; memory of the command early and late, KiB."""
-    unit().save(folder / "unit.json")
+def by_mavlink(n: int, file: str) -> None:
     with socket.socket(type=socket.SOCK_DGRAM) as answers, socket.socket(type=socket.SOCK_DGRAM) as sender:
         with socket.socket(type=socket.SOCK_DGRAM) as free:
             free.bind(("127.0.0.1", 0))
             source = free.getsockname()
         answers.bind(("127.0.0.1", 0))
         answers.settimeout(0.2)
-        addresses = [f"udp:{host}:{port}" for host, port in (source, answers.getsockname())]
-        command = [sys.executable, "-m", "srt.cli", "apply", str(folder / "unit.json"), "--from", addresses[0]]
-        spans = np.empty(n)
-        early = 0
-        with subprocess.Popen([*command, "--to", addresses[1]], stderr=subprocess.DEVNULL) as child:
+        into, out = (f"udp:{host}:{port}" for host, port in (source, answers.getsockname()))
+
+        def answered(packet: bytes) -> None:
+            sender.sendto(packet, source)
+            answers.recv(4096)
+
+        with subprocess.Popen([*COMMAND, file, "--from", into, "--to", out], stderr=subprocess.DEVNULL) as child:
             try:
-                _wait_until_answered(sender, answers, source)
+                for _ in range(300):
+                    with suppress(TimeoutError):
+                        answered(next(packets(1)))
+                        break
+                else:
+                    raise SystemExit("The command answers no packet.")
                 answers.settimeout(10.0)
-                for i, packet in enumerate(packets(n)):
-                    began = time.perf_counter()
-                    sender.sendto(packet, source)
-                    answers.recv(4096)
-                    spans[i] = time.perf_counter() - began
-                    if i == n // 10:
-                        early = memory_kib(child.pid)
-                late = memory_kib(child.pid)
+                latencies("MAVLink packets over UDP", child.pid, packets(n), n, answered)
             finally:
                 child.terminate()
-    return spans, early, late
-
-
-def _wait_until_answered(sender: socket.socket, answers: socket.socket, source: tuple[str, int]) -> None:
-    first = next(packets(1))
-    for _ in range(300):
-        sender.sendto(first, source)
-        with suppress(TimeoutError):
-            answers.recv(4096)
-            return
-    raise SystemExit("The command answers no packet.")
-
-
-def show(what: str, spans: np.ndarray, early: int, late: int) -> None:
-    median, high = 1e6 * np.percentile(spans[100:], (50, 99))
-    print(f"{len(spans)} {what}: latency median {median:.0f} µs, 99th percentile {high:.0f} µs")
-    print(f"memory {early / 1024:.1f} MiB after a tenth, {late / 1024:.1f} MiB at the end", flush=True)
 
 
 def main() -> None:
@@ -157,11 +130,12 @@ def main() -> None:
     parser.add_argument("--packets", type=int, default=200_000)
     given = parser.parse_args()
     texts = lines(given.samples)
-    for name, span in steps(texts[:200_000]).items():
-        print(f"{name}: {span:.2f} µs a line")
+    steps(texts[:200_000])
     with tempfile.TemporaryDirectory() as folder:
-        show("lines through the command", *latencies(texts, Path(folder)))
-        show("MAVLink packets over UDP", *mavlink_latencies(given.packets, Path(folder)))
+        file = f"{folder}/unit.json"
+        unit().save(Path(file))
+        by_pipes(texts, file)
+        by_mavlink(given.packets, file)
 
 
 if __name__ == "__main__":

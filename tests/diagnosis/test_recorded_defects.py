@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-import recorded_defects
+from honesty import STUDIES
+from honesty_recordings import DEFECTS
 
 
-@pytest.mark.parametrize("name", [name for name in recorded_defects.ROWS if name not in {"none", "none, 9 turns"}])
+def outcome(name, unit):
+    return STUDIES["defects"].trial((name,), unit, [])["default"]
+
+
+@pytest.mark.parametrize("name", [name for name in DEFECTS if name not in {"none", "none, 9 turns"}])
 def test_a_defect_is_named_or_harmless(name):
-    row = recorded_defects.ROWS[name]
-    found = recorded_defects.outcome(row, number=0)
-    assert set(row.named) <= set(found.faults)
-    if np.isfinite(found.z).any():
+    found = outcome(name, 0)
+    assert set(DEFECTS[name].named) <= set(found.faults)
+    if found.usable:
         # Of at most 27 normal errors of ten recordings, one in a hundred has one beyond 4.2 sigma.
         assert np.nanmax(np.abs(found.z)) <= 4.2
     else:
@@ -22,4 +26,4 @@ def test_a_defect_is_named_or_harmless(name):
 
 def test_a_shake_on_all_axes_is_clipped():
     """All three axes hold their extremes at once, and show no noise there."""
-    assert recorded_defects.outcome(recorded_defects.ROWS["shake at ±32767"], number=4).faults[0] == "gyro_clipped"
+    assert outcome("shake at ±32767", 4).faults[0] == "gyro_clipped"

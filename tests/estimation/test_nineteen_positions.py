@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from nineteen_positions import CASES, SHOWN, bound, rms, study
+from nineteen_positions import CASES, SHOWN, bound, study
+from studies import rms
 
 from srt.sensor_errors import GROUP_SLICES
 

@@ -42,7 +42,7 @@ EXTRAS = {
     "sims": (),
     "sims/robustness": ("campaign",),
     "sims/scenarios": ("sims",),
-    "benchmarks": ("dev", "fuzz"),
+    "benchmarks": ("dev",),
     "examples": ("examples",),
     "tests": ("dev",),
 }

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from honesty import ESTIMATORS, STUDIES
+from honesty_recordings import SILENT_ERRORS
 from scipy.stats import chi2
-from silent_errors import ESTIMATORS, GRADE, ROWS, SEED, trial
 
 import srt
 from sims.faults.injection import Case
@@ -13,31 +14,37 @@ from srt.constants import MICRO_G
 from srt.estimation import drift_model
 from srt.result.verdict import verdict_on
 
+GRADE, SEED = "navigation-rlg", 20261130
+
+
+def trial(name, unit):
+    """Scores of all estimators."""
+    return list(STUDIES["silent-errors"].trial((name,), unit, ESTIMATORS).values())
+
 
 @pytest.mark.parametrize("units", [1, pytest.param(2, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", ["vibration, 5 µrad and 3 mg at 23 Hz", "vibration, 0.3 mrad at 7 Hz"])
 def test_vibration_is_named_and_its_effect_removed(name, units):
     """NEES of all units and estimators, whose errors are alike, below the band of 1e-4."""
     pytest.importorskip("gtsam")
-    nees, named, inconsistent = np.moveaxis(np.array([trial(name, 40 + u) for u in range(units)]), 2, 0)
-    assert nees.shape == (units, len(ESTIMATORS))
-    assert named.all()
-    assert not inconsistent.any()
-    assert np.all(27.0 * nees < chi2.isf(1e-4 / units, 27))
+    scores = [score for u in range(units) for score in trial(name, 40 + u)]
+    assert len(scores) == units * len(ESTIMATORS)
+    assert all(score.named and score.status != "inconsistent" for score in scores)
+    assert all(score.nees < chi2.isf(1e-4 / units, 27) for score in scores)
 
 
 def test_a_wrong_clock_and_gravity_are_told():
     pytest.importorskip("gtsam")
     for name in ("clock off by 1e-4", "gravity off by 342 ppm"):
-        assert all(named for _, named, _ in trial(name, 40))
-    assert all(nees < chi2.isf(1e-4, 27) / 27.0 for nees, _, _ in trial("clock off by 1e-4, sigma stated", 40))
-    assert "none" in ROWS
+        assert all(score.named for score in trial(name, 40))
+    assert all(score.nees < chi2.isf(1e-4, 27) for score in trial("clock off by 1e-4, sigma stated", 40))
+    assert "none" in SILENT_ERRORS
 
 
 def test_wobble_stated_as_zero_is_found_with_its_size():
     """10 µrad per pose, from 17 starts and as many ends; no sigma of the filter is far above that of least squares."""
     case = Case(GRADE, SEED + 40)
-    recording = ROWS["wobble of 10 µrad, stated as 0"].change(case, np.random.default_rng((SEED, 40)))
+    recording = SILENT_ERRORS["wobble of 10 µrad, stated as 0"].change(case, np.random.default_rng((SEED, 40)))
     found, least = (srt.calibrate(recording, estimator, checks=False) for estimator in ("ekf", "least-squares"))
     added = found.verdict.added_noise["wobble_rad"]
     assert added.own == 0.0
@@ -52,7 +59,7 @@ def test_wobble_stated_as_zero_is_found_with_its_size():
 def test_an_instability_that_the_residuals_of_the_gyros_outnumber_is_found():
     """Unit whose 194 joint residuals had p = 0.004, and errors of 8 sigma; the forces alone show its instability."""
     pytest.importorskip("gtsam")
-    assert all(27.0 * nees < chi2.isf(1e-4, 27) for nees, *_ in trial("flicker of 0.003 °/h and 2 µg, not stated", 16))
+    assert all(s.nees < chi2.isf(1e-4, 27) for s in trial("flicker of 0.003 °/h and 2 µg, not stated", 16))
 
 
 @pytest.mark.parametrize("estimator", ["closed-form", "least-squares", "graph"])
@@ -60,7 +67,7 @@ def test_a_possible_drift_enters_the_covariance_alone(estimator, monkeypatch):
     """A ramp of 14 µg over the test, not significant: three draws, one for each axis; the same estimate."""
     pytest.importorskip("gtsam")
     unit = 5
-    recording = ROWS["accelerometer ramp, 100 µg/h"].change(
+    recording = SILENT_ERRORS["accelerometer ramp, 100 µg/h"].change(
         Case(GRADE, SEED + unit), np.random.default_rng((SEED, unit))
     )
     found = srt.calibrate(recording, estimator, checks=False)
