@@ -226,12 +226,12 @@ def _of_one_triad(evidence: Evidence, sensor: Sensor, scales: ScaleRatios) -> It
             if d < _MATCH:
                 kind = "other unit" if unit.fault.endswith("other_unit") else "unit"
                 yield cause(kind, unit.fault, math.log(unit.factor), _fields(evidence, sensor, scales, unit))
-        shift = math.log(evidence.dt) * (1.0 if rates else -1.0)
-        if abs(off - shift) < _MATCH:
+        of_interval = math.log(evidence.dt) * (1.0 if rates else -1.0)
+        if abs(off - of_interval) < _MATCH:
             kinds = ("increments", "rates", "divide") if rates else ("rates", "increments", "multiply")
-            fields = {"ratio": scales.typical, "interval": evidence.dt}
-            fields |= dict(zip(("found", "declared", "remedy"), kinds, strict=True))
-            yield cause("kind of one", f"{sensor}_kind", shift, fields)
+            names = dict(zip(("found", "declared", "remedy"), kinds, strict=True))
+            details = {"ratio": scales.typical, "interval": evidence.dt, **names}
+            yield cause("kind of one", f"{sensor}_kind", of_interval, details)
     count = round(1.0 / scales.typical)
     # Thinned increments without a rotation: the interval is longer than that of any IMU, but interval / count is not.
     if sensor == "accel" and not rates and count >= 2 and USUAL_S[0] <= evidence.dt / count <= USUAL_S[1] < evidence.dt:
