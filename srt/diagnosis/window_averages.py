@@ -125,19 +125,10 @@ def window_averages(data: PreparedRecording) -> WindowAverages | None:
     sample, block, late, sigma = np.empty((4, V, 6))
     power = np.empty((V, len(heads), 6))
     for v, (a, b) in enumerate(samples[chosen].tolist()):
-        n = b - a
         x = np.concatenate([recording.gyro[a:b], recording.accel[a:b]], axis=1)
         x *= per_rate
-        means.append(np.einsum("bsc->bc", x[: n // size * size].reshape(-1, size, 6)) / size)
-        change = x[1:] - x[:-1]
-        sample[v] = 0.5 * np.einsum("nc,nc->c", change, change) / (n - 1)
-        middle = np.einsum("nc->c", x[n // 2 :]) / (n - n // 2)
-        x -= middle
-        late[v] = np.einsum("nc,nc->c", x[n // 2 :], x[n // 2 :]) / (n - n // 2)
-        for h, length in enumerate(np.minimum(heads, n // 2).tolist()):  # a start part is at most half a window
-            start = x[:length]
-            square, total = np.einsum("nc,nc->c", start, start), np.einsum("nc->c", start)
-            power[v, h] = (square - total**2 / length) / length
+        blocks, sample[v], late[v], power[v] = _one_window(x, size, heads)
+        means.append(blocks)
     number = np.array([len(m) for m in means])
     groups = tuple(
         (np.flatnonzero(number == n), np.stack([m for m in means if len(m) == n])) for n in np.unique(number)
@@ -173,6 +164,21 @@ def window_averages(data: PreparedRecording) -> WindowAverages | None:
         # the error of each sample is at most half a step.
         block_doubt=np.where(pulses, step / size, np.where(typical < step, 0.5 * step, 0.0)),
     )
+
+
+def _one_window(x: Array, size: int, heads: Indices) -> tuple[Array, Array, Array, Array]:
+    """Block means of readings (n, 6), variance of samples, of the second half, and of the start parts (H, 6)."""
+    n = len(x)
+    means = np.einsum("bsc->bc", x[: n // size * size].reshape(-1, size, 6)) / size
+    change = x[1:] - x[:-1]
+    x = x - np.einsum("nc->c", x[n // 2 :]) / (n - n // 2)
+    power = np.empty((len(heads), 6))
+    for h, length in enumerate(np.minimum(heads, n // 2).tolist()):  # a start part is at most half a window
+        start = x[:length]
+        square, total = np.einsum("nc,nc->c", start, start), np.einsum("nc->c", start)
+        power[h] = (square - total**2 / length) / length
+    late = np.einsum("nc,nc->c", x[n // 2 :], x[n // 2 :]) / (n - n // 2)
+    return means, 0.5 * np.einsum("nc,nc->c", change, change) / (n - 1), late, power
 
 
 def _freedom(recording: Recording, samples: Indices, heads: Indices) -> Array:
