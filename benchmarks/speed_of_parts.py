@@ -32,6 +32,7 @@ from srt.diagnosis.inspection import inspect
 from srt.estimation.initial_estimates import initial_estimate
 from srt.estimation.options import Options
 from srt.model.platform_steps import many_recordings
+from srt.model.rotations import rotation_matrix
 from srt.model.sensor_model import gyro_triad, outside_model
 from srt.recording.recording import Fixture, Recording, Site
 from srt.reports.figures.inspection import inspection_figure
@@ -58,7 +59,8 @@ PART = 1000
 def calibration(sigma: float = 0.01) -> Calibration:
     """Calibration of a unit whose errors are drawn with one sigma."""
     vector = np.random.default_rng(1).normal(0.0, sigma, N_PARAMETERS)
-    return Calibration("", "converged", "", SensorErrors(vector), np.eye(N_PARAMETERS) * 1e-8)
+    U = rotation_matrix(np.array([0.1, -0.2, 0.15]))
+    return Calibration("", "converged", "", SensorErrors(vector), np.eye(N_PARAMETERS) * 1e-8, U=U)
 
 
 def correction(rounds: int) -> Iterator[Row]:
