@@ -245,8 +245,7 @@ class JointModel:
         A parameter is then observed if the measurements reduce this sigma to a third. The others have the value that
         prior and measurements together give, so that sums that are known better stay right.
         """
-        wide = admission_sigma()
-        self.admission = np.where(uncertain > 0.0, np.minimum(wide, uncertain), wide)
+        self.admission = np.minimum(admission_sigma(), np.where(uncertain > 0.0, uncertain, np.inf))
         return Prior.from_sigma(self.admission, self.fixed_values)
 
     def with_fixed_values(self, state: JointState, fixed: Mask) -> JointState:
