@@ -121,8 +121,9 @@ def test_table_has_a_row_per_unit_and_fits(made):
         found = srt.load_calibration(output / f"{name}.json")
         ratio = found.verdict.chi_square / found.verdict.degrees_of_freedom
         assert rows[name][:3] == [f"SN-{number}", "converged", found.judgement.word]
-        assert float(rows[name][3]) == pytest.approx(ratio, abs=0.0051)
-        assert rows[name][5:] == [str(len(found.warnings)), symbol if name == ODD else "no"]
+        assert rows[name][3] == str(found.observed.sum())
+        assert float(rows[name][4]) == pytest.approx(ratio, abs=0.0051)
+        assert rows[name][6:] == [str(len(found.warnings)), symbol if name == ODD else "no"]
         shown = next(line.split() for line in sizes.splitlines() if line.startswith(f" {name} "))
         largest = max(found.errors.group("gyro_scale"), key=abs) * 1e6
         assert float(shown[1]) == pytest.approx(largest, abs=0.051)
