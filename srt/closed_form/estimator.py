@@ -1,7 +1,7 @@
 """Estimator ``closed-form``: the iterated closed-form SRT (Savage 2020 [P], §§6-9), and its result.
 
 Unmodelled noise and drift are tested: residuals that noise does not explain enlarge all sigmas by their Birge ratio,
-and one chi-square for each triad shows a drift of its biases. ``least-squares`` models both.
+and they show a drift or step of the biases of a triad. ``least-squares`` models both.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from srt.closed_form.leave_one_out import contradictions, second_order_variance,
 from srt.closed_form.measurement_covariance import accel_drift, covariance, disturbances, effect
 from srt.estimation import g_sensitivity_report
 from srt.estimation.calibration_builder import build_calibration
-from srt.estimation.drift_model import DriftEstimate, DriftSearch, change, gyro_statistics, possible_sigma
+from srt.estimation.drift_model import DriftEstimate, DriftSearch, change, gyro_statistics, most_likely, possible_sigma
 from srt.estimation.error_sources import NO_ERRORS, as_found
 from srt.estimation.fixed_parameters import fixed_sigma, fixed_values, reason_on_request, value_of_fixed
 from srt.estimation.g_sensitivity import MODE as G_SENSITIVE
@@ -36,7 +36,7 @@ from srt.estimation.solver_result import SolverResult
 from srt.exceptions import DataError
 from srt.model import closed_form
 from srt.model.table1 import SEQUENCES
-from srt.noise.drift_forms import FALSE_ALARM, LINEAR, drift_test, likelihood_gain, variance_component
+from srt.noise.drift_forms import LINEAR, drift_test, likelihood_gain, variance_component
 from srt.result.calibration import Residual
 from srt.result.diagnostics import Diagnostics
 from srt.result.verdict import MISFIT_PROBABILITY
@@ -49,10 +49,10 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from srt.closed_form.iteration import Solution
-    from srt.estimation.drift_model import Sensor
+    from srt.estimation.drift_model import DriftTerm, Sensor
     from srt.estimation.options import Options
     from srt.estimation.registry import Progress
-    from srt.noise.drift_forms import DriftTest, Statistics
+    from srt.noise.drift_forms import Statistics
     from srt.recording.recording import Recording, SequenceLabel
     from srt.result.calibration import Calibration
     from srt.result.diagnostics import GSensitivity
@@ -312,20 +312,34 @@ def _drift(
 ) -> tuple[tuple[DriftEstimate, ...], DriftSearch, Array]:
     """Significant drift of each triad; a possible one of the accelerometers, and the covariance by what is not seen.
 
-    The test has one chi-square for each triad, that of a linear drift.
+    A linear drift of each triad is tested, and steps where it is likely.
     """
     m, R, course = solution.measurements, solution.measurement_covariance, data.drift_shapes[LINEAR].windows
-    linear = effect(solution.projection, accel_drift(m, np.ones(3), course))
-    (accel,) = residual_statistics(m.z, m.H[:, ~fixed], R, linear)
-    gyro = gyro_statistics(data, m.gyro.inverse, m.rest_rate, m.integrated, (), {LINEAR: course})[LINEAR]
-    tests: dict[Sensor, DriftTest | None] = {"accel": drift_test(accel), "gyro": drift_test(gyro)}
-    found = tuple(
-        DriftEstimate(sensor, LINEAR, change(LINEAR, test.amplitude[None], course), modelled=False)
-        for sensor, test in tests.items()
-        if test is not None and test.p_value < FALSE_ALARM / len(tests)
-    )
-    possible = 0.0 if tests["accel"] is None else possible_sigma(accel, tests["accel"].p_value)
-    root = possible * solution.gain @ linear
+
+    def statistics(sensor: Sensor, course: Array) -> Statistics:
+        if sensor == "gyro":
+            return gyro_statistics(data, m.gyro.inverse, m.rest_rate, m.integrated, (), {"": course})[""]
+        drift = effect(solution.projection, accel_drift(m, np.ones(3), course))
+        return residual_statistics(m.z, m.H[:, ~fixed], R, drift)[0]
+
+    def by_window(sensor: Sensor) -> Statistics:
+        return statistics(sensor, np.eye(len(course)))
+
+    def estimated(term: DriftTerm) -> DriftEstimate:
+        shape = data.drift_shape(*term[:2]).windows
+        test = drift_test(statistics(term.sensor, shape))
+        assert test is not None
+        change_by = change(term.form, test.amplitude.reshape(-1, 3), shape)
+        return DriftEstimate(term.sensor, term.form, change_by, modelled=False)
+
+    linear: dict[tuple[Sensor, str], Statistics] = {
+        ("accel", LINEAR): statistics("accel", course),
+        ("gyro", LINEAR): statistics("gyro", course),
+    }
+    found = tuple(estimated(term) for term in most_likely(data, linear, (), 0.0, by_window).terms)
+    accel = linear["accel", LINEAR]
+    possible = 0.0 if (test := drift_test(accel)) is None else possible_sigma(accel, test.p_value)
+    root = possible * solution.gain @ effect(solution.projection, accel_drift(m, np.ones(3), course))
     by_unseen = root @ root.T
     if data.noise.accel_unseen.any():
         by_instability, seen = _by_instability(data, solution, fixed)
