@@ -24,8 +24,8 @@ _ONE_POLARITY: Final = 0.05
 """Smallest share of zeros in the readings of a channel without one of the signs."""
 WHOLE: Final = 1e-3
 """Largest distance of a reading from a multiple of the step, in steps: rounding leaves less."""
-_BITS: Final = 16
-"""Number of bits of a word."""
+_BITS: Final = 32
+"""Largest number of bits of a word."""
 _PASSED: Final = 20
 """Fewest values of the bits from the stuck bit upwards: for independent readings, such as those of static poses, all of
 them have the bit set with p = 1e-6. For rotations, in which the readings pass all values between, p is far smaller."""
@@ -122,8 +122,10 @@ def _count_value(table: Array) -> float | None:
     for axis in np.flatnonzero(smallest_step(table) > 0.0).tolist():
         column = np.unique(table[:, axis])
         gaps = np.unique(np.diff(column))
-        steps = np.concatenate([gaps, np.diff(gaps)])
-        least.append(float(steps[steps > ROUNDING * np.abs(column).max()].min()))
+        steps, largest = np.concatenate([gaps, np.diff(gaps)]), float(np.abs(column).max())
+        step = float(steps[steps > ROUNDING * largest].min())
+        # The largest reading, a whole number of counts, gives the count value without the rounding of a difference.
+        least.append(largest / max(1, round(largest / step)))
     return min(least) if least else None
 
 

@@ -48,6 +48,13 @@ def stalled(unit):
     return filled(unit, np.zeros(40))
 
 
+def bit_6_stuck(unit):
+    """Gyro x as words of 25 bits, 1 µrad/s a count."""
+    words = np.rint(unit.gyro * 1e6).astype(np.int64) + 2**24
+    words[:, 0] |= 1 << 6
+    return replace(unit, gyro=(words - 2**24) * 1e-6)
+
+
 @pytest.mark.parametrize(
     ("fault", "change"),
     [
@@ -55,6 +62,7 @@ def stalled(unit):
         ("spikes", spike_in_a_rotation),
         ("samples_interpolated", interpolated),
         ("samples_stuck", stalled),
+        ("bit_stuck", bit_6_stuck),
     ],
 )
 def test_wrong_samples_are_never_sound(fault, change):
