@@ -73,6 +73,18 @@ def test_wrong_samples_are_never_sound(fault, change):
     assert srt.calibrate(unit).judgement.word == SOUND
 
 
+@pytest.mark.parametrize("grade", ["consumer", "navigation"])
+@pytest.mark.parametrize("sensor", ["gyro", "accel"])
+def test_an_axis_without_readings_for_half_the_test_is_named(sensor, grade):
+    """It is constant in more windows than can be exceptions."""
+    unit, _ = on_the_fixture(0, grade)
+    readings = getattr(unit, sensor).copy()
+    readings[len(readings) // 2 :, 1] = 0.0
+    with pytest.raises(DataError) as refused:
+        srt.calibrate(replace(unit, **{sensor: readings}))
+    assert refused.value.fault == f"{sensor}_axis_stuck"
+
+
 def turned_by_hand(seed):
     """A consumer unit in 15 turns by hand: the rotation of gravity shows gyro scales to some percent."""
     rng = np.random.default_rng((SEED, 8, seed))
