@@ -17,7 +17,9 @@ from srt.sequences.recognition import leave_out
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from srt.diagnosis.findings import Finding
     from srt.diagnosis.inspection import Inspection
+    from srt.diagnosis.staged_diagnosis import Diagnosis
     from srt.estimation.registry import Progress
     from srt.noise.noise_terms import NoiseTerms
     from srt.recording.recording import Recording
@@ -92,16 +94,16 @@ def calibrate(
     staged = StagedDiagnosis(recording, options)
     screened = staged.before_calibration()
     if screened.refusal is not None and not force:
-        raise DataError(screened.refusal.sentence, fault=screened.refusal.fault)
+        raise _refused(screened)
     try:
         result = estimate(recording, estimator, options, progress)
     except DataError as error:
         if screened.first is None or error.fault is not None:
             raise
-        raise DataError(f"{error} The likely cause: {screened.first.sentence}", fault=screened.first.fault) from error
+        raise _caused(str(error), screened.first) from error
     diagnosis = staged.with_calibration(result)
     if diagnosis.refusal is not None and not force:
-        raise DataError(diagnosis.refusal.sentence, fault=diagnosis.refusal.fault)
+        raise _refused(diagnosis)
     told = _IN_RESULT | explained(result)
     warnings = tuple(f.sentence for f in diagnosis.findings if f.effect != "note" and f.fault not in told)
     return replace(
@@ -109,6 +111,18 @@ def calibrate(
         warnings=(*warnings, *result.warnings),
         diagnostics=replace(result.diagnostics, faults=diagnosis.faults),
     )
+
+
+def _refused(diagnosis: Diagnosis) -> DataError:
+    """Error for a fatal fault, with the first finding as its cause: repeated samples also shift the labels."""
+    refusal, first = diagnosis.refusal, diagnosis.first
+    assert refusal is not None
+    assert first is not None
+    return DataError(refusal.sentence, fault=refusal.fault) if first is refusal else _caused(refusal.sentence, first)
+
+
+def _caused(sentence: str, cause: Finding) -> DataError:
+    return DataError(f"{sentence} The likely cause: {cause.sentence}", fault=cause.fault)
 
 
 def sigmas_with_moves(recording: Recording, result: Calibration, options: Options) -> tuple[float, float] | None:

@@ -85,6 +85,17 @@ def test_an_axis_without_readings_for_half_the_test_is_named(sensor, grade):
     assert refused.value.fault == f"{sensor}_axis_stuck"
 
 
+def test_repeated_samples_are_the_cause_of_shifted_labels():
+    """60 samples written twice, each with a stamp of its own: the labels lag by up to 1.2 s."""
+    unit, _ = on_the_fixture(0, "tactical")
+    n = len(unit.time)
+    rows = np.sort(np.append(np.arange(n), np.random.default_rng(SEED).choice(n, 60, replace=False)))
+    time = unit.time[0] + unit.nominal_interval_s * np.arange(len(rows))
+    with pytest.raises(DataError, match="The labels are late by") as refused:
+        srt.calibrate(replace(unit, time=time, gyro=unit.gyro[rows], accel=unit.accel[rows]))
+    assert refused.value.fault == "samples_duplicated"
+
+
 def turned_by_hand(seed):
     """A consumer unit in 15 turns by hand: the rotation of gravity shows gyro scales to some percent."""
     rng = np.random.default_rng((SEED, 8, seed))
