@@ -226,11 +226,13 @@ with p = 0.16; six successive second differences in six channels are all zero wi
 def samples_interpolated(evidence: Evidence) -> Iterator[Finding]:
     """Find the longest run of samples on straight lines in all channels, at least two of which change along the line.
 
-    Constant channels are frozen, or have no pulses at rest.
+    Constant channels are frozen, or have no pulses at rest. Samples outside the sequences are not in the result.
     """
-    if not evidence.noisy_channels.reshape(2, 3).any(axis=1).all():
+    data = evidence.data
+    if data is None or not evidence.noisy_channels.reshape(2, 3).any(axis=1).all():
         return
-    at = np.arange(evidence.columns.shape[1] - 2)
+    spans = np.stack([data.windows.samples[data.start, 0], data.windows.samples[data.end, 1] - 2], axis=1)
+    at = np.unique(np.concatenate([np.arange(a, b) for a, b in spans.tolist()]))
     slopes = np.zeros(len(at), dtype=np.intp)
     for column in evidence.columns:
         rounding, step = ROUNDING * float(np.abs(column).max()), column[at + 1] - column[at]

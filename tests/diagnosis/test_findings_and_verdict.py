@@ -73,6 +73,12 @@ def test_wrong_samples_are_never_sound(fault, change):
     assert srt.calibrate(unit).judgement.word == SOUND
 
 
+def test_interpolated_samples_of_a_sequence_that_is_left_out_are_not_in_the_result():
+    unit, _ = on_the_fixture(0, "tactical")
+    found = srt.calibrate(interpolated(unit), without_turns=(unit.sequences[7].id,))
+    assert "samples_interpolated" not in {fault.fault for fault in found.diagnostics.faults}
+
+
 @pytest.mark.parametrize("grade", ["consumer", "navigation"])
 @pytest.mark.parametrize("sensor", ["gyro", "accel"])
 def test_an_axis_without_readings_for_half_the_test_is_named(sensor, grade):
