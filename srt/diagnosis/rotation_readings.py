@@ -229,6 +229,8 @@ def find_rotations(data: PreparedRecording | None, path: BlockAverages | None) -
         size = np.abs(path.rate) / np.where(largest > _OTHER_UNIT * typical, largest / typical, 1.0)
         speed, axis = size.max(axis=1), np.argmax(size, axis=1)
         for s, e in pairwise(path.starts.tolist()):
+            if s == e:  # shorter than a block
+                continue
             k = int(path.sequence[s])
             sequence = data.catalogue[k]
             if sequence is None:
