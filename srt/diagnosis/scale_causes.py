@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from scipy.special import logsumexp
+from scipy.special import log_softmax, logsumexp
 
 from srt.constants import EARTH_RATE_RAD_S
 from srt.diagnosis.cause_comparison import CLOSE
@@ -28,38 +28,29 @@ if TYPE_CHECKING:
     from srt.diagnosis.stationary_rates import EarthRate
     from srt.types import Array
 
-_GRID: Final = np.geomspace(1e-4, 1.0, 25)
+FREQUENT: Final = 1e-2
+RARE: Final = 1e-3
+"""Prior probabilities of causes, relative to no fault. Only their ratios matter: a scale ratio that is known to 1 %
+outweighs them."""
+_ROUNDING: Final = 1e-4
+"""Smallest standard deviation of the logarithm of a ratio: labels and windows are not more accurate."""
+_GRID: Final = np.geomspace(_ROUNDING, 1.0, 25)
 """Standard deviations of the scale-factor errors of a unit over which the likelihood is averaged."""
 _USUAL: Final = 0.02
 """Standard deviation of scale-factor errors above which the prior weight falls with its square: uncalibrated MEMS."""
-_WEIGHT: Final = 1.0 / (1.0 + (_GRID / _USUAL) ** 2)
-_LOG_WEIGHT: Final = np.log(_WEIGHT / _WEIGHT.sum())
-_ROUNDING: Final = 1e-4
-"""Smallest standard deviation of the logarithm of a ratio: labels and windows are not more accurate."""
-_GRAVITY: Final = 0.0035
+_LOG_WEIGHT: Final = log_softmax(-np.log1p(np.square(_GRID / _USUAL)))
+GRAVITY_SIGMA: Final = 0.0035
 """Relative standard deviation of the stated gravity: 0.4 of its variation over the Earth (9.76 to 9.84 m/s²)."""
-_SITE_WRONG: Final = 1e-2
-"""Prior probability of a wrong latitude, for which the Earth rate does not distinguish the causes."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScaleCause:
-    """Cause of the scales of both triads: one fault, or one fault of each triad.
+    """Cause of the scales of both triads: one fault, one fault of each triad, or none for a sound unit.
 
-    Attributes
-    ----------
-    faults : tuple of str
-        Keys of the catalogue of faults; empty for the scale-factor errors of a sound unit.
-    gyro, accel : float or ndarray, shape (3,)
-        Known part of the logarithm of reading over truth.
-    clock : float
-        Logarithm of the stated interval over the true one.
-    unknown : mapping of sensor to (float, float)
-        Triads whose logarithm has an unknown part: its range, and the factor by which it contributes to ``clock``.
-    prior : float
-        Prior probability, relative to that of no fault.
-    details : mapping by fault
-        Values for the messages.
+    ``gyro`` and ``accel``, float or shape (3,), are the known parts of the logarithm of reading over truth; ``clock``
+    is the logarithm of the stated interval over the true one. ``unknown`` gives, for each triad whose logarithm has an
+    unknown part, its range and the factor by which it contributes to ``clock``. ``prior`` is relative to that of no
+    fault; ``details`` are the values for the message of each fault.
     """
 
     faults: tuple[str, ...] = ()
@@ -83,68 +74,35 @@ class ScaleCause:
         )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Triad:
-    """Logarithms of the ratios of a triad, and their variance for each standard deviation of the scale-factor errors.
-
-    Attributes
-    ----------
-    ratio : ndarray, shape (n,)
-    variance : ndarray, shape (25,)
-    common : float
-        Standard deviation of an error that is common to the axes.
-    """
-
-    ratio: Array
-    variance: Array
-    common: float
-
-    @staticmethod
-    def of(scales: ScaleRatios, common: float) -> _Triad:
-        if not scales.known:
-            return _Triad(np.zeros(0), np.ones(1), common)
-        ratio = np.log(scales.axes) if scales.by_axis else np.array([math.log(scales.typical)])
-        scatter = scales.axis_scatter if math.isfinite(scales.axis_scatter) else 1.0
-        return _Triad(ratio, _GRID**2 + scatter**2 + _ROUNDING**2, common)
-
-    def terms(self, shift: float | Array, width: float | None) -> tuple[Array, Array, Array]:
-        """Log-likelihood, mean deviation of the ratios from the shift, and variance of that mean.
-
-        Each is an array over the standard deviations of the scale-factor errors. If ``width`` is given, the shift has
-        an unknown part that is uniformly distributed over it.
-        """
-        n, s2 = len(self.ratio), self.variance
-        if n == 0:
-            return np.zeros(1), np.zeros(1), np.zeros(1)
-        left = self.ratio - shift
-        mean = float(left.mean())
-        v = s2 / n + self.common**2
-        own = -0.5 * ((n - 1) * np.log(2.0 * np.pi * s2) + float(np.sum((left - mean) ** 2)) / s2) + _LOG_WEIGHT
-        of_mean = -0.5 * (np.log(2.0 * np.pi * v) + mean**2 / v) if width is None else np.full(len(v), -math.log(width))
-        return own + of_mean, np.full(len(v), mean), v
-
-
 def score(cause: ScaleCause, gyro: ScaleRatios, accel: ScaleRatios, earth: EarthRate | None) -> float:
-    """Logarithm of the posterior probability of a cause, given all measurements, up to a constant.
-
-    Parameters
-    ----------
-    cause : ScaleCause
-    gyro, accel : ScaleRatios
-    earth : EarthRate or None
-    """
+    """Logarithm of the posterior probability of a cause, given all measurements, up to a constant."""
     total, clock, doubt = np.zeros((1, 1)), np.full((1, 1), cause.clock), np.zeros((1, 1))
-    for sensor, triad, shift, axis in (
-        ("gyro", _Triad.of(gyro, 0.0), cause.gyro, 0),
-        ("accel", _Triad.of(accel, _GRAVITY), cause.accel, 1),
+    for axis, (sensor, scales, shift, common) in enumerate(
+        (("gyro", gyro, cause.gyro, 0.0), ("accel", accel, cause.accel, GRAVITY_SIGMA))
     ):
         width, on_clock = cause.unknown.get(sensor, (None, 0.0))
-        own, mean, variance = (np.expand_dims(x, 1 - axis) for x in triad.terms(shift, width))
+        own, mean, variance = np.expand_dims(_terms(scales, shift, width, common), 2 - axis)
         total = total + own
         clock, doubt = clock + on_clock * mean, doubt + on_clock**2 * variance
-    if earth is not None:
-        total = total + _earth_term(clock, doubt, *earth)
-    return math.log(cause.prior) + float(logsumexp(total))
+    by_earth = 0.0 if earth is None else _earth_term(clock, doubt, *earth)
+    return math.log(cause.prior) + float(logsumexp(total + by_earth))
+
+
+def _terms(scales: ScaleRatios, shift: float | Array, width: float | None, common: float) -> Array:
+    """Log-likelihood of a triad, mean deviation of its ratios from the shift, and variance of that mean.
+
+    Shape (3, m), for the m standard deviations of the scale-factor errors; ``common`` is the standard deviation of an
+    error that all axes have. If ``width`` is given, the shift has an unknown part, uniformly distributed over it.
+    """
+    if not scales.known:
+        return np.zeros((3, 1))
+    left = scales.logarithms - shift
+    n, mean = len(left), float(left.mean())
+    s2 = _GRID**2 + (scales.axis_scatter if math.isfinite(scales.axis_scatter) else 1.0) ** 2 + _ROUNDING**2
+    v = s2 / n + common**2
+    own = -0.5 * ((n - 1) * np.log(2.0 * np.pi * s2) + float(np.sum((left - mean) ** 2)) / s2) + _LOG_WEIGHT
+    of_mean = -0.5 * (np.log(2.0 * np.pi * v) + mean**2 / v) if width is None else -math.log(width)
+    return np.stack([own + of_mean, np.full(len(v), mean), v])
 
 
 def _earth_term(clock: Array, doubt: Array, found: Array, sigma: Array, true: Array) -> Array:
@@ -156,7 +114,8 @@ def _earth_term(clock: Array, doubt: Array, found: Array, sigma: Array, true: Ar
     size, along = np.sum(expected**2, axis=-1), np.sum(expected * left, axis=-1)
     square = np.sum(left**2, axis=-1) - along**2 * doubt / (1.0 + doubt * size)
     normal = -0.5 * (square + np.log1p(doubt * size)) - np.sum(np.log(math.sqrt(2.0 * math.pi) * sigma), axis=-1)
-    anywhere = math.log(_SITE_WRONG / (math.pi * (2.0 * EARTH_RATE_RAD_S) ** 2))
+    # For a wrong latitude, as frequent as another frequent fault, the Earth rate does not distinguish the causes.
+    anywhere = math.log(FREQUENT / (math.pi * (2.0 * EARTH_RATE_RAD_S) ** 2))
     return np.asarray(np.logaddexp(normal, anywhere))
 
 
@@ -165,8 +124,8 @@ def most_likely(
 ) -> tuple[ScaleCause, RunnerUp | None]:
     """Most likely cause, and the second most likely one with another first fault, if it is nearly as likely."""
     ranked = sorted(((score(cause, gyro, accel, earth), cause) for cause in causes), key=lambda row: -row[0])
-    (top, best), rest = ranked[0], ranked[1:]
-    for value, other in rest:
-        if other.faults and other.faults[0] != (best.faults or ("",))[0]:
+    top, best = ranked[0]
+    for value, other in ranked:
+        if other.faults[:1] not in ((), best.faults[:1]):
             return best, RunnerUp(other.faults[0], top - value) if top - value < CLOSE else None
     return best, None

@@ -7,8 +7,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from scipy.special import erfinv
 
 from srt.diagnosis.rotation_readings import MAD, rates_factor
+from srt.model.table1 import AXES
 from srt.result.verdict import USABLE
 from srt.sensor_errors import GROUP_SLICES
 
@@ -23,16 +25,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScaleRatios:
-    """Ratios of reading to truth of one triad.
+    """Ratios of reading to truth of one triad, NaN where unknown.
 
-    Attributes
-    ----------
-    typical : float
-        Median ratio of the triad; NaN if unknown.
-    axes : ndarray, shape (3,)
-        Ratio of each sensor axis; NaN where unknown.
-    axis_scatter : float
-        Scatter of single rotations or poses: standard deviation of the logarithm of their ratio to that of their axis.
+    ``typical`` is the median of the triad; ``axes``, shape (3,), are those of the sensor axes. ``axis_scatter`` is the
+    scatter of single rotations or poses: standard deviation of the logarithm of their ratio to that of their axis.
     """
 
     typical: float
@@ -50,29 +46,35 @@ class ScaleRatios:
         return bool(np.all(np.isfinite(self.axes)) and np.all(self.axes > 0.0))
 
     @property
+    def logarithms(self) -> Array:
+        """Logarithms of the three ratios, shape (3,); of the typical ratio, shape (1,), where they are unknown."""
+        return np.asarray(np.log(self.axes if self.by_axis else [self.typical]))
+
+    @property
     def common(self) -> float:
-        """Mean of the logarithms of the three axes."""
-        return float(np.mean(np.log(self.axes)))
+        """Mean of the logarithms."""
+        return float(self.logarithms.mean())
+
+    @property
+    def spread(self) -> float:
+        """Standard deviation of the logarithms of the three axes."""
+        return float(np.std(self.logarithms, ddof=1))
 
     @property
     def scatter(self) -> float:
-        """Standard deviation of the logarithm of the ratio over the three axes, including the scatter of one axis."""
-        return math.hypot(float(np.std(np.log(self.axes), ddof=1)), self.axis_scatter)
+        """Standard deviation of the logarithms of the three axes, including the scatter of one axis."""
+        return math.hypot(self.spread, self.axis_scatter)
 
 
 _MOST_AGREE: Final = 0.8
-_MOST_AGREE_SIGMA: Final = 1.2816
-"""Quantile of the deviations from which their standard deviation is taken, and the normal deviate of this quantile: a
-factor that holds for more than a fifth of the rotations increases the scatter."""
+"""Share of the deviations from whose quantile their standard deviation is taken: a factor that holds for more than a
+fifth of the rotations increases the scatter."""
 _ROUNDS: Final = 3
 """Number of iterations that assign rotations to axes and compute the ratios of the axes."""
 _LEAST_RATIO: Final = 0.125
 """Smallest reading of an axis relative to the median axis: an axis with less was not rotated."""
 _RELATION_SIGMA: Final = 0.02
 """Standard deviation of the logarithm of a ratio from the rotation of gravity, due to acceleration and misalignment."""
-_AGREE: Final = 0.2
-"""Largest difference of the logarithms of the ratios from labels and from gravity at which both agree; a factor of two
-is 0.69."""
 _FEWEST_POSES: Final = 9
 """Fewest poses for a fit of three accelerometer scale factors and three biases: three more than unknowns."""
 _LEAST_SPREAD: Final = 0.1
@@ -80,8 +82,8 @@ _LEAST_SPREAD: Final = 0.1
 directions it is 0.37."""
 _OBSERVED: Final = 0.01
 """Largest standard deviation of a calibrated scale factor that tells one factor from another."""
-_UNSEEN: Final = np.full(3, np.nan)
-UNKNOWN: Final = ScaleRatios(float("nan"), _UNSEEN, float("nan"))
+_UNSEEN: Final = np.full(len(AXES), np.nan)
+UNKNOWN: Final = ScaleRatios(math.nan, _UNSEEN, math.nan)
 """Ratios of a triad that the data do not determine."""
 
 
@@ -92,8 +94,8 @@ def gyro_ratios_to_gravity(by_labels: ScaleRatios, relation: Array | None) -> Sc
     axes = 1.0 / np.linalg.norm(relation, axis=0)
     by_gravity = ScaleRatios(float(np.median(axes)), axes, _RELATION_SIGMA)
     # Without labels, angles are recognised as multiples of 90° and may be wrong by a factor of two.
-    agree = by_labels.known and abs(math.log(by_labels.typical / by_gravity.typical)) < _AGREE
-    return by_labels if agree else by_gravity
+    nearer = by_labels.known and abs(math.log(by_labels.typical / by_gravity.typical)) < 0.5 * math.log(2.0)
+    return by_labels if nearer else by_gravity
 
 
 def gyro_ratios_to_labels(rotations: Rotations, fixture: Fixture | None) -> ScaleRatios:
@@ -125,7 +127,8 @@ def gyro_ratios_to_labels(rotations: Rotations, fixture: Fixture | None) -> Scal
     # A factor on only a part of the rotations is not a scale of the triad: it increases the scatter.
     off = np.quantile(np.abs(np.log(ratio / axes[most])), _MOST_AGREE)
     fixture_scatter = 0.0 if fixture is None else fixture.rotation_sigma_rad / math.pi
-    return ScaleRatios(float(np.median(ratio)), axes, math.hypot(float(off) / _MOST_AGREE_SIGMA, fixture_scatter))
+    sigma = float(off / (math.sqrt(2.0) * erfinv(_MOST_AGREE)))
+    return ScaleRatios(float(np.median(ratio)), axes, math.hypot(sigma, fixture_scatter))
 
 
 def accel_ratios(recording: Recording, turns: ManoeuvreReadings | None, fit: LinearFit | None) -> ScaleRatios:
@@ -137,20 +140,20 @@ def accel_ratios(recording: Recording, turns: ManoeuvreReadings | None, fit: Lin
     gravity = recording.site.gravity_m_s2
     if turns is None or len(turns.force) == 0:
         sizes = np.linalg.norm(recording.accel, axis=1) * (rates_factor(recording) / gravity)
-        low, typical, high = np.quantile(sizes[sizes > 0.0], (0.25, 0.5, 0.75)) if np.any(sizes > 0.0) else (0, 0, 0)
-        return ScaleRatios(float(typical), _UNSEEN, 0.5 * math.log(high / low)) if low > 0.0 else UNKNOWN
+        if not np.any(sizes > 0.0):
+            return UNKNOWN
+        low, typical, high = np.quantile(sizes[sizes > 0.0], (0.25, 0.5, 0.75))
+        return ScaleRatios(float(typical), _UNSEEN, 0.5 * math.log(high / low))
     ratio = np.linalg.norm(turns.force, axis=1) / gravity
     typical = float(np.median(ratio))
     if not np.all(ratio > 0.0):
         return ScaleRatios(typical, _UNSEEN, math.inf)
-    if fit is None or fit.rank < 3:
-        by_magnitude = _by_magnitude(turns.force / gravity)
-        if by_magnitude is not None:
-            return by_magnitude
-        return ScaleRatios(typical, _UNSEEN, MAD * float(np.median(np.abs(np.log(ratio / typical)))))
-    axes = np.linalg.norm(fit.matrix, axis=1)
-    off = np.median(np.abs(fit.residual), axis=0) / (gravity * typical)
-    return ScaleRatios(typical, axes, MAD * float(off.max()))
+    if fit is not None and fit.rank == 3:
+        off = np.median(np.abs(fit.residual), axis=0) / (gravity * typical)
+        return ScaleRatios(typical, np.linalg.norm(fit.matrix, axis=1), MAD * float(off.max()))
+    return _by_magnitude(turns.force / gravity) or ScaleRatios(
+        typical, _UNSEEN, MAD * float(np.median(np.abs(np.log(ratio / typical))))
+    )
 
 
 def _by_magnitude(force: Array) -> ScaleRatios | None:
@@ -160,11 +163,10 @@ def _by_magnitude(force: Array) -> ScaleRatios | None:
     """
     size = float(np.median(np.linalg.norm(force, axis=1)))
     design = np.hstack([(force / size) ** 2, force / size])
-    if len(force) < _FEWEST_POSES or np.linalg.svd(design, compute_uv=False)[-1] < _LEAST_SPREAD * math.sqrt(
-        len(force)
-    ):
+    count, weakest = len(force), np.linalg.svd(design, compute_uv=False)[-1]
+    if count < _FEWEST_POSES or weakest < _LEAST_SPREAD * math.sqrt(count):
         return None
-    square, slope = np.split(np.linalg.lstsq(design, np.ones(len(force)), rcond=None)[0], 2)
+    square, slope = np.split(np.linalg.lstsq(design, np.ones(count), rcond=None)[0], 2)
     if not np.all(square > 0.0):
         return None
     # Σ a (f − b)² = 1 + Σ a b² with b = −slope / 2a.

@@ -21,39 +21,100 @@ def wrong_scales(evidence: Evidence) -> Iterator[Finding]:
     yield from scale_findings(evidence, SCALES)
 
 
-_BY_LABELS: Final = "ratio of measured to labelled rotation angles"
-_BY_GRAVITY: Final = "ratio of stationary specific force to gravity"
-_TURNED: Final = "The measured rotation angles are {ratio:.4g} times the expected ones ({title})"
-_AT_REST: Final = "At rest the accelerometers read {found:.4g} m/s², but {expected:.4g} m/s² is expected"
-_UNIT: Final = "the {}readings look like {{unit}}, declared as {{declared}}; correct {}_unit."
-
-
 def scales_of_result(evidence: Evidence) -> Iterator[Finding]:
     """Report the cause of scale factors that a calibration found, and that no unit has.
 
     The readings of rotations by hand show their ratios to some percent only.
     """
     before, _ = scale_cause(evidence)
-    # What stops the calibration was found before it.
-    if set(before.faults) <= _COMMON and (result := evidence.result) is not None:
-        ratios = (calibrated_ratios(result, "gyro"), calibrated_ratios(result, "accel"))
-        for finding in scale_findings(evidence, SCALES, ratios):
-            if finding.fault not in before.faults:
-                yield finding
+    # Other causes stop the calibration and were found before it; these are warnings: the factor may be that of a unit.
+    if {"sample_rate", "gyro_factor", "accel_factor"}.issuperset(before.faults) and evidence.result is not None:
+        ratios = (calibrated_ratios(evidence.result, "gyro"), calibrated_ratios(evidence.result, "accel"))
+        found = scale_findings(evidence, SCALES, ratios)
+        yield from (finding for finding in found if finding.fault not in before.faults)
 
 
-_COMMON: Final = frozenset({"sample_rate", "gyro_factor", "accel_factor"})
-"""Causes that are a warning: the factor may be one of the unit."""
+def scale_findings(evidence: Evidence, faults: Mapping[str, Fault], scales: Scales | None = None) -> Iterator[Finding]:
+    """Findings of those of the faults that best explain the ratios of both triads."""
+    best, runner_up = scale_cause(evidence, scales)
+    for place, name in enumerate(best.faults):
+        if name in faults:
+            yield Finding(faults[name], best.details[name], runner_up if place == 0 else None)
 
 
-def _scale(name: str, title: str, criterion: str, message: str) -> Fault:
-    return Fault(name, title, criterion, message, "exit 1", wrong_scales)
+_BY_LABELS: Final = "ratio of measured to labelled rotation angles"
+_BY_GRAVITY: Final = "ratio of stationary specific force to gravity"
+_BY_BOTH: Final = "gravity and rotation angles: both are the expected value"
+_TURNED: Final = "The measured rotation angles are {ratio:.4g} times the expected ones ({title})"
+_AT_REST: Final = "At rest the accelerometers read {found:.4g} m/s², but {expected:.4g} m/s² is expected"
+_UNIT: Final = "the {}readings look like {{unit}}, declared as {{declared}}; correct {}_unit."
 
-
-_KIND: Final = (
-    "At rest the accelerometers read {{accel:.4g}} m/s², and the measured rotation angles are {{turn:.3g}} times the "
-    "expected ones: both are about the expected value {} the sampling interval ({{interval:.3g}} s), as for {}s; set "
-    'kind = "{}".'
+_KINDS: Final = tuple(
+    (
+        f"{found}s_as_{declared}s",
+        f"{found.capitalize()}s declared as {declared}s",
+        f"{_BY_BOTH} {operation} the sampling interval",
+        "At rest the accelerometers read {accel:.4g} m/s², and the measured rotation angles are {turn:.3g} times the "
+        f"expected ones: both are about the expected value {operation} the sampling interval ({{interval:.3g}} s), as "
+        f'for {found}s; set kind = "{found}".',
+    )
+    for found, operation, declared in (("increment", "times", "rate"), ("rate", "divided by", "increment"))
+)
+_THINNED: Final = (
+    "increments_thinned",
+    "Increments are thinned out, not summed",
+    f"{_BY_BOTH} divided by the same whole number; without a rotation, gravity alone, if the interval is longer than "
+    "that of any IMU",
+    "The increments are {ratio:.4g} times the expected ones, which is near 1/{count}: of every {count} increments, "
+    "only one was kept; sum the increments of each interval instead, and record again.",
+)
+_GYRO_UNITS: Final = tuple(
+    (f"gyro_{name}", f"Gyro readings {title}", _BY_LABELS, f"{_TURNED}: {_UNIT.format('gyro ', 'gyro')}")
+    for name, title in (
+        ("degrees", "in degrees, declared in radians"),
+        ("radians", "in radians, declared in degrees"),
+        ("per_hour", "per hour, declared per second, or the reverse"),
+        ("other_unit", "in revolutions per minute, declared in rad/s"),
+    )
+)
+_GYRO_MILLI: Final = (
+    "gyro_milli",
+    "Gyro readings in thousandths of the declared unit",
+    _BY_LABELS,
+    f"{_TURNED}: the gyro readings look like thousandths of the declared unit (mrad/s, mdeg/s); divide them by 1000.",
+)
+_ACCEL_UNITS: Final = tuple(
+    (f"accel_{name}", f"Accelerometer readings in {title}", _BY_GRAVITY, f"{_AT_REST}: {_UNIT.format('', 'accel')}")
+    for name, title in (
+        ("g", "g, declared in m/s²"),
+        ("mg", "mg, declared in another unit"),
+        ("m_s2", "m/s², declared in g"),
+        ("other_unit", "cm/s², mm/s² or ft/s², declared in m/s²"),
+    )
+)
+_ABSENT: Final = (
+    "gravity_absent",
+    "The accelerometers do not measure gravity",
+    "stationary specific force: far below gravity, and not in proportion to the poses",
+    "At rest the accelerometers read {found:.3g} m/s², and not in proportion to the poses: the unit outputs linear "
+    "acceleration, without gravity; record the raw specific force.",
+)
+_RATE: Final = (
+    "sample_rate",
+    "Wrong sample rate",
+    "rotation angles (for increments: stationary specific force) wrong by one factor on all axes, which is not a power "
+    "of two",
+    "All axes of the {sensor} read {ratio:.4g} times the expected value, with a scatter of only {spread:.2g} between "
+    "the axes: {advice}.",
+)
+_COUNTS: Final = by_sensor(
+    "counts",
+    "Raw [gyro|accelerometer] counts declared as [rates or angles|m/s² or g]",
+    f"[{_BY_LABELS}|{_BY_GRAVITY}]; readings that are whole numbers",
+    f"[{_TURNED}|{_AT_REST}], and the [gyro readings|readings] are whole numbers: they look like raw counts; set "
+    '[gyro|accel]_unit = "counts" and [gyro|accel]_lsb.',
+    "exit 1",
+    wrong_scales,
 )
 _LSB: Final = by_sensor(
     "lsb",
@@ -87,100 +148,23 @@ _FACTOR: Final = by_sensor(
     "warning",
     scales_of_result,
 )
+
+
+def _stopping(*rows: tuple[str, str, str, str]) -> tuple[Fault, ...]:
+    return tuple(Fault(*row, "exit 1", wrong_scales) for row in rows)
+
+
 SCALES: Final = {
     fault.name: fault
     for fault in (
-        _scale(
-            "increments_as_rates",
-            "Increments declared as rates",
-            "gravity and rotation angles: both are the expected value times the sampling interval",
-            _KIND.format("times", "increment", "increment"),
-        ),
-        _scale(
-            "rates_as_increments",
-            "Rates declared as increments",
-            "gravity and rotation angles: both are the expected value divided by the sampling interval",
-            _KIND.format("divided by", "rate", "rate"),
-        ),
-        _scale(
-            "increments_thinned",
-            "Increments are thinned out, not summed",
-            "gravity and rotation angles: both are the expected value divided by the same whole number; without a "
-            "rotation, gravity alone, if the interval is longer than that of any IMU",
-            "The increments are {ratio:.4g} times the expected ones, which is near 1/{count}: of every {count} "
-            "increments, only one was kept; sum the increments of each interval instead, and record again.",
-        ),
-        *(
-            _scale(f"gyro_{name}", f"Gyro readings {title}", _BY_LABELS, f"{_TURNED}: {_UNIT.format('gyro ', 'gyro')}")
-            for name, title in (
-                ("degrees", "in degrees, declared in radians"),
-                ("radians", "in radians, declared in degrees"),
-                ("per_hour", "per hour, declared per second, or the reverse"),
-                ("other_unit", "in revolutions per minute, declared in rad/s"),
-            )
-        ),
-        _scale(
-            "gyro_milli",
-            "Gyro readings in thousandths of the declared unit",
-            _BY_LABELS,
-            f"{_TURNED}: the gyro readings look like thousandths of the declared unit (mrad/s, mdeg/s); divide them by "
-            "1000.",
-        ),
-        _scale(
-            "gyro_counts",
-            "Raw gyro counts declared as rates or angles",
-            f"{_BY_LABELS}; readings that are whole numbers",
-            f"{_TURNED}, and the gyro readings are whole numbers: they look like raw counts; set gyro_unit = "
-            '"counts" and gyro_lsb.',
-        ),
-        *(
-            _scale(
-                f"accel_{name}",
-                f"Accelerometer readings in {title}",
-                _BY_GRAVITY,
-                f"{_AT_REST}: {_UNIT.format('', 'accel')}",
-            )
-            for name, title in (
-                ("g", "g, declared in m/s²"),
-                ("mg", "mg, declared in another unit"),
-                ("m_s2", "m/s², declared in g"),
-                ("other_unit", "cm/s², mm/s² or ft/s², declared in m/s²"),
-            )
-        ),
-        _scale(
-            "accel_counts",
-            "Raw accelerometer counts declared as m/s² or g",
-            f"{_BY_GRAVITY}; readings that are whole numbers",
-            f"{_AT_REST}, and the readings are whole numbers: they look like raw counts; set accel_unit = "
-            '"counts" and accel_lsb.',
-        ),
+        *_stopping(*_KINDS, _THINNED, *_GYRO_UNITS, _GYRO_MILLI),
+        _COUNTS["gyro"],
+        *_stopping(*_ACCEL_UNITS),
+        _COUNTS["accel"],
         *_ONE_KIND.values(),
-        _scale(
-            "gravity_absent",
-            "The accelerometers do not measure gravity",
-            "stationary specific force: far below gravity, and not in proportion to the poses",
-            "At rest the accelerometers read {found:.3g} m/s², and not in proportion to the poses: the unit outputs "
-            "linear acceleration, without gravity; record the raw specific force.",
-        ),
+        *_stopping(_ABSENT),
         *_LSB.values(),
-        Fault(
-            "sample_rate",
-            "Wrong sample rate",
-            "rotation angles (for increments: stationary specific force) wrong by one factor on all axes, which is not "
-            "a power of two",
-            "All axes of the {sensor} read {ratio:.4g} times the expected value, with a scatter of only {spread:.2g} "
-            "between the axes: {advice}.",
-            "warning",
-            wrong_scales,
-        ),
+        Fault(*_RATE, "warning", wrong_scales),
         *(replace(fault, needs_result=True) for fault in _FACTOR.values()),
     )
 }
-
-
-def scale_findings(evidence: Evidence, faults: Mapping[str, Fault], scales: Scales | None = None) -> Iterator[Finding]:
-    """Findings of those of the faults that best explain the ratios of both triads."""
-    best, runner_up = scale_cause(evidence, scales)
-    for place, name in enumerate(best.faults):
-        if name in faults:
-            yield Finding(faults[name], best.details[name], runner_up if place == 0 else None)
