@@ -232,7 +232,7 @@ def _with_instability(
             sizes["gyro_instability"], gain = of_gyros[0], gain + of_gyros[1]
     if not sizes or _drift(data, solution, formulas.fixed)[0]:
         return data, solution
-    if one_group_explains(_tests(data, solution, formulas.fixed), *before, against=gain):
+    if one_group_explains(_tests(data, solution, formulas.fixed), *before, against=gain, wholly=True):
         return data, solution
     other = replace(data, **sizes)
     found = iterate(other, options, formulas, solution.errors, solution.U, fixed_sigma=uncertain)

@@ -121,6 +121,7 @@ def one_group_explains(
     *,
     free: bool = False,
     against: float = -math.inf,
+    wholly: bool = False,
 ) -> bool:
     """Return True if one group contradicts the other measurements, these agree, and no other cause is likelier.
 
@@ -131,6 +132,8 @@ def one_group_explains(
     against : float
         Gain of an effect on all groups that may explain the residuals instead, see
         :func:`srt.noise.drift_forms.likelihood_gain`. That of the group has the penalty of its number, too.
+    wholly : bool
+        The other effect must explain all residuals to be chosen, and so must the group.
     """
     worst = contradicting_group(tests, chi_square, degrees_of_freedom, free=free)
     if worst is None:
@@ -138,4 +141,5 @@ def one_group_explains(
     own, freedom = tests[worst[0]]
     rest, others = chi_square - own, degrees_of_freedom - freedom
     gain = likelihood_gain(own, freedom, chi_square, degrees_of_freedom) - 2.0 * math.log(len(tests))
-    return (rest < _ONE_FAULT * chi_square or not is_misfit(rest, others)) and gain > against
+    gross = rest < _ONE_FAULT * chi_square and not wholly
+    return (gross or not is_misfit(rest, others)) and gain > against

@@ -109,7 +109,7 @@ def add_instability(joint: JointModel, solver: JointSolver, iteration: Iteration
             explained += accel_component(joint, now, fit[1]).ratio
             joint.with_data(replace(joint.data, accel_instability=accel_instability(joint, now)[0]))
         gain = likelihood_gain(explained, len(sensors), *fit)
-        if not _one_is_faulty(joint, solution, fit, gain) and _explains(joint, solver, iteration, at):
+        if not _one_is_faulty(joint, solution, fit, gain, wholly=True) and _explains(joint, solver, iteration, at):
             if "gyro" in sensors:
                 iteration.state = replace(iteration.state, bias_deviation=at.bias_deviation)
             return True
@@ -205,11 +205,16 @@ def add_fixture_errors(joint: JointModel, solver: JointSolver, iteration: Iterat
 
 
 def _one_is_faulty(
-    joint: JointModel, solution: BlockSolution, fit: tuple[float, int], against: float = -math.inf
+    joint: JointModel,
+    solution: BlockSolution,
+    fit: tuple[float, int],
+    against: float = -math.inf,
+    *,
+    wholly: bool = False,
 ) -> bool:
     """True if one sequence or move explains the misfit, and with a larger gain than an effect on all."""
     tests = [(test.chi_square, test.degrees_of_freedom) for test in contradictions(joint, solution)]
-    return one_group_explains(tests, *fit, free=joint.turned_by_hand, against=against)
+    return one_group_explains(tests, *fit, free=joint.turned_by_hand, against=against, wholly=wholly)
 
 
 def _fixture_explains(

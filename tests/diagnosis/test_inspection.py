@@ -233,9 +233,9 @@ def test_it_is_json(inspected, inspected_rests):
 
 
 def test_faults_that_only_a_calibration_shows_are_told(inspected):
-    assert inspected.not_looked_for == ("accel_bias_drift", "asymmetry_omitted")
-    assert inspected.as_dict()["not_looked_for"] == ["accel_bias_drift", "asymmetry_omitted"]
-    assert "(--deep): accel_bias_drift, asymmetry_omitted." in " ".join(inspection_report(inspected).split())
+    assert inspected.not_looked_for == ("gyro_factor", "accel_factor", "accel_bias_drift", "asymmetry_omitted")
+    assert inspected.as_dict()["not_looked_for"] == list(inspected.not_looked_for)
+    assert f"(--deep): {', '.join(inspected.not_looked_for)}." in " ".join(inspection_report(inspected).split())
     assert replace(inspected, calibrated=True).not_looked_for == ()
 
 
