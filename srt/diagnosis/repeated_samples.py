@@ -14,7 +14,7 @@ import numpy as np
 
 if TYPE_CHECKING:
     from srt.diagnosis.evidence import Evidence
-    from srt.types import Array, Indices, Mask
+    from srt.types import Array, Indices
 
 
 FALSE_ALARM: Final = 5e-7
@@ -68,8 +68,6 @@ def repeated_runs(evidence: Evidence) -> list[tuple[int, int] | None]:
     pairs = np.stack([parts[:, 0], parts[:, 1] - 1], axis=1)
     longest = np.maximum.reduceat(count, pairs.ravel(), axis=1)[:, ::2]
     total = int((pairs[:, 1] - pairs[:, 0]).sum())
-    for row in np.flatnonzero((longest == pairs[:, 1] - pairs[:, 0])[:, turning].any(axis=1)).tolist():
-        found[row] = _through_rotations(evidence, row, pairs, turning, longest[row])
     ordinary = [np.quantile(longest[:, kind], 0.9, axis=1) for kind in (turning, ~turning) if kind.any()]
     for row, k in np.argwhere(longest > _LONGER * np.max([np.zeros(9), *ordinary], axis=0)[:, None]).tolist():
         n, (a, b), best = int(longest[row, k]), pairs[k].tolist(), found[row]
@@ -88,36 +86,6 @@ def repeated_runs(evidence: Evidence) -> list[tuple[int, int] | None]:
         ):
             found[row] = first, n
     return found
-
-
-def _through_rotations(
-    evidence: Evidence, row: int, pairs: Indices, turning: Mask, longest: Indices
-) -> tuple[int, int] | None:
-    """Longest run of a row through whole windows and rotations, which dead channels make; None if it is by chance.
-
-    Such runs can be the ordinary ones of a recording: only windows and rotations outside the run are compared. Coarse
-    readings without noise are constant in those, too. ``pairs`` (P, 2) are the first and last samples of the windows
-    and rotations, ``turning`` (P,) is true for the rotations, and ``longest`` (P,) are their longest runs.
-    """
-    same = evidence.repeats[row]
-    ends = np.flatnonzero(np.pad(~same, 1, constant_values=True)) - 1
-    last = int(np.argmax(np.diff(ends)))
-    first, n = int(ends[last]) + 1, int(ends[last + 1] - ends[last]) - 1
-    inside = (pairs[:, 0] >= first) & (pairs[:, 1] <= first + n)
-    outside = (pairs[:, 0] > first + n) | (pairs[:, 1] < first)
-    kinds = [kind & outside for kind in (turning, ~turning)]
-    if not ((inside & turning).any() and (inside & ~turning).any() and all(kind.any() for kind in kinds)):
-        return None
-    ordinary = max(float(np.quantile(longest[kind], 0.9)) for kind in kinds)
-    repeats = np.concatenate([[0], np.cumsum(same)])[pairs[outside]] @ (-1, 1)
-    length = int(np.sum(pairs[outside] @ (-1, 1)))
-    frequency = (int(repeats.sum()) + _SUPPORT) / (length + _SUPPORT)
-    other = 3 - row if row < 3 else row // 3
-    by_chance = n * math.log(frequency) >= math.log(FALSE_ALARM / (length + n))
-    whole = row > 0 and np.mean(evidence.repeats[other, first : first + n]) >= _FROZEN
-    extreme = _at_extreme(evidence.columns[_channels(row)], first)
-    longer = longest[inside].max() > _LONGER * ordinary
-    return (first, n) if longer and not (by_chance or whole or extreme) else None
 
 
 def _channels(row: int) -> slice:

@@ -79,18 +79,6 @@ def test_interpolated_samples_of_a_sequence_that_is_left_out_are_not_in_the_resu
     assert "samples_interpolated" not in {fault.fault for fault in found.diagnostics.faults}
 
 
-@pytest.mark.parametrize("grade", ["consumer", "navigation"])
-@pytest.mark.parametrize("sensor", ["gyro", "accel"])
-def test_an_axis_without_readings_for_half_the_test_is_named(sensor, grade):
-    """It is constant in more windows than can be exceptions."""
-    unit, _ = on_the_fixture(0, grade)
-    readings = getattr(unit, sensor).copy()
-    readings[len(readings) // 2 :, 1] = 0.0
-    with pytest.raises(DataError) as refused:
-        srt.calibrate(replace(unit, **{sensor: readings}))
-    assert refused.value.fault == f"{sensor}_axis_stuck"
-
-
 def test_repeated_samples_are_the_cause_of_shifted_labels():
     """60 samples written twice, each with a stamp of its own: the labels lag by up to 1.2 s."""
     unit, _ = on_the_fixture(0, "tactical")
