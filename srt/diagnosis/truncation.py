@@ -12,7 +12,7 @@ from srt.diagnosis.channels import SAMPLES
 from srt.diagnosis.false_alarms import limit
 from srt.diagnosis.findings import by_sensor
 from srt.model.table1 import AXES
-from srt.noise.noise_model import smallest_step
+from srt.noise.noise_model import OFF_GRID, smallest_step
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -27,8 +27,6 @@ _ROUNDED: Final = np.array([-2.5, -1.5, -0.5, 0.5, 1.5, 2.5])
 a bias."""
 _TRUNCATED: Final = np.array([-3.0, -2.0, -1.0, 1.0, 2.0, 3.0])
 """The same if readings are truncated: zero is read twice as often as its neighbours."""
-_OFF_GRID: Final = 0.1
-"""Distance of a reading from a multiple of the step, in steps, that rounding of stored digits leaves."""
 _OUTLIERS: Final = 1e-4
 """Share of readings of each value that no noise explains."""
 _NEAR: Final = 2
@@ -90,7 +88,7 @@ def _likelihood_ratio(column: Array, step: float, windows: Indices) -> float:
     for a, b in windows.tolist():
         steps = column[a:b] / step
         whole = np.rint(steps).astype(np.intp)
-        if np.abs(steps - whole).max() > _OFF_GRID:
+        if np.abs(steps - whole).max() > OFF_GRID:
             return 0.0
         own = np.bincount(whole[np.abs(whole) <= _NEAR] + _NEAR, minlength=2 * _NEAR + 1)
         # Zeros without neighbours are a dead band, or stand for lost readings.

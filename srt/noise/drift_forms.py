@@ -317,7 +317,7 @@ def likelihood_gain(explained: float, coefficients: int, chi_square: float, free
     coefficients : int
         Number of coefficients or variances.
     chi_square, freedom : float, int
-        Of the residuals without them.
+        Residuals of the model without them: square sum, and degrees of freedom.
     """
     left = max(chi_square - explained, _LEAST_CHI_SQUARE)
     return freedom * math.log(max(chi_square, left) / left) - coefficients * math.log(max(freedom, 1))

@@ -36,7 +36,7 @@ _DITHERED: Final = 2.0
 1e-3 of a step, which no longer averages out."""
 _PULSES: Final = 0.5
 """Error of the integral, over that of pulses of one step, from which readings are pulse counts, whose errors cancel."""
-_OFF_GRID: Final = 0.1
+OFF_GRID: Final = 0.1
 """Distance of a reading from the grid of steps, in steps, that rounding of stored digits leaves."""
 _FEWEST_READINGS: Final = 10
 """Distinct readings from which a grid is no coincidence."""
@@ -278,7 +278,7 @@ def _step_error(recording: Recording, windows: Indices, sensor: str, step: Array
     if coarse.any():  # distinct readings without a grid, as in simulations without noise, are not rounded
         every = table[:: max(1, len(table) // _MAX_SAMPLES_FOR_RESOLUTION)] / scale
         steps = (every - every[0]) / np.where(coarse, step, np.inf)
-        coarse &= np.all(np.abs(steps - np.round(steps)) < _OFF_GRID, axis=0)
+        coarse &= np.all(np.abs(steps - np.round(steps)) < OFF_GRID, axis=0)
         coarse &= np.array([len(np.unique(own)) for own in np.round(steps).T]) >= _FEWEST_READINGS
     if not coarse.any():
         return none

@@ -71,7 +71,7 @@ def test_both_figures_are_told():
     ],
 )
 def test_values_from_the_fixture_are_as_accurate_as_it_is(case, estimator):
-    """What these sequences do not show has the value of the nominal angles, whose errors are not those stated."""
+    """Parameters that these sequences do not show have the values of the nominal angles, and the accuracy found for those."""
     for row in of_units(case, estimator):
         assert row["seen"] > 0
         assert row["worst"] < WORST
