@@ -51,7 +51,7 @@ LARGEST_ERRORS = {
     "gyro_scale": 0.5, "gyro_asymmetry": 0.01, "gyro_orthogonality": 0.3, "accel_bias": 1.0, "accel_scale": 0.5,
     "accel_asymmetry": 0.01, "accel_misalignment": 0.3, "gyro_bias": 0.02,
 }  # fmt: skip
-"""Standard deviations of the sensor errors of units that are calibrated as arrays, SI."""
+"""Largest sensor errors of the units that are calibrated as arrays, SI."""
 PART = 1000
 """Rows of a part of the results, as a campaign writes them."""
 

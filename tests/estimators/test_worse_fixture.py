@@ -71,7 +71,7 @@ def test_both_figures_are_told():
     ],
 )
 def test_values_from_the_fixture_are_as_accurate_as_it_is(case, estimator):
-    """Parameters that these sequences do not show have the values of the nominal angles, and the accuracy found for those."""
+    """Parameters that these sequences do not show have the values and the accuracy found of the nominal angles."""
     for row in of_units(case, estimator):
         assert row["seen"] > 0
         assert row["worst"] < WORST
