@@ -47,8 +47,8 @@ def moved_windows(
 
     A constant rate alone is not motion: a bias that changes with the pose (g-sensitivity, instability) gives the same
     gyro readings. A rotation about a horizontal axis changes the accelerometer readings too; a change of these alone is
-    their own drift. A window that fails is tested again with the noise of its own samples, because larger noise is not
-    motion.
+    their own drift. A window that fails is tested again without the change that all windows share, and with the noise of
+    its own samples, because a drift of the biases or larger noise is not motion.
 
     Parameters
     ----------
@@ -74,6 +74,7 @@ def moved_windows(
     halves = (data.windows.gyro_halves - drift[0], data.windows.accel_halves - drift[1])
     moved, alike = _fails(data, gyro, accel, halves, rest_rate, wander, probability=probability)
     if moved.any():
+        halves = (_less_common_change(halves[0]), _less_common_change(halves[1]))
         own = _own_noise(data, moved)
         moved &= _fails(data, gyro, accel, halves, rest_rate, wander, probability=probability, ratio=own)[0]
     return moved if suspect is None else moved | suspect & alike
@@ -125,6 +126,12 @@ def _fails(
     by_gyros = np.cross(mean, rest_rate) * T
     left, tilt = np.linalg.norm(change - by_gyros, axis=-1), np.linalg.norm(change, axis=-1)
     return (turned > chdtri(3, 0.5 * probability)) | tilted & (left < 0.5 * tilt), left < tilt
+
+
+def _less_common_change(halves: Array) -> Array:
+    """Halves without the median change of all windows, shape (W, 2, 3): what windows of all poses share is drift."""
+    change = np.median(halves[:, 1] - halves[:, 0], axis=0)
+    return halves - np.array([[-0.5], [0.5]]) * change
 
 
 def _own_noise(data: PreparedRecording, which: Mask) -> Array:

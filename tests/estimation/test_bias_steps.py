@@ -40,15 +40,6 @@ def test_drift_is_named_and_nothing_else_accused(case, seed, named):
     assert error_over_sigma(found, errors).max() < 4.2
 
 
-def test_the_closed_form_names_a_drift_and_no_sequence():
-    """A warm-up of 4 mg, which it does not model: it says what to do, and accuses no sequence."""
-    unit, _ = unit_of(CASES["fixture, accelerometer warm-up of 4 mg"], 0)
-    found = srt.calibrate(unit, "closed-form")
-    assert found.verdict.contradicting is None
-    assert "accelerometer biases changed" in found.message
-    assert "use least-squares" in found.message
-
-
 def intervals_of_windows(W):
     """Windows of 10 s, a rotation of two parts of 5 s after each."""
     start = 20.0 * np.arange(W)
