@@ -47,8 +47,8 @@ def moved_windows(
 
     A constant rate alone is not motion: a bias that changes with the pose (g-sensitivity, instability) gives the same
     gyro readings. A rotation about a horizontal axis changes the accelerometer readings too; a change of these alone is
-    their own drift. A window that fails is tested again with the noise of its own samples and without the change that all
-    windows share, because neither larger noise nor a drift of the biases is motion.
+    their own drift. A window that fails is tested again with the noise of its own samples and without the change that
+    all windows share, because neither larger noise nor a drift of the biases is motion.
 
     Parameters
     ----------
