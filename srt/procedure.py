@@ -5,12 +5,16 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from srt.diagnosis.staged_diagnosis import StagedDiagnosis
+from srt.estimation.goodness_of_fit import SUSPECT_PROBABILITY, chi_square_probability, specification_test
 from srt.estimation.options import Options, chosen_options
 from srt.estimation.registry import estimate
 from srt.exceptions import DataError, SrtError
 from srt.recording.reading import READING_KEYS, read
-from srt.result.verdict import USABLE, explained
+from srt.result.verdict import SOUND, USABLE, explained, modelled, p_value_text
+from srt.sensor_errors import NAMES
 from srt.sequences.protocol_matching import with_protocol
 from srt.sequences.recognition import leave_out
 
@@ -56,8 +60,9 @@ def calibrate(
         "auto": the closed form for labelled sequences of Table 1 on a fixture, otherwise least squares. Other names:
         :func:`srt.estimators`.
     checks : bool
-        Check for all faults of the catalogue, before the calibration and with its result, as the command does. Fatal
-        faults stop the calibration; others become warnings. False: estimation alone, and a warning says so.
+        Check for all faults of the catalogue, before the calibration and with its result, and compare the closed form
+        with least squares, which uses recorded moves, as the command does. Fatal faults stop the calibration; others
+        become warnings. False: estimation alone, and a warning says so.
     force : bool
         Calibrate in spite of fatal faults.
     without_turns : sequence of str
@@ -104,6 +109,7 @@ def calibrate(
     diagnosis = staged.with_calibration(result)
     if diagnosis.refusal is not None and not force:
         raise _refused(diagnosis)
+    result = _beside_moves(recording, result, options)
     told = _IN_RESULT | explained(result)
     warnings = tuple(f.sentence for f in diagnosis.findings if f.effect != "note" and f.fault not in told)
     return replace(
@@ -111,6 +117,40 @@ def calibrate(
         warnings=(*warnings, *result.warnings),
         diagnostics=replace(result.diagnostics, faults=diagnosis.faults),
     )
+
+
+def _beside_moves(recording: Recording, result: Calibration, options: Options) -> Calibration:
+    """Result with what least squares, which uses the recorded moves, shows of it.
+
+    Where that result is sound, the two are compared by the specification test of Hausman (1978).
+    """
+    if not result.diagnostics.unused_moves or result.status not in USABLE:
+        return result
+    try:
+        whole = estimate(recording, "least-squares", options)
+    except SrtError:  # the closed form stands, whatever the other estimator refuses
+        return result
+    both = whole.observed & result.observed
+    if whole.status not in USABLE or not both.any():
+        return result
+    ratio = (whole.sigma / result.sigma)[both]
+    diagnostics = replace(result.diagnostics, sigma_with_moves=(float(ratio.min()), float(ratio.max())))
+    difference = (result.errors.vector - whole.errors.vector)[both]
+    own, other = (found.covariance[np.ix_(both, both)] for found in (result, whole))
+    p = chi_square_probability(*specification_test(difference, own, other))
+    if whole.judgement.word == SOUND and p is not None and p < SUSPECT_PROBABILITY:
+        size = np.abs(difference) / result.sigma[both]
+        most = int(np.argmax(size))
+        sentence = " ".join(
+            (
+                f"The recorded moves contradict these values ({p_value_text(p)}; {np.array(NAMES)[both][most]} by "
+                f"{size[most]:.1f} sigma): use '--estimator least-squares'.",
+                *modelled(whole),
+            )
+        )
+        diagnostics = replace(diagnostics, contradicted=(*(diagnostics.contradicted or ()), sentence))
+        result = replace(result, warnings=(sentence, *result.warnings))
+    return replace(result, diagnostics=diagnostics)
 
 
 def _refused(diagnosis: Diagnosis) -> DataError:
@@ -123,31 +163,6 @@ def _refused(diagnosis: Diagnosis) -> DataError:
 
 def _caused(sentence: str, cause: Finding) -> DataError:
     return DataError(f"{sentence} The likely cause: {cause.sentence}", fault=cause.fault)
-
-
-def sigmas_with_moves(recording: Recording, result: Calibration, options: Options) -> tuple[float, float] | None:
-    """Smallest and largest sigma of least squares, which uses recorded moves, over that of the closed form.
-
-    Parameters
-    ----------
-    recording : Recording
-    result : Calibration
-        Of the recording.
-    options : Options
-
-    Returns
-    -------
-    (float, float) or None
-        Over the parameters that both estimate; None for a result without unused moves, or if least squares has none.
-    """
-    if not result.diagnostics.unused_moves or result.status not in USABLE:
-        return None
-    try:
-        whole = estimate(recording, "least-squares", options)
-    except SrtError:  # the closed form stands, whatever the other estimator refuses
-        return None
-    ratio = (whole.sigma / result.sigma)[whole.observed & result.observed]
-    return (float(ratio.min()), float(ratio.max())) if whole.status in USABLE else None
 
 
 def inspect(source: Any, *, deep: bool = False, **stated: Any) -> Inspection:

@@ -330,7 +330,6 @@ def run_job(job: Job, estimator: str, options: Options, display: Display) -> Cal
     """
     import srt
     from srt.cli.progress import iteration_progress
-    from srt.procedure import sigmas_with_moves
     from srt.reports.text.calibration_summary import calibration_text
 
     recording = display.load(job.recording)
@@ -355,7 +354,6 @@ def run_job(job: Job, estimator: str, options: Options, display: Display) -> Cal
                 details=display.details,
                 budget=display.budget,
                 verdict=display.verdict,
-                with_moves=sigmas_with_moves(recording, calibration, options),
             )
         )
     if job.plot is not None:

@@ -29,6 +29,8 @@ _ONE_FAULT: Final = 0.05
 
 The threshold is not zero because the linearisation about a gross fault is not exact.
 """
+_APART: Final = 0.25
+"""Share of its variance that an estimate gains in a direction in which it is compared with the efficient one."""
 
 
 def residual_statistics(z: Array, H: Array, R: Array, *effects: Array) -> list[Statistics]:
@@ -75,6 +77,25 @@ def chi_square(z: Array, H: Array, R: Array) -> tuple[float, int]:
 def chi_square_probability(statistic: float, freedom: int) -> float | None:
     """p-value of a chi-square; None without degrees of freedom."""
     return float(chdtrc(freedom, statistic)) if freedom > 0 else None
+
+
+def specification_test(difference: Array, own: Array, other: Array) -> tuple[float, int]:
+    """Chi-square of the difference of two estimates of one recording, and its degrees of freedom.
+
+    The covariance of the difference is that of the estimate less that of an efficient one (Hausman, Econometrica 46,
+    1978, section 2). Directions in which the two are nearly one estimate are left out: there the difference of the
+    covariances is that of their noise.
+
+    Parameters
+    ----------
+    difference : ndarray, shape (n,)
+    own, other : ndarray, shape (n, n)
+        Covariance of the estimate and of the efficient one.
+    """
+    sigma = np.sqrt(np.diag(own))
+    values, vectors = np.linalg.eigh((own - other) / np.outer(sigma, sigma))
+    apart = values > _APART
+    return float(np.sum((vectors[:, apart].T @ (difference / sigma)) ** 2 / values[apart])), int(apart.sum())
 
 
 def is_misfit(chi_square: float, degrees_of_freedom: int) -> bool:

@@ -242,11 +242,14 @@ class Diagnostics:
         Results before windows that moved were integrated.
     unused_moves : int or None
         Number of recorded moves that the closed form does not use.
+    sigma_with_moves : (float, float) or None
+        Smallest and largest sigma of least squares, which uses them, over that of the result.
     asymmetry : mapping of str to AsymmetryTest, or None
         By group.
     unseen_errors : tuple of UnseenError, or None
     contradicted : tuple of str, or None
-        Sentences on statements of the recording that its time stamps or the Earth contradict.
+        Sentences on statements of the recording that its time stamps or the Earth contradict, and on values that the
+        moves contradict.
     not_shown : tuple of str, or None
         Parameters that a recording of this kind should show, and that this one does not.
     live : tuple of LiveEstimate, or None
@@ -269,6 +272,7 @@ class Diagnostics:
     drift: tuple[Drift, ...] | None = None
     held: "Diagnostics | None" = None
     unused_moves: int | None = None
+    sigma_with_moves: tuple[float, float] | None = None
     asymmetry: Mapping[str, AsymmetryTest] | None = None
     unseen_errors: tuple[UnseenError, ...] | None = None
     contradicted: tuple[str, ...] | None = None

@@ -131,7 +131,7 @@ def verdict_on(calibration: Judged) -> Verdict:
     found = [f"A fault was found that residuals need not show: {unseen[0]}"] if unseen else []
     lacking = list(_lacking(calibration.diagnostics.not_shown or ()))
     word = DOUBTFUL if added or found else PARTIAL if lacking else SOUND
-    return Verdict(word, " ".join([*found, *lacking, agreement, *_modelled(calibration), *worse, added]).rstrip())
+    return Verdict(word, " ".join([*found, *lacking, agreement, *modelled(calibration), *worse, added]).rstrip())
 
 
 def _lacking(names: tuple[str, ...]) -> Iterator[str]:
@@ -149,7 +149,7 @@ def explained(calibration: Judged) -> set[str]:
     return out | {"wrong_angle" for kind in (evidence and evidence.added_noise) or () if kind in _ANGLES}
 
 
-def _modelled(calibration: Judged) -> Iterator[str]:
+def modelled(calibration: Judged) -> Iterator[str]:
     """Sentence on the effects that were estimated besides the 27 errors."""
     drift = [row for row in calibration.diagnostics.drift or () if row.modelled]
     sensors = {"gyro": "the gyros", "accel": "the accelerometers"}

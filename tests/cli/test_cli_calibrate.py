@@ -147,7 +147,8 @@ def test_summary_says_what_to_do(calibration):
     moved = replace(calibration, diagnostics=replace(calibration.diagnostics, unused_moves=16))
     head = " ".join(calibration_summary(moved, title="x").split("\n\n")[0].split())
     assert "To do: 16 recorded moves are not used by the closed form: '--estimator least-squares' uses them." in head
-    head = " ".join(calibration_summary(moved, title="x", with_moves=(0.36, 0.604)).split("\n\n")[0].split())
+    gained = replace(moved, diagnostics=replace(moved.diagnostics, sigma_with_moves=(0.36, 0.604)))
+    head = " ".join(calibration_summary(gained, title="x").split("\n\n")[0].split())
     assert "closed form: '--estimator least-squares' gives 0.36-0.60 of these sigmas." in head
     failed = replace(calibration, status="not_converged", message="It is not done.")
     head = calibration_summary(failed, title="x", source="unit-7").split("\n\n")[0]

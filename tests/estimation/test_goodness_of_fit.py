@@ -2,9 +2,10 @@
 
 import math
 
+import numpy as np
 import pytest
 
-from srt.estimation.goodness_of_fit import contradicting_group, one_group_explains
+from srt.estimation.goodness_of_fit import contradicting_group, one_group_explains, specification_test
 from srt.noise.drift_forms import likelihood_gain
 
 
@@ -39,3 +40,20 @@ def test_several_faults_are_not_one():
     tests = [(400.0, 5), (300.0, 5), *[(10.0, 10)] * 8]
     assert contradicting_group(tests, 780.0, 90) is not None
     assert not one_group_explains(tests, 780.0, 90)
+
+
+@pytest.mark.parametrize("shift", [0.0, 6.0])
+def test_the_difference_of_an_estimate_from_a_part_is_chi_square(shift):
+    """Mean of 400 samples within 3.5 standard errors of (noncentral) chi-square; ``shift`` is in sigma."""
+    rng = np.random.default_rng(20261129)
+    H = rng.normal(size=(24, 4))
+    z = rng.normal(size=(400, 24))
+    solve = [np.linalg.pinv(H[:n]) for n in (8, 24)]
+    own, other = (gain @ gain.T for gain in solve)
+    wrong = shift * np.sqrt(np.diag(own)) * np.eye(4)[0]
+    difference = z[:, :8] @ solve[0].T - z @ solve[1].T + wrong
+    found, freedom = zip(*(specification_test(row, own, other) for row in difference), strict=True)
+    assert set(freedom) == {4}
+    beyond = float(wrong @ np.linalg.solve(own - other, wrong))
+    assert abs(np.mean(found) - 4.0 - beyond) < 3.5 * math.sqrt(2.0 * (4.0 + 2.0 * beyond) / 400)
+    assert specification_test(difference[0], own, own) == (0.0, 0)

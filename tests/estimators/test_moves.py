@@ -10,9 +10,7 @@ import pytest
 
 import srt
 from srt.cli.calibrate import CHOICES
-from srt.estimation.options import Options
 from srt.model.prior import Prior
-from srt.procedure import sigmas_with_moves
 from srt.recording.recording import SequenceLabel
 from srt.result.diagnostics import Diagnostics
 from srt.result.noise_figures import NoiseFigures
@@ -185,13 +183,11 @@ def test_every_result_can_be_written_as_strict_json(estimator, tmp_path):
 
 
 def test_the_gain_of_unused_moves_is_that_of_the_sigmas():
-    recording, options = moved()[0], Options()
-    closed = found("closed-form")
+    closed = srt.calibrate(moved()[0], "closed-form")
     ratio = found("least-squares").sigma / closed.sigma
-    low, high = sigmas_with_moves(recording, closed, options)
-    assert (low, high) == (pytest.approx(ratio.min()), pytest.approx(ratio.max()))
-    assert 0.0 < low < high < 1.0
-    assert sigmas_with_moves(recording, found("least-squares"), options) is None
+    assert closed.diagnostics.sigma_with_moves == (pytest.approx(ratio.min()), pytest.approx(ratio.max()))
+    assert 0.0 < ratio.min() < ratio.max() < 1.0
+    assert srt.calibrate(moved()[0], "least-squares").diagnostics.sigma_with_moves is None
 
 
 def test_a_result_that_json_cannot_hold_is_not_made():

@@ -39,7 +39,6 @@ def calibration_summary(
     title: str = "Calibration",
     truth: SensorErrors | None = None,
     source: str = "",
-    with_moves: tuple[float, float] | None = None,
 ) -> str:
     """Status, verdict and advice, then the table of the parameters.
 
@@ -51,8 +50,6 @@ def calibration_summary(
         Adds columns of the truth, the error, and the error over sigma.
     source : str
         Path of the recording for the command that looks for faults; empty: none.
-    with_moves : (float, float), optional
-        Smallest and largest sigma with the recorded moves over that of the result.
 
     Returns
     -------
@@ -60,7 +57,7 @@ def calibration_summary(
         Lines of at most 80 characters, without a line feed at the end.
     """
     head = [line for text in verdict_lines(calibration, title) for line in wrap(text)]
-    advice = [line for text in _advice(calibration, source, with_moves) for line in wrap(text)]
+    advice = [line for text in _advice(calibration, source) for line in wrap(text)]
     notes = [line for text in _notes(calibration) for line in _shortened(wrap(text), _NOTE_LINES)]
     lines = [*head, *_shortened(notes, _MOST_BEFORE_TABLE - len(head) - len(advice)), *advice]
     parameters, gap = parameter_table(calibration, truth), 1 if truth is not None else 2
@@ -80,12 +77,11 @@ def calibration_text(
     details: bool = False,
     budget: bool = False,
     verdict: bool = False,
-    with_moves: tuple[float, float] | None = None,
 ) -> str:
     """Summary of a calibration; with one of the flags, the whole report."""
     if details or budget or verdict:
         return report(calibration, title=title, truth=truth, budget=budget, verdict=verdict)
-    return calibration_summary(calibration, title=title, truth=truth, source=source, with_moves=with_moves)
+    return calibration_summary(calibration, title=title, truth=truth, source=source)
 
 
 def calibration_html(calibration: Calibration) -> str:
@@ -130,7 +126,7 @@ def _notes(calibration: Calibration) -> Iterator[str]:
     yield from (f"Note: {sentence}" for sentence in calibration.warnings)
 
 
-def _advice(calibration: Calibration, source: str, with_moves: tuple[float, float] | None) -> Iterator[str]:
+def _advice(calibration: Calibration, source: str) -> Iterator[str]:
     """Next steps for the user."""
     estimated = [key for name, key in _STATED_NOISE.items() if name in (calibration.noise.estimated or ())]
     if any(key.startswith(("gyro_noise", "accel_noise")) for key in estimated) or (
@@ -143,7 +139,7 @@ def _advice(calibration: Calibration, source: str, with_moves: tuple[float, floa
     if source and (calibration.judgement.word != SOUND or calibration.warnings):
         yield f"To do: look for faults of the recording with 'srt inspect {source} --deep'."
     if moves := calibration.diagnostics.unused_moves:
-        low, high = (0.0, 0.0) if with_moves is None else with_moves
+        low, high = calibration.diagnostics.sigma_with_moves or (0.0, 0.0)
         gain = f"gives {low:.2f}-{high:.2f} of these sigmas" if high else "uses them"
         yield f"To do: {moves} recorded moves are not used by the closed form: '--estimator least-squares' {gain}."
 
