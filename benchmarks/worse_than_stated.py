@@ -209,6 +209,7 @@ def outcome(name: str, seed: int, estimator: str) -> dict[str, Any]:
     added = found.verdict.added_noise if found.verdict is not None else None
     named += [OF_FIXTURE[kind] for kind in added or () if kind in OF_FIXTURE]
     named += ["move left out" for _ in found.provenance.voided]
+    named += ["moves contradict" for text in found.diagnostics.contradicted or () if "recorded moves" in text]
     named += ["label" for warning in found.warnings if "check the label" in warning]
     row = {"nees": math.nan, "seen": 0, "worst": math.nan, "word": found.status, "named": ", ".join(named)}
     seen = found.observed & (found.sigma > 0.0)
