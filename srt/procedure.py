@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from srt.diagnosis.false_alarms import FALSE_ALARM
 from srt.diagnosis.staged_diagnosis import StagedDiagnosis
-from srt.estimation.goodness_of_fit import SUSPECT_PROBABILITY, chi_square_probability, specification_test
+from srt.estimation.goodness_of_fit import chi_square_probability, specification_test
 from srt.estimation.options import Options, chosen_options
 from srt.estimation.registry import estimate
 from srt.exceptions import DataError, SrtError
@@ -138,7 +139,7 @@ def _beside_moves(recording: Recording, result: Calibration, options: Options) -
     difference = (result.errors.vector - whole.errors.vector)[both]
     own, other = (found.covariance[np.ix_(both, both)] for found in (result, whole))
     p = chi_square_probability(*specification_test(difference, own, other))
-    if whole.judgement.word == SOUND and p is not None and p < SUSPECT_PROBABILITY:
+    if whole.judgement.word == SOUND and p is not None and p < FALSE_ALARM:
         size = np.abs(difference) / result.sigma[both]
         most = int(np.argmax(size))
         sentence = " ".join(
