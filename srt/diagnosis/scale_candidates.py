@@ -14,10 +14,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from srt.constants import DEG, DEG_PER_H, STANDARD_GRAVITY_M_S2
-from srt.diagnosis.channels import SAMPLES
 from srt.diagnosis.scale_causes import FREQUENT, GRAVITY_SIGMA, RARE, ScaleCause, most_likely
 from srt.diagnosis.scale_ratios import UNKNOWN, stationary_force_scatter
-from srt.diagnosis.stationary_rates import earth_rate_factor
 from srt.model.table1 import AXES
 from srt.sequences.plausibility import LEGAL_RATIO
 from srt.sequences.wrong_units import WRONG_UNITS
@@ -151,7 +149,7 @@ def _confirmed_by_earth(evidence: Evidence, scales: ScaleRatios) -> bool:
 
     The clock is wrong then: no scale-factor error of a unit has this effect.
     """
-    earth = earth_rate_factor(evidence.earth_rate)
+    earth = evidence.earth_rate_factor
     if earth is None or abs(scales.common) < _LEAST_COMMON:
         return False
     expected = math.exp(-scales.common if evidence.recording.kind == "rate" else scales.common)
@@ -330,10 +328,10 @@ def _fields(evidence: Evidence, sensor: Sensor, ratio: float, unit: WrongUnit | 
 
 def _common_step(evidence: Evidence, sensor: Sensor) -> int:
     """Greatest common divisor of the readings in the first unit in which they are whole numbers; 0 if there is none."""
-    table: Array = getattr(evidence.recording, sensor)
+    table = evidence.some[("gyro", "accel").index(sensor)]
     units = {"gyro": (1.0, DEG, DEG_PER_H), "accel": (1.0, STANDARD_GRAVITY_M_S2, 1e-3 * STANDARD_GRAVITY_M_S2)}[sensor]
     for unit in units if evidence.recording.kind == "rate" else units[:2]:
-        numbers = table[:: max(1, len(table) // SAMPLES)] / unit
+        numbers = table / unit
         nearest = np.rint(numbers)
         # Above 2⁵² = 1/ε, every double is a whole number.
         if np.abs(numbers - nearest).max() < _WHOLE and _FEWEST_COUNTS <= np.ptp(nearest) < 1.0 / np.finfo(float).eps:
