@@ -23,9 +23,8 @@ from srt.diagnosis.rotation_readings import (
 )
 from srt.diagnosis.scale_ratios import accel_ratios, gyro_ratios_to_gravity, gyro_ratios_to_labels
 from srt.diagnosis.spikes import MISPLACED, NO_SPIKES, find_spikes
-from srt.diagnosis.stabilised_force import stabilised_force
 from srt.diagnosis.stationary_rates import earth_rate, earth_rate_factor, stationary_rate_fit, stationary_rates
-from srt.diagnosis.time_offsets import attitude_step, lag, time_offset
+from srt.diagnosis.time_offsets import attitude_step, lag, stabilised_force, time_offset
 from srt.diagnosis.triad_fits import accel_fit, gyro_fit, measured_angles, raw_triads
 from srt.diagnosis.window_averages import window_averages
 from srt.diagnosis.wrapping import wrapped_readings

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 from srt.diagnosis import (
     axes,
     channels,
-    clipping,
     high_passes,
     imu_properties,
     joined_units,
@@ -84,7 +83,7 @@ STAGES: Final = {
             channels.SPIKES,
         ),
     ),
-    "units": Stage("Units, scales and ranges", (*units.SCALES.values(), *clipping.CLIPPED.values())),
+    "units": Stage("Units, scales and ranges", (*units.SCALES.values(), *units.CLIPPED.values())),
     "frames": Stage(
         "Axes and frames",
         (

@@ -1,4 +1,4 @@
-"""Synchronisation of gyros and accelerometers: time offset between the sensors, and samples lost in rotations.
+"""Gyro-stabilised specific force, and what it shows: time offset between the sensors, and samples lost in rotations.
 
 The attitude from the gyros transforms the measured specific force to B_Strt, the body frame at the start of the
 sequence, in which it should be constant. Its change in the direction in which gravity rotates, divided by gravity, is
@@ -8,19 +8,22 @@ the angle between the rotations that gyros and accelerometers measure.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
 from srt.diagnosis.cause_comparison import Cause, compare
 from srt.diagnosis.false_alarms import limit
-from srt.diagnosis.rotation_readings import cross
+from srt.diagnosis.rotation_readings import cross, invert_readings
+from srt.model import rotations
 from srt.model.table1 import AXES
 
 if TYPE_CHECKING:
     from srt.diagnosis.cause_comparison import Explanation
     from srt.diagnosis.rotation_readings import BlockAverages
-    from srt.diagnosis.stabilised_force import StabilisedForce
+    from srt.diagnosis.triad_fits import RawTriads
+    from srt.sequences.preparation import PreparedRecording
     from srt.types import Array, Indices, Mask
 
 _FEWEST_TURNS: Final = 4
@@ -33,6 +36,56 @@ _COARSE: Final = 5
 """Number of blocks that are averaged for the estimate of the offset, which is constant during a rotation."""
 _SIDE: Final = 20
 """Number of blocks used on each side of a step."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StabilisedForce:
+    """Specific force averaged over blocks of about 10 ms, transformed by the gyros to B_Strt of its sequence.
+
+    Attributes
+    ----------
+    attitude : ndarray, shape (m, 3, 3)
+        Attitude at the middle of the block, from the gyros: B to B_Strt.
+    rate, force : ndarray, shape (m, 3), rad/s and units of gravity
+        Rate, less the stationary mean, and specific force in B.
+    up, up_body : ndarray, shape (m, 3)
+        Measured vertical at the start of the block's sequence in B_Strt, and in B at the middle of the block.
+    force_start : ndarray, shape (m, 3)
+        Specific force in B_Strt, in units of gravity; constant for a perfect IMU.
+    """
+
+    attitude: Array
+    rate: Array
+    force: Array
+    up: Array
+    up_body: Array
+    force_start: Array
+
+
+def stabilised_force(data: PreparedRecording, path: BlockAverages, triads: RawTriads) -> StabilisedForce:
+    """Gyro-stabilised specific force of all rotations."""
+    gyro, accel, bias = triads
+    rate = invert_readings(gyro, path.rate)
+    angle = rate * path.step_s
+    attitude = _attitudes(angle, path.starts)
+    vertical = invert_readings(accel, data.windows.accel_mean[data.start] - bias)
+    size = np.linalg.norm(vertical, axis=1, keepdims=True)
+    up = np.divide(vertical, size, out=np.zeros_like(vertical), where=size > 0.0)
+    force = invert_readings(accel, path.force - bias) / data.gravity
+    up = up[path.sequence]
+    up_body = np.einsum("ma,mab->mb", up, attitude)
+    return StabilisedForce(attitude, rate, force, up, up_body, np.einsum("mab,mb->ma", attitude, force))
+
+
+def _attitudes(angle: Array, starts: Indices) -> Array:
+    """Attitude at the middle of each step, relative to the start of its chain of rotation vectors, (n, 3, 3)."""
+    half = rotations.from_rotation_vector(np.ascontiguousarray(0.5 * angle.T))
+    ends = rotations.prefix_product(rotations.multiply(half, half))
+    begins = np.concatenate([[[1.0], [0.0]], ends[:, starts[1:-1] - 1]], axis=1)
+    # One product over all chains, times the inverse attitude at the start of each chain and of half the last step.
+    back = np.repeat(rotations.conjugate(begins), np.diff(starts), axis=1)
+    middle = rotations.multiply(rotations.multiply(back, ends), rotations.conjugate(half))
+    return np.ascontiguousarray(np.moveaxis(rotations.to_matrix(middle), 2, 0))
 
 
 class TimeOffset(NamedTuple):

@@ -9,7 +9,7 @@ import numpy as np
 
 from srt.diagnosis.false_alarms import limit
 from srt.diagnosis.findings import Fault
-from srt.diagnosis.scale_candidates import TIME_UNITS, USUAL_S
+from srt.diagnosis.scale_causes import TIME_UNITS, USUAL_S
 from srt.diagnosis.units import scale_findings
 from srt.recording.timing import ROUNDING_FRACTION
 from srt.sequences.plausibility import LONGEST_INTERVAL_S, SHORTEST_INTERVAL_S
