@@ -324,7 +324,7 @@ class Evidence:
     """Matrix K of the rotation of gravity against the gyros, shape (3, 3)."""
     stabilised_force = _of(stabilised_force, "data", "block_averages", "raw_triads")
     """Gyro-stabilised specific force of all rotations."""
-    time_offset = _of(time_offset, "stabilised_force", "block_averages")
+    time_offset = _of(time_offset, "stabilised_force")
     """Time offset between the sensors."""
     lag = _of(lag, "time_offset", "dt")
     """Possible causes of a lag of a triad or of one channel, most likely first; None if there is no lag."""
@@ -332,11 +332,11 @@ class Evidence:
     @cached_property
     def attitude_step(self) -> AttitudeStep | None:
         """Largest step of the stabilised specific force on a fixture: the acceleration by hand has steps."""
-        path, turns = self.stabilised_force, self.block_averages
-        if path is None or turns is None or self.recording.fixture is None:
+        path = self.stabilised_force
+        if path is None or self.recording.fixture is None:
             return None
         void = [k for k, _ in self.clipped_parts if k is not None]
-        return attitude_step(path, turns, self.time_offset, self.dt, void)
+        return attitude_step(path, self.time_offset, self.dt, void)
 
     # --- single readings and scales ----------------------------------------------------------------------------------
 

@@ -180,12 +180,12 @@ def _end_mismatch(evidence: Evidence) -> Array:
 
     Infinite where it is not known.
     """
-    data, path, turns = evidence.data, evidence.stabilised_force, evidence.block_averages
-    if data is None or path is None or turns is None:
+    data, path = evidence.data, evidence.stabilised_force
+    if data is None or path is None:
         return np.full(0 if data is None else data.K, np.inf)
     _, accel, bias = evidence.raw_triads
-    last = turns.starts[1:] - 1
-    sequences = turns.sequence[last]
+    last = path.blocks.starts[1:] - 1
+    sequences = path.blocks.sequence[last]
     measured = invert_readings(accel, evidence.stationary_force[data.end[sequences]] - bias)
     measured /= np.maximum(np.linalg.norm(measured, axis=1, keepdims=True), 1e-300)
     out = np.full(data.K, np.inf)
