@@ -55,7 +55,12 @@ class Explanation:
 
 
 def compare(values: Array, causes: Iterable[Cause], nuisance: Array | None = None) -> list[Explanation]:
-    """Fit the residuals by each cause, and sort the explanations by likelihood, the most likely first.
+    """Explanations of the residuals by each cause, the most likely first; parameters as for :func:`explain`."""
+    return sorted(explain(values, causes, nuisance), key=lambda explanation: -explanation.score)
+
+
+def explain(values: Array, causes: Iterable[Cause], nuisance: Array | None = None) -> list[Explanation]:
+    """Fit the residuals by each cause.
 
     Parameters
     ----------
@@ -83,6 +88,6 @@ def compare(values: Array, causes: Iterable[Cause], nuisance: Array | None = Non
     sigma = np.linalg.norm(inverse, axis=2) * np.sqrt(square / np.maximum(1, freedom))[:, None]
     score = -0.5 * n * np.log(square / n) - 0.5 * k * math.log(n) - np.log([cause.choices for cause in causes])
     return [
-        Explanation(causes[c], float(score[c]), value[c, : k[c]], sigma[c, : k[c]], float(square[c]), int(freedom[c]))
-        for c in np.argsort(-score, kind="stable").tolist()
+        Explanation(cause, float(score[c]), value[c, : k[c]], sigma[c, : k[c]], float(square[c]), int(freedom[c]))
+        for c, cause in enumerate(causes)
     ]

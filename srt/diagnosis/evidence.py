@@ -244,10 +244,11 @@ class Evidence:
         """Nominal and measured specific force at start and end of each known sequence, (2 K', 3) each, m/s²."""
         nominal: list[Array] = []
         rows: list[int] = []
+        gravity = self.recording.site.gravity_m_s2
         for k, sequence in enumerate(() if self.data is None else self.data.catalogue):
             if sequence is not None:
                 down = nominal_attitude(sequence)[2]
-                nominal += [-self._data.gravity * down, -self._data.gravity * (end_attitude(sequence).T @ down)]
+                nominal += [-gravity * down, -gravity * (end_attitude(sequence).T @ down)]
                 rows += [self._data.start[k], self._data.end[k]]
         return np.array(nominal).reshape(-1, 3), self.stationary_force[rows] if rows else np.zeros((0, 3))
 
@@ -310,8 +311,7 @@ class Evidence:
     @cached_property
     def raw_triads(self) -> RawTriads:
         """Raw gyro matrix, and raw accelerometer matrix and bias, in the nominal frame."""
-        gravity = self.recording.site.gravity_m_s2 if self.data is None else self.data.gravity
-        return raw_triads(self.rotations, self.poses, gravity)
+        return raw_triads(self.rotations, self.poses, self.recording.site.gravity_m_s2)
 
     @cached_property
     def manoeuvres(self) -> ManoeuvreReadings | None:
@@ -383,7 +383,7 @@ class Evidence:
     @cached_property
     def accel_scales(self) -> ScaleRatios:
         """Ratios of the stationary specific force to gravity."""
-        return accel_ratios(self.recording, self.manoeuvres, None if self.data is None else self.accel_fit)
+        return accel_ratios(self.recording, self.manoeuvres, self.accel_fit)
 
     # --- calibration -------------------------------------------------------------------------------------------------
 
