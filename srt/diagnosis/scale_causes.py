@@ -24,6 +24,7 @@ from scipy.special import log_softmax, logsumexp
 
 from srt.constants import DEG, DEG_PER_H, EARTH_RATE_RAD_S, STANDARD_GRAVITY_M_S2
 from srt.diagnosis.cause_comparison import CLOSE
+from srt.diagnosis.false_alarms import limit
 from srt.diagnosis.scale_ratios import UNKNOWN, stationary_force_scatter
 from srt.model.table1 import AXES
 from srt.result.diagnostics import RunnerUp
@@ -68,9 +69,9 @@ within it by chance."""
 _COMMON_SIGMAS: Final = 8.0
 """Smallest common factor over the scatter of the axes for a finding together with :data:`_EQUAL`. Independent errors
 exceed it in 0.5 % of all units, but exceed both only in units with errors of tens of per cent."""
-_COMMON_SIGMAS_ALONE: Final = 57.7
-"""Smallest common factor over the scatter of the axes for a finding whatever its size: p = 1e-4, where Student's t with
-two degrees of freedom, which is √3 times this ratio, exceeds 100."""
+_COMMON_SIGMAS_ALONE: Final = limit("t", 2, both_sides=True, shared=1e-4) / math.sqrt(3.0)
+"""Smallest common factor over the scatter of the axes for a finding whatever its size: √3 times this ratio is
+distributed as t with two degrees of freedom."""
 _LEAST_COMMON: Final = 0.005
 """Smallest common factor that equal axes or the Earth rate may show."""
 _EARTH_SIGMAS: Final = 5.0
