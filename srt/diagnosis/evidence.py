@@ -42,17 +42,16 @@ if TYPE_CHECKING:
 
     from srt.diagnosis.gravity_rotation import ManoeuvreReadings
     from srt.diagnosis.label_shift import LabelShift
-    from srt.diagnosis.rotation_readings import Rotations
     from srt.diagnosis.scale_ratios import ScaleRatios
     from srt.diagnosis.spikes import Spikes
     from srt.diagnosis.time_offsets import AttitudeStep
-    from srt.diagnosis.triad_fits import LinearFit, MeasuredAngles, RawTriads
+    from srt.diagnosis.triad_fits import MeasuredAngles, RawTriads
     from srt.recording.recording import Recording, SequenceLabel
     from srt.result.calibration import Calibration
     from srt.sequences.clipping import Clipping
     from srt.sequences.preparation import PreparedRecording
     from srt.sequences.recognition import Recognition
-    from srt.types import Array, Indices, Mask
+    from srt.types import Array, Mask
 
 
 SAMPLES: Final = 20_000
@@ -72,6 +71,11 @@ def _of(function: Callable[..., _T | None], *inputs: str) -> cached_property[_T 
         return function(*values)
 
     return cached_property(computed)
+
+
+def _from(function: Callable[..., _T], *inputs: str) -> cached_property[_T]:
+    """Quantity that a function computes from other quantities on demand, whether these are None or not."""
+    return cached_property(lambda evidence: function(*(getattr(evidence, name) for name in inputs)))
 
 
 class Evidence:
@@ -288,25 +292,17 @@ class Evidence:
     block_averages = _of(block_averages, "data", "contiguous")
     """Block averages of all manoeuvres without a gap."""
 
-    @cached_property
-    def rotations(self) -> Rotations:
-        """Measured and nominal rotations of the sequences."""
-        return find_rotations(self.data, self.block_averages)
+    rotations = _from(find_rotations, "data", "block_averages")
+    """Measured and nominal rotations of the sequences."""
+    gyro_fit = _from(gyro_fit, "rotations")
+    """Fit of measured to nominal rotations."""
+    accel_fit = _from(accel_fit, "poses")
+    """Fit of measured to nominal specific force of the poses."""
 
     @cached_property
     def measured_angles(self) -> MeasuredAngles | None:
         """Angles of the rotations on a fixture, without outliers; None with too few."""
         return None if self.recording.fixture is None else measured_angles(self.rotations)
-
-    @cached_property
-    def gyro_fit(self) -> LinearFit:
-        """Fit of measured to nominal rotations."""
-        return gyro_fit(self.rotations)
-
-    @cached_property
-    def accel_fit(self) -> LinearFit:
-        """Fit of measured to nominal specific force of the poses."""
-        return accel_fit(self.poses)
 
     @cached_property
     def raw_triads(self) -> RawTriads:
@@ -356,10 +352,8 @@ class Evidence:
         parts = ((k, slice(int(windows[data.start[k], 0]), int(windows[data.end[k], 1]))) for k in range(data.K))
         return [(k, channels) for k, part in parts if (channels := clipped_samples(recording, part, levels))]
 
-    @cached_property
-    def wrapped_readings(self) -> dict[str, tuple[int, Indices]]:
-        """First axis of a triad that wraps, and the numbers of the samples after its jumps, by sensor."""
-        return wrapped_readings(self.columns, self.recording, self.data)
+    wrapped_readings = _from(wrapped_readings, "columns", "recording", "data")
+    """First axis of a triad that wraps, and the numbers of the samples after its jumps, by sensor."""
 
     @cached_property
     def spikes(self) -> Spikes:
@@ -380,10 +374,8 @@ class Evidence:
             return by_labels
         return gyro_ratios_to_gravity(by_labels, self.gravity_relation)
 
-    @cached_property
-    def accel_scales(self) -> ScaleRatios:
-        """Ratios of the stationary specific force to gravity."""
-        return accel_ratios(self.recording, self.manoeuvres, self.accel_fit)
+    accel_scales = _from(accel_ratios, "recording", "manoeuvres", "accel_fit")
+    """Ratios of the stationary specific force to gravity."""
 
     # --- calibration -------------------------------------------------------------------------------------------------
 
