@@ -87,14 +87,11 @@ class Evidence:
         If it has no labels, the recognised sequences or free rotations are used as labels.
     options : Options, optional
         Options of the calibration ``result``.
-    result : Calibration, optional
-        Calibration of the recording, if it is already known.
     """
 
-    def __init__(self, recording: Recording, options: Options | None = None, result: Calibration | None = None) -> None:
+    def __init__(self, recording: Recording, options: Options | None = None) -> None:
         self.recording = recording
         self.options = options or Options()
-        self._result = result
 
     # --- samples -----------------------------------------------------------------------------------------------------
 
