@@ -21,14 +21,18 @@ import time
 from collections import Counter
 from contextlib import suppress
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
 from protocols import PROTOCOLS
 from scipy.ndimage import uniform_filter1d
 
+sys.path.append(str(Path(__file__).parents[1] / "tests"))  # injected_faults
+
+from injected_faults.injection import GRADES
+
 import srt
-from sims.faults.injection import GRADES
 from sims.physics.turn_profiles import ProfileName
 from sims.scenarios.scenario import scenario_from_dict
 from sims.scenarios.simulation import simulate

@@ -26,10 +26,10 @@ from typing import TYPE_CHECKING, Final
 
 from fault_severities import Units, severities
 from fault_study import all_injections
+from injected_faults.foreign_operators import PAIRS
+from injected_faults.injection import GRADES, VARIANTS, Injection
 
 import srt
-from sims.faults.foreign_operators import PAIRS
-from sims.faults.injection import GRADES, VARIANTS, Injection
 from srt.diagnosis.staged_diagnosis import diagnose
 from srt.exceptions import DataError, InputError
 from srt.recording.atomic_file import atomic_write_text

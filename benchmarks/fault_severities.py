@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from fault_study import ALL_OR_NOTHING, FACTORS, LEAST_ONE, SHARES, severity_at
+from injected_faults.injection import GRADES, VARIANTS, Case, Injection
 
 import srt
-from sims.faults.injection import GRADES, VARIANTS, Case, Injection
 from srt.exceptions import DataError, InputError
 from srt.sensor_errors import NAMES
 

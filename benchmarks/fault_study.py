@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import json
 import math
+import sys
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -20,8 +21,11 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from sims.faults import execution, logger, site_and_drift
-from sims.faults.injection import GRADES, INJECTIONS, Case, Injection
+sys.path.append(str(Path(__file__).parents[1] / "tests"))  # injected_faults
+
+from injected_faults import execution, logger, site_and_drift
+from injected_faults.injection import GRADES, INJECTIONS, Case, Injection
+
 from srt.diagnosis.faults import FAULTS
 from srt.diagnosis.staged_diagnosis import diagnose
 from srt.exceptions import InputError

@@ -20,10 +20,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from fault_study import ALL_OR_NOTHING, LADDER_UNITS, SEEN, FaultDetection, FaultStudy, Report
+from injected_faults.injection import GRADES
 from rich.console import Console
 from rich.table import Table
 
-from sims.faults.injection import GRADES
 from srt.diagnosis.faults import FAULTS
 from srt.exceptions import InputError
 from srt.recording.atomic_file import atomic_write_text

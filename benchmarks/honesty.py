@@ -39,11 +39,11 @@ from honesty_recordings import (
     fixture_drift,
     hand_unit,
 )
+from injected_faults.injection import GRADES, Case
 from scipy.stats import binom, chi2
 from studies import ESTIMATORS, Score, counts, pooled_nees, rms, scored
 
 import srt
-from sims.faults.injection import GRADES, Case
 from srt.diagnosis.staged_diagnosis import diagnose
 from srt.noise.drift_forms import FALSE_ALARM
 from srt.sensor_errors import GROUP_SLICES, NAMES

@@ -1,22 +1,28 @@
 """Recordings with an error of the test, a drift, or a defect of real logs, for the studies of ``honesty.py``.
 
-Errors of a test change a simulated case (:class:`sims.faults.injection.Case`). Hand-turned units, drifts and defects
-come from ``foreign_motion.py``, which shares nothing with the simulator or the estimators. All are drawn from ``rng``.
+Errors of a test change a simulated case (:class:`injected_faults.injection.Case`). Hand-turned units, drifts and
+defects come from ``foreign_motion.py``, which shares nothing with the simulator or the estimators. All are drawn from
+``rng``.
 """
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from foreign_motion import DEG, GRADES, PROFILES, drawn_errors, drift_course, drifting, hand_turns, recording, windows
 from scipy.signal import lfilter
 
+sys.path.append(str(Path(__file__).parents[1] / "tests"))  # injected_faults
+
+from injected_faults.execution import labels_exchanged
+from injected_faults.injection import Case
+
 import srt
-from sims.faults.execution import labels_exchanged
-from sims.faults.injection import Case
 from sims.physics.disturbances import tilt_step, vibrating
 from sims.physics.imu import read_out
 from sims.physics.sequences import TABLE_1

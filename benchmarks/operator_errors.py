@@ -10,14 +10,19 @@ from __future__ import annotations
 
 import argparse
 import math
+import sys
 from collections import Counter
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+sys.path.append(str(Path(__file__).parents[1] / "tests"))  # injected_faults
+
+from injected_faults.execution import slipped
+
 import sims
-from sims.faults.execution import slipped
 from sims.physics.sequences import TABLE_1
 from srt.planning.monitoring.run_monitor import run_state, truncated
 

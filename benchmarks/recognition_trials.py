@@ -5,14 +5,19 @@ A trial compares the calibration of a recording without its labels with the cali
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from studies import nees_of
 
+sys.path.append(str(Path(__file__).parents[1] / "tests"))  # injected_faults
+
+from injected_faults.injection import GRADES, Case
+
 import srt
-from sims.faults.injection import GRADES, Case
 from sims.physics.sequences import TABLE_1
 from srt.constants import DEG
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES

@@ -5,8 +5,8 @@ from __future__ import annotations
 from functools import cached_property
 
 import pytest
+from injected_faults.injection import GRADES
 
-from sims.faults.injection import GRADES
 from srt.diagnosis.evidence import Evidence
 from srt.diagnosis.faults import STAGES, sort_by_cause
 

@@ -55,7 +55,12 @@ class Explanation:
 
 
 def compare(values: Array, causes: Iterable[Cause], nuisance: Array | None = None) -> list[Explanation]:
-    """Fit the residuals by each cause, and sort the explanations by likelihood, the most likely first.
+    """Explanations of the residuals by each cause, the most likely first; parameters as for :func:`explain`."""
+    return sorted(explain(values, causes, nuisance), key=lambda explanation: -explanation.score)
+
+
+def explain(values: Array, causes: Iterable[Cause], nuisance: Array | None = None) -> list[Explanation]:
+    """Fit the residuals by each cause.
 
     Parameters
     ----------
@@ -65,21 +70,24 @@ def compare(values: Array, causes: Iterable[Cause], nuisance: Array | None = Non
     nuisance : ndarray, shape (n, p), optional
         Columns of nuisance parameters that are fitted together with every cause.
     """
-    n, basis = len(values), np.zeros((len(values), 0))
+    n, basis, causes = len(values), np.zeros((len(values), 0)), list(causes)
     if nuisance is not None and nuisance.shape[1]:
         U, size, _ = np.linalg.svd(nuisance, full_matrices=False)
         basis = U[:, size > 1e-9 * size.max(initial=0.0)]
-    left, found = values - basis @ (basis.T @ values), []
-    for cause in causes:
-        columns = cause.columns - basis @ (basis.T @ cause.columns)
-        k = columns.shape[1]
-        freedom = n - basis.shape[1] - k
-        # Directions that the nuisance columns explain as well are left out.
-        inverse = np.linalg.pinv(columns, rcond=np.finfo(float).eps * n) if k else np.zeros((0, n))
-        value = inverse @ left
-        rest = left - columns @ value
-        square = max(float(rest @ rest), 1e-300)
-        sigma = np.linalg.norm(inverse, axis=1) * math.sqrt(square / max(1, freedom))
-        score = -0.5 * n * math.log(square / n) - 0.5 * k * math.log(n) - math.log(cause.choices)
-        found.append(Explanation(cause, score, value, np.asarray(sigma), square, freedom))
-    return sorted(found, key=lambda explanation: -explanation.score)
+    k = np.array([cause.columns.shape[1] for cause in causes], dtype=np.intp)
+    columns = np.zeros((len(causes), n, k.max(initial=0)))
+    for table, cause in zip(columns, causes, strict=True):
+        table[:, : cause.columns.shape[1]] = cause.columns
+    columns -= basis @ (basis.T @ columns)
+    left = values - basis @ (basis.T @ values)
+    # Directions that the nuisance columns explain as well are left out.
+    inverse = np.linalg.pinv(columns, rcond=np.finfo(float).eps * n)
+    value = inverse @ left
+    square = np.maximum(np.sum((left - np.einsum("cnk,ck->cn", columns, value)) ** 2, axis=1), 1e-300)
+    freedom = n - basis.shape[1] - k
+    sigma = np.linalg.norm(inverse, axis=2) * np.sqrt(square / np.maximum(1, freedom))[:, None]
+    score = -0.5 * n * np.log(square / n) - 0.5 * k * math.log(n) - np.log([cause.choices for cause in causes])
+    return [
+        Explanation(cause, float(score[c]), value[c, : k[c]], sigma[c, : k[c]], float(square[c]), int(freedom[c]))
+        for c, cause in enumerate(causes)
+    ]

@@ -8,9 +8,9 @@ import numpy as np
 from scipy.special import gammainc
 
 from srt.constants import EARTH_RATE_RAD_S, STANDARD_GRAVITY_M_S2
+from srt.diagnosis.evidence import SAMPLES
 from srt.diagnosis.findings import Fault, by_sensor
-from srt.diagnosis.repeated_samples import FALSE_ALARM as REPEATS_BY_CHANCE
-from srt.diagnosis.repeated_samples import repeated_runs, single_repeats
+from srt.diagnosis.repeated_samples import BY_CHANCE, repeated_runs, single_repeats
 from srt.diagnosis.rotation_readings import ROUNDING
 from srt.diagnosis.sensor_synchronisation import sample_twice
 from srt.model.table1 import AXES
@@ -21,10 +21,9 @@ if TYPE_CHECKING:
 
     from srt.diagnosis.evidence import Evidence
     from srt.diagnosis.findings import Finding
+    from srt.types import Array, Indices
 
 
-SAMPLES: Final = 20_000
-"""Number of samples that suffices for the tests of whole columns: more would only take longer."""
 MOVED: Final = 0.5
 """Labelled rotation, rad, and change of a gravity component, g, that the readings of an axis must show."""
 _SCALES: Final = 10.0
@@ -194,7 +193,7 @@ def duplicated_samples(evidence: Evidence) -> Iterator[Finding]:
     """
     for rows, expected in single_repeats(evidence):
         enough = len(rows) >= max(_FEWEST_TWICE, _TWICE * expected)
-        if enough and gammainc(len(rows), expected) <= REPEATS_BY_CHANCE:
+        if enough and gammainc(len(rows), expected) <= BY_CHANCE:
             break
     else:
         rows, expected = np.unique(evidence.spikes.sample[evidence.spikes.of_repeats(evidence.repeats[0])]), 0.0
@@ -228,17 +227,14 @@ def samples_interpolated(evidence: Evidence) -> Iterator[Finding]:
 
     Constant channels are frozen, or have no pulses at rest. Samples outside the sequences are not in the result.
     """
-    data = evidence.data
+    data, columns = evidence.data, evidence.columns
     if data is None or not evidence.noisy_channels.reshape(2, 3).any(axis=1).all():
         return
+    # A run that is long enough contains one of every six second differences.
+    if not len(_on_lines(columns, np.arange(0, columns.shape[1] - 2, _LINE - 2))):
+        return
     spans = np.stack([data.windows.samples[data.start, 0], data.windows.samples[data.end, 1] - 2], axis=1)
-    at = np.unique(np.concatenate([np.arange(a, b) for a, b in spans.tolist()]))
-    slopes = np.zeros(len(at), dtype=np.intp)
-    for column in evidence.columns:
-        rounding, step = ROUNDING * float(np.abs(column).max()), column[at + 1] - column[at]
-        straight = np.abs(column[at + 2] - column[at + 1] - step) <= rounding
-        at, slopes = at[straight], slopes[straight] + (np.abs(step[straight]) > rounding)
-    at = at[slopes > 1]
+    at = _on_lines(columns, np.unique(np.concatenate([np.arange(a, b) for a, b in spans.tolist()])))
     ends = np.flatnonzero(np.diff(at, prepend=-2) > 1)
     lengths = np.diff(ends, append=len(at))
     if lengths.max(initial=0) + 2 < _LINE:
@@ -249,6 +245,16 @@ def samples_interpolated(evidence: Evidence) -> Iterator[Finding]:
         count=int(lengths.max()) + 2,
         sequence=evidence.place_title(first),
     )
+
+
+def _on_lines(columns: Array, at: Indices) -> Indices:
+    """Those of the samples from which three lie on a straight line in all channels, and on a slope in at least two."""
+    slopes = np.zeros(len(at), dtype=np.intp)
+    for column in columns:
+        rounding, step = ROUNDING * float(np.abs(column).max()), column[at + 1] - column[at]
+        straight = np.abs(column[at + 2] - column[at + 1] - step) <= rounding
+        at, slopes = at[straight], slopes[straight] + (np.abs(step[straight]) > rounding)
+    return at[slopes > 1]
 
 
 SAMPLES_INTERPOLATED: Final = Fault(

@@ -7,7 +7,7 @@ to SI by the declared units. ``rate`` and ``force`` are rates also for a recordi
 from __future__ import annotations
 
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import numpy as np
 
@@ -23,14 +23,14 @@ from srt.diagnosis.rotation_readings import (
 )
 from srt.diagnosis.scale_ratios import accel_ratios, gyro_ratios_to_gravity, gyro_ratios_to_labels
 from srt.diagnosis.spikes import MISPLACED, NO_SPIKES, find_spikes
-from srt.diagnosis.stabilised_force import stabilised_force
-from srt.diagnosis.stationary_rates import earth_rate, stationary_rate_fit, stationary_rates
-from srt.diagnosis.time_offsets import attitude_step, lag, time_offset
+from srt.diagnosis.stationary_rates import earth_rate, earth_rate_factor, stationary_rate_fit, stationary_rates
+from srt.diagnosis.time_offsets import attitude_step, lag, stabilised_force, time_offset
 from srt.diagnosis.triad_fits import accel_fit, gyro_fit, measured_angles, raw_triads
 from srt.diagnosis.window_averages import window_averages
 from srt.diagnosis.wrapping import wrapped_readings
 from srt.estimation.options import Options
 from srt.exceptions import DataError
+from srt.noise.noise_model import smallest_step
 from srt.sequences.clipping import clipped_samples, clipping_levels
 from srt.sequences.manoeuvres import end_attitude
 from srt.sequences.preparation import nominal_attitude, prepare
@@ -38,23 +38,44 @@ from srt.sequences.recognition import labelled, recognise
 from srt.sequences.stationary_windows import find_turns
 
 if TYPE_CHECKING:
-    from srt.diagnosis.cause_comparison import Explanation
+    from collections.abc import Callable
+
     from srt.diagnosis.gravity_rotation import ManoeuvreReadings
     from srt.diagnosis.label_shift import LabelShift
-    from srt.diagnosis.rotation_readings import BlockAverages, RawIntegrals, Rotations
     from srt.diagnosis.scale_ratios import ScaleRatios
     from srt.diagnosis.spikes import Spikes
-    from srt.diagnosis.stabilised_force import StabilisedForce
-    from srt.diagnosis.stationary_rates import EarthRate, StationaryRateFit, StationaryRates
-    from srt.diagnosis.time_offsets import AttitudeStep, TimeOffset
-    from srt.diagnosis.triad_fits import LinearFit, MeasuredAngles, RawTriads
-    from srt.diagnosis.window_averages import WindowAverages
+    from srt.diagnosis.time_offsets import AttitudeStep
+    from srt.diagnosis.triad_fits import MeasuredAngles, RawTriads
     from srt.recording.recording import Recording, SequenceLabel
     from srt.result.calibration import Calibration
     from srt.sequences.clipping import Clipping
     from srt.sequences.preparation import PreparedRecording
     from srt.sequences.recognition import Recognition
-    from srt.types import Array, Indices, Mask
+    from srt.types import Array, Mask
+
+
+SAMPLES: Final = 20_000
+"""Number of samples that suffices for the tests of whole columns: more would only take longer."""
+_T = TypeVar("_T")
+
+
+def _of(function: Callable[..., _T | None], *inputs: str) -> cached_property[_T | None]:
+    """Quantity that a function computes from other quantities on demand; None if one of them is None."""
+
+    def computed(evidence: Evidence) -> _T | None:
+        values: list[Any] = []
+        for name in inputs:
+            values.append(getattr(evidence, name))
+            if values[-1] is None:
+                return None
+        return function(*values)
+
+    return cached_property(computed)
+
+
+def _from(function: Callable[..., _T], *inputs: str) -> cached_property[_T]:
+    """Quantity that a function computes from other quantities on demand, whether these are None or not."""
+    return cached_property(lambda evidence: function(*(getattr(evidence, name) for name in inputs)))
 
 
 class Evidence:
@@ -66,14 +87,11 @@ class Evidence:
         If it has no labels, the recognised sequences or free rotations are used as labels.
     options : Options, optional
         Options of the calibration ``result``.
-    result : Calibration, optional
-        Calibration of the recording, if it is already known.
     """
 
-    def __init__(self, recording: Recording, options: Options | None = None, result: Calibration | None = None) -> None:
+    def __init__(self, recording: Recording, options: Options | None = None) -> None:
         self.recording = recording
         self.options = options or Options()
-        self._result = result
 
     # --- samples -----------------------------------------------------------------------------------------------------
 
@@ -101,6 +119,17 @@ class Evidence:
     def columns(self) -> Array:
         """Stored values of the six channels, gyros first, shape (6, n)."""
         return np.concatenate([self.recording.gyro.T, self.recording.accel.T])
+
+    @cached_property
+    def some(self) -> tuple[Array, Array]:
+        """Stored values of gyros and accelerometers at samples that suffice for the tests of whole columns, (m, 3)."""
+        every = max(1, len(self.recording.time) // SAMPLES)
+        return self.recording.gyro[::every], self.recording.accel[::every]
+
+    @cached_property
+    def steps(self) -> Array:
+        """Smallest step between the stored values of each channel, shape (2, 3); zero where they hardly repeat."""
+        return np.array([smallest_step(table) for table in self.some])
 
     @cached_property
     def repeats(self) -> Mask:
@@ -207,11 +236,6 @@ class Evidence:
         return {"time": float(self.recording.time[first]) - self.dt + later_s, "sequence": self.title(k)}
 
     @cached_property
-    def stationary_rate(self) -> Array:
-        """Mean gyro reading of each window, shape (W, 3), rad/s."""
-        return self._data.windows.gyro_mean - self._data.noise.gyro_rounding
-
-    @cached_property
     def stationary_force(self) -> Array:
         """Mean accelerometer reading of each window, shape (W, 3), m/s²."""
         return self._data.windows.accel_mean - self._data.noise.accel_rounding
@@ -219,19 +243,15 @@ class Evidence:
     @cached_property
     def poses(self) -> tuple[Array, Array]:
         """Nominal and measured specific force at start and end of each known sequence, (2 K', 3) each, m/s²."""
-        data = self._data
-        nominal, reading = [], []
-        for k, sequence in enumerate(data.catalogue):
-            if sequence is None:
-                continue
-            down = nominal_attitude(sequence)[2]
-            nominal += [-data.gravity * down, -data.gravity * (end_attitude(sequence).T @ down)]
-            reading += [self.stationary_force[data.start[k]], self.stationary_force[data.end[k]]]
-        return np.array(nominal).reshape(-1, 3), np.array(reading).reshape(-1, 3)
-
-    @property
-    def _poses(self) -> tuple[Array, Array]:
-        return (np.zeros((0, 3)), np.zeros((0, 3))) if self.data is None else self.poses
+        nominal: list[Array] = []
+        rows: list[int] = []
+        gravity = self.recording.site.gravity_m_s2
+        for k, sequence in enumerate(() if self.data is None else self.data.catalogue):
+            if sequence is not None:
+                down = nominal_attitude(sequence)[2]
+                nominal += [-gravity * down, -gravity * (end_attitude(sequence).T @ down)]
+                rows += [self._data.start[k], self._data.end[k]]
+        return np.array(nominal).reshape(-1, 3), self.stationary_force[rows] if rows else np.zeros((0, 3))
 
     @cached_property
     def labelled_inputs(self) -> tuple[Array, Array]:
@@ -241,57 +261,40 @@ class Evidence:
         turned = [s.axes * s.angles_rad[:, None] for s in self.data.catalogue if s is not None]
         return np.concatenate([np.zeros((1, 3)), *turned]), self.poses[0] / self.recording.site.gravity_m_s2
 
-    @cached_property
-    def window_averages(self) -> WindowAverages | None:
-        """Averages inside the windows; None if fewer than four are long enough to be compared."""
-        return None if self.data is None else window_averages(self.data)
-
-    @cached_property
-    def stationary_rates(self) -> StationaryRates | None:
-        """Stationary rates and the design matrix of their model; None if there are too few windows."""
-        return None if self.data is None else stationary_rates(self.data, self.gyro_fit)
-
-    @cached_property
-    def stationary_rate_fit(self) -> StationaryRateFit | None:
-        """Bias, drift, g-sensitivity and Earth rate of the stationary rates; None if they are not observable."""
-        rates, instability = self.stationary_rates, self.recording.noise.gyro_bias_instability
-        return None if rates is None else stationary_rate_fit(rates, instability)
-
-    @cached_property
-    def earth_rate(self) -> EarthRate | None:
-        """Earth rate in the windows; None if it is not observable."""
-        return earth_rate(self.stationary_rate_fit, self.recording)
-
-    @cached_property
-    def turning_windows(self) -> Mask:
-        """True for each window in which the unit rotates as in a manoeuvre, shape (W,): its label is wrong."""
-        seen = self.raw_integrals
-        return np.zeros(0, dtype=np.bool_) if self.data is None or seen is None else turning_windows(self.data, seen)
+    window_averages = _of(window_averages, "data")
+    """Averages inside the windows."""
+    stationary_rates = _of(stationary_rates, "data", "gyro_fit")
+    """Stationary rates and the design matrix of their model."""
+    stationary_rate_fit = _of(stationary_rate_fit, "stationary_rates", "recording")
+    """Bias, drift, g-sensitivity and Earth rate of the stationary rates."""
+    earth_rate = _of(earth_rate, "stationary_rate_fit", "recording")
+    """Earth rate in the windows."""
+    earth_rate_factor = _of(earth_rate_factor, "earth_rate")
+    """Factor on the Earth rate at the stated latitude that fits the stationary rates."""
+    turning_windows = _of(turning_windows, "data", "raw_integrals")
+    """True for each window in which the unit rotates as in a manoeuvre, shape (W,): its label is wrong."""
 
     @cached_property
     def label_shift(self) -> LabelShift | None:
         """Shift of the labels in time; None if they are not shifted."""
-        data, seen = self.data, self.raw_integrals
-        if data is None or seen is None or not self.has_labels:
+        data, seen, turning = self.data, self.raw_integrals, self.turning_windows
+        if data is None or seen is None or turning is None or not self.has_labels:
             return None
-        return label_shift(data, seen, self.contiguous, self.turning_windows)
+        return label_shift(data, seen, self.contiguous, turning)
 
     # --- rotations ---------------------------------------------------------------------------------------------------
 
-    @cached_property
-    def raw_integrals(self) -> RawIntegrals | None:
-        """Integrals of the readings over each sequence; None if there are none."""
-        return None if self.data is None else raw_integrals(self.data)
+    raw_integrals = _of(raw_integrals, "data")
+    """Integrals of the readings over each sequence."""
+    block_averages = _of(block_averages, "data", "contiguous")
+    """Block averages of all manoeuvres without a gap."""
 
-    @cached_property
-    def block_averages(self) -> BlockAverages | None:
-        """Block averages of all manoeuvres without a gap; None if there are none."""
-        return None if self.data is None else block_averages(self.data, self.contiguous)
-
-    @cached_property
-    def rotations(self) -> Rotations:
-        """Measured and nominal rotations of the sequences."""
-        return find_rotations(self.data, self.block_averages)
+    rotations = _from(find_rotations, "data", "block_averages")
+    """Measured and nominal rotations of the sequences."""
+    gyro_fit = _from(gyro_fit, "rotations")
+    """Fit of measured to nominal rotations."""
+    accel_fit = _from(accel_fit, "poses")
+    """Fit of measured to nominal specific force of the poses."""
 
     @cached_property
     def measured_angles(self) -> MeasuredAngles | None:
@@ -299,20 +302,9 @@ class Evidence:
         return None if self.recording.fixture is None else measured_angles(self.rotations)
 
     @cached_property
-    def gyro_fit(self) -> LinearFit:
-        """Fit of measured to nominal rotations."""
-        return gyro_fit(self.rotations)
-
-    @cached_property
-    def accel_fit(self) -> LinearFit:
-        """Fit of measured to nominal specific force of the poses."""
-        return accel_fit(self._poses)
-
-    @cached_property
     def raw_triads(self) -> RawTriads:
         """Raw gyro matrix, and raw accelerometer matrix and bias, in the nominal frame."""
-        gravity = self.recording.site.gravity_m_s2 if self.data is None else self.data.gravity
-        return raw_triads(self.rotations, self._poses, gravity)
+        return raw_triads(self.rotations, self.poses, self.recording.site.gravity_m_s2)
 
     @cached_property
     def manoeuvres(self) -> ManoeuvreReadings | None:
@@ -321,36 +313,23 @@ class Evidence:
             return None if self.data is None else labelled_manoeuvres(self.data, self.contiguous)
         return None if self.recognition is None else recognised_manoeuvres(self.recording, self.recognition)
 
-    @cached_property
-    def gravity_relation(self) -> Array | None:
-        """Matrix K of the rotation of gravity against the gyros, shape (3, 3); None if it is not determined."""
-        return None if self.manoeuvres is None else gravity_relation(self.recording, self.manoeuvres)
-
-    @cached_property
-    def stabilised_force(self) -> StabilisedForce | None:
-        """Gyro-stabilised specific force of all rotations; None if there are none."""
-        path = self.block_averages
-        return None if self.data is None or path is None else stabilised_force(self.data, path, self.raw_triads)
-
-    @cached_property
-    def time_offset(self) -> TimeOffset | None:
-        """Time offset between the sensors; None with fewer than four suitable rotations."""
-        path, turns = self.stabilised_force, self.block_averages
-        return None if path is None or turns is None else time_offset(path, turns)
-
-    @cached_property
-    def lag(self) -> list[Explanation] | None:
-        """Possible causes of a lag of a triad or of one channel, most likely first; None if there is no lag."""
-        return None if self.time_offset is None else lag(self.time_offset, self.dt)
+    gravity_relation = _of(gravity_relation, "recording", "manoeuvres")
+    """Matrix K of the rotation of gravity against the gyros, shape (3, 3)."""
+    stabilised_force = _of(stabilised_force, "data", "block_averages", "raw_triads")
+    """Gyro-stabilised specific force of all rotations."""
+    time_offset = _of(time_offset, "stabilised_force")
+    """Time offset between the sensors."""
+    lag = _of(lag, "time_offset", "dt")
+    """Possible causes of a lag of a triad or of one channel, most likely first; None if there is no lag."""
 
     @cached_property
     def attitude_step(self) -> AttitudeStep | None:
         """Largest step of the stabilised specific force on a fixture: the acceleration by hand has steps."""
-        path, turns = self.stabilised_force, self.block_averages
-        if path is None or turns is None or self.recording.fixture is None:
+        path = self.stabilised_force
+        if path is None or self.recording.fixture is None:
             return None
         void = [k for k, _ in self.clipped_parts if k is not None]
-        return attitude_step(path, turns, self.time_offset, self.dt, void)
+        return attitude_step(path, self.time_offset, self.dt, void)
 
     # --- single readings and scales ----------------------------------------------------------------------------------
 
@@ -370,10 +349,8 @@ class Evidence:
         parts = ((k, slice(int(windows[data.start[k], 0]), int(windows[data.end[k], 1]))) for k in range(data.K))
         return [(k, channels) for k, part in parts if (channels := clipped_samples(recording, part, levels))]
 
-    @cached_property
-    def wrapped_readings(self) -> dict[str, tuple[int, Indices]]:
-        """First axis of a triad that wraps, and the numbers of the samples after its jumps, by sensor."""
-        return wrapped_readings(self.columns, self.recording, self.data)
+    wrapped_readings = _from(wrapped_readings, "columns", "recording", "data")
+    """First axis of a triad that wraps, and the numbers of the samples after its jumps, by sensor."""
 
     @cached_property
     def spikes(self) -> Spikes:
@@ -382,7 +359,8 @@ class Evidence:
             return NO_SPIKES
         found = find_spikes(self.columns, self.data, self.contiguous)
         # Shifted labels include fast moves of the fixture, which look like spikes of the gyros.
-        moves = np.any(found.channel < 3) and self.turning_windows.sum() >= MISPLACED
+        turning = self.turning_windows
+        moves = turning is not None and np.any(found.channel < 3) and turning.sum() >= MISPLACED
         return found[found.channel >= 3] if moves else found
 
     @cached_property
@@ -393,10 +371,8 @@ class Evidence:
             return by_labels
         return gyro_ratios_to_gravity(by_labels, self.gravity_relation)
 
-    @cached_property
-    def accel_scales(self) -> ScaleRatios:
-        """Ratios of the stationary specific force to gravity."""
-        return accel_ratios(self.recording, self.manoeuvres, None if self.data is None else self.accel_fit)
+    accel_scales = _from(accel_ratios, "recording", "manoeuvres", "accel_fit")
+    """Ratios of the stationary specific force to gravity."""
 
     # --- calibration -------------------------------------------------------------------------------------------------
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from srt.diagnosis.findings import Fault
+from srt.diagnosis.window_averages import ACCEL, GYRO
 from srt.sequences.rest_detection import BLOCK_S
 
 if TYPE_CHECKING:
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
 
     from srt.diagnosis.evidence import Evidence
     from srt.diagnosis.findings import Finding
-    from srt.types import Array
 
 _EXPLAINED: Final = 0.9
 """Smallest share of the variance within the windows that the filter must explain: it explains 0.6 of the variance if
@@ -30,29 +30,22 @@ filter with a time constant of 1e4 s."""
 _SHORTEST_S: Final = (0.5, BLOCK_S)
 """Shortest time constant of a filter of gyros and accelerometers, s: gyros behind a faster one would hardly read a
 rotation, and a shorter decay in a window is the end of a rotation."""
-_FEWEST_WINDOWS: Final = 4
-"""Fewest windows for a finding: fewer may show the relation by chance."""
 
 
 def high_passed(evidence: Evidence) -> Iterator[Finding]:
     """Test the readings in the windows for a decrease in proportion to their own time integral."""
-    if evidence.data is None:
+    averages = evidence.window_averages
+    if averages is None:
         return
-    size = max(1, round(BLOCK_S / evidence.dt))
-    windows = [(a, (b - a) // size) for a, b in evidence.data.windows.samples.tolist() if b - a >= 3 * size]
-    if len(windows) < _FEWEST_WINDOWS:
-        return
-    for fault, table, shortest_s in zip(
-        (GYRO_HIGH_PASSED, GRAVITY_REMOVED), (evidence.rate, evidence.force), _SHORTEST_S, strict=True
+    for fault, channels, shortest_s in zip(
+        (GYRO_HIGH_PASSED, GRAVITY_REMOVED), (GYRO, ACCEL), _SHORTEST_S, strict=True
     ):
-        readings: list[Array] = []
-        integrals: list[Array] = []
-        for a, count in windows:
-            mean = np.einsum("bsc->bc", table[a : a + count * size].reshape(count, size, 3)) / size
-            integral = size * evidence.dt * (np.cumsum(mean, axis=0) - 0.5 * mean)
-            readings.append(mean - mean.mean(axis=0))
-            integrals.append(integral - integral.mean(axis=0))
-        y, x = np.concatenate(readings).ravel(), np.concatenate(integrals).ravel()
+        means = [blocks[:, :, channels] for _, blocks in averages.groups]
+        integrals = [averages.step_s * (np.cumsum(mean, axis=1) - 0.5 * mean) for mean in means]
+        y, x = (
+            np.concatenate([(values - values.mean(axis=1, keepdims=True)).ravel() for values in tables])
+            for tables in (means, integrals)
+        )
         power, square, product = float(y @ y), float(x @ x), float(x @ y)
         if product * product > _EXPLAINED * power * square and shortest_s < -square / product < _LONGEST_S:
             yield fault.found(time_s=-square / product)

@@ -21,7 +21,7 @@ from srt.noise.allan import CHANNELS, TERMS, AllanDeviation, allan_deviation
 from srt.noise.noise_model import noise_model
 from srt.presentation import Presented
 from srt.recording.folder import TOML_NAME
-from srt.recording.recording import Recording
+from srt.recording.recording import ImuNoise, Recording
 from srt.recording.schema import IMU_KEYS, in_file_unit
 from srt.result.document import to_document
 from srt.sequences.plausibility import check_interval
@@ -162,14 +162,8 @@ def _noise(recording: Recording, windows: Indices) -> tuple[NoiseSummary | None,
 
 def _short_figures(recording: Recording, windows: Indices) -> dict[str, dict[str, Any]]:
     """Noise of windows that are too short for an Allan deviation, by channel and key."""
-    lengths = windows[:, 1] - windows[:, 0]
-    every = max(1, int(lengths.sum()) // _ENOUGH)
-    kept = np.concatenate([np.arange(a, b) for a, b in windows[::every].tolist()])
-    dt = recording.nominal_interval_s
-    time = np.arange(1.0, len(kept) + 1.0) * dt
-    rests = Recording(time, recording.gyro[kept], recording.accel[kept], recording.site, recording.kind)
-    ends = np.cumsum(lengths[::every])
-    model = noise_model(rests, np.stack([ends - lengths[::every], ends], axis=1))
+    every = max(1, int((windows[:, 1] - windows[:, 0]).sum()) // _ENOUGH)
+    model = noise_model(replace(recording, noise=ImuNoise()), windows[::every])
     pulses, walk = TERMS[0], TERMS[1]
     out: dict[str, dict[str, Any]] = {}
     for s, sensor in enumerate(("gyro", "accel")):

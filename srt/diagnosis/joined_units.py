@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from scipy.special import fdtrc
 
-from srt.diagnosis.cause_comparison import Cause, compare
+from srt.diagnosis.cause_comparison import Cause, explain
 from srt.diagnosis.false_alarms import FALSE_ALARM
 from srt.diagnosis.findings import Fault
 from srt.diagnosis.stationary_rates import BIAS, DRIFT, whitened
@@ -94,9 +94,8 @@ def _probability(null: Explanation, step: Explanation) -> float:
 
 def _explained(values: Array, nuisance: Array, changes: Array, choices: list[int]) -> list[Explanation]:
     """Explanation without a change, then one for each change, whose columns have the shape (n, k, changes)."""
-    causes = [Cause("", np.zeros((len(values), 0)), {"place": 0})]
-    causes += [Cause("change", changes[:, :, i], {"place": 1 + i}, several) for i, several in enumerate(choices)]
-    return sorted(compare(values, causes, nuisance), key=lambda explanation: explanation.cause.details["place"])
+    causes = [Cause("change", changes[:, :, i], {}, several) for i, several in enumerate(choices)]
+    return explain(values, [Cause("", np.zeros((len(values), 0)), {}), *causes], nuisance)
 
 
 # Residuals of equal variance, nuisance columns, and the effect of a separate change in each window, (n, k, W).

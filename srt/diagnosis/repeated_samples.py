@@ -12,12 +12,14 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from srt.diagnosis.false_alarms import FALSE_ALARM
+
 if TYPE_CHECKING:
     from srt.diagnosis.evidence import Evidence
     from srt.types import Array, Indices
 
 
-FALSE_ALARM: Final = 5e-7
+BY_CHANCE: Final = FALSE_ALARM / 11.0
 """False-alarm probability for one recording, for each of nine kinds of run and two kinds of single repeats. It assumes
 independent repeats. The pulses of a steady input are evenly spaced, so that the true probability is smaller."""
 _LONGER: Final = 2.0
@@ -78,7 +80,7 @@ def repeated_runs(evidence: Evidence) -> list[tuple[int, int] | None]:
         frequency = (np.count_nonzero(same[row, beside]) + _SUPPORT) / (len(beside) + _SUPPORT)
         if (
             (best is None or n > best[1])
-            and n * math.log(frequency) < math.log(FALSE_ALARM / total)
+            and n * math.log(frequency) < math.log(BY_CHANCE / total)
             and n > _PULSES * count[row, beside].max(initial=0)
             and (row == 0 or np.mean(same[other, first : first + n]) < _FROZEN)
             and not _at_extreme(evidence.columns[_channels(row)], first)

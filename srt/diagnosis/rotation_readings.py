@@ -30,8 +30,6 @@ _ROUNDS: Final = 12
 ROTATING: Final = 0.05
 """Smallest rate in a window, relative to that of the rotations, at which the unit is not at rest: bumps and creep are
 slower."""
-_BY_NOISE: Final = 4e-6
-"""False-alarm probability, for one recording, that noise alone classifies a window as rotating."""
 ROUNDING: Final = 1e-9
 """Largest rounding of readings, relative to the largest reading: a unit conversion makes 1e-16, a file 1e-10."""
 MAD: Final = 1.4826
@@ -197,7 +195,7 @@ def turning_windows(data: PreparedRecording, seen: RawIntegrals) -> Mask:
             span[w] = np.ptp(means, axis=1)
             scatter[w] = MAD * median(np.abs(means - median(means)[:, None]))
     tests = max(1, 6 * int(np.sum((samples[:, 1] - samples[:, 0]) // size)))
-    noise = 2.0 * limit("normal", tests=tests, shared=_BY_NOISE) * np.median(scatter, axis=0)
+    noise = 2.0 * limit("normal", tests=tests) * np.median(scatter, axis=0)
     return np.asarray(np.any(span > np.maximum(slowest, noise), axis=1))
 
 

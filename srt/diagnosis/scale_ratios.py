@@ -131,7 +131,7 @@ def gyro_ratios_to_labels(rotations: Rotations, fixture: Fixture | None) -> Scal
     return ScaleRatios(float(np.median(ratio)), axes, math.hypot(sigma, fixture_scatter))
 
 
-def accel_ratios(recording: Recording, turns: ManoeuvreReadings | None, fit: LinearFit | None) -> ScaleRatios:
+def accel_ratios(recording: Recording, turns: ManoeuvreReadings | None, fit: LinearFit) -> ScaleRatios:
     """Ratios of the stationary specific force to gravity, for each axis if the poses or their fit determine them.
 
     The poses do so if their labels span space, or if there are enough poses for a fit of their magnitudes. Without a
@@ -148,7 +148,7 @@ def accel_ratios(recording: Recording, turns: ManoeuvreReadings | None, fit: Lin
     typical = float(np.median(ratio))
     if not np.all(ratio > 0.0):
         return ScaleRatios(typical, _UNSEEN, math.inf)
-    if fit is not None and fit.rank == 3:
+    if fit.rank == 3:
         off = np.median(np.abs(fit.residual), axis=0) / (gravity * typical)
         return ScaleRatios(typical, np.linalg.norm(fit.matrix, axis=1), MAD * float(off.max()))
     return _by_magnitude(turns.force / gravity) or ScaleRatios(

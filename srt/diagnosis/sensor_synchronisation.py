@@ -58,9 +58,8 @@ def sample_twice(evidence: Evidence) -> int | None:
     samples = -step.duration_s / evidence.dt
     if round(samples) < 1 or abs(samples - round(samples)) > _WHOLE * round(samples):
         return None
-    recording, first = evidence.recording, int(turns.first_sample[step.block])
-    reach = 2 * max(1, round(turns.step_s / evidence.dt))
-    rows = np.arange(max(1, first - reach), min(len(recording.time), first + reach))
+    recording, reach = evidence.recording, 2 * max(1, round(turns.step_s / evidence.dt))
+    rows = np.arange(max(1, step.sample - reach), min(len(recording.time), step.sample + reach))
     same = [np.all(x[rows] == x[rows - 1], axis=1) for x in (recording.gyro, recording.accel)]
     again = rows[same[0] & same[1]]
     return int(again[0]) if again.size else None
@@ -68,12 +67,12 @@ def sample_twice(evidence: Evidence) -> int | None:
 
 def samples_lost(evidence: Evidence) -> Iterator[Finding]:
     """Report a step of the gyro-stabilised specific force that a repeated sample does not explain."""
-    step, turns = evidence.attitude_step, evidence.block_averages
-    if step is None or turns is None or sample_twice(evidence) is not None:
+    step = evidence.attitude_step
+    if step is None or sample_twice(evidence) is not None:
         return
     yield SAMPLES_LOST.found(
-        sequence=evidence.title(int(turns.sequence[step.block])),
-        time=float(evidence.recording.time[turns.first_sample[step.block]]) - evidence.dt,
+        sequence=evidence.title(step.sequence),
+        time=float(evidence.recording.time[step.sample]) - evidence.dt,
         angle_deg=math.degrees(step.height),
         duration=abs(step.duration_s),
     )

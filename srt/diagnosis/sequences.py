@@ -10,7 +10,7 @@ import numpy as np
 
 from srt.diagnosis.findings import Fault
 from srt.diagnosis.rotation_readings import invert_readings, nominal_integrals
-from srt.estimation.rotation_accuracy import scatter_ratio
+from srt.estimation.rotation_accuracy import SIGMAS, scatter_ratio
 from srt.model import closed_form
 from srt.model.table1 import SEQUENCES
 from srt.sequences.moves import recorded_moves
@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 _FAR: Final = 1.0
 """Squared distance above which a manoeuvre is another sequence; rotation angles in units of 180°, verticals as unit
 vectors. The two most similar of the 17 sequences are 2 apart; a unit with errors of 10 % is within 0.1 of its own."""
-_SIGMAS: Final = 6.0
-"""Allowed error of an angle in sigma of the fixture, as in :mod:`srt.estimation.rotation_accuracy`."""
 _AGREE: Final = 0.5
 """Largest share of an angle error of the gyros that the accelerometers may contradict: they contradict the whole of an
 error due to lost samples or asymmetric scale factors, but nothing of a rotation by a wrong angle."""
@@ -157,7 +155,7 @@ def _wrong_angles(evidence: Evidence, known: Mask, excess: Array) -> Iterator[Fi
     sigma = np.hypot(math.hypot(fixture.rotation_sigma_rad, 2.0 * fixture.alignment_sigma_rad), scale)
     sigma = np.broadcast_to(sigma, excess.shape)
     # Where all rotations scatter alike, the fixture is less accurate than stated, and no angle is wrong.
-    allowed = _SIGMAS * sigma * scatter_ratio(excess[known], sigma[known])
+    allowed = SIGMAS * sigma * scatter_ratio(excess[known], sigma[known])
     off = np.flatnonzero(known & (np.abs(excess) > allowed))
     if off.size and evidence.lag is not None:
         # A lagging gyro measures the end of a rotation during the next rotation of the sequence.
@@ -180,12 +178,12 @@ def _end_mismatch(evidence: Evidence) -> Array:
 
     Infinite where it is not known.
     """
-    data, path, turns = evidence.data, evidence.stabilised_force, evidence.block_averages
-    if data is None or path is None or turns is None:
+    data, path = evidence.data, evidence.stabilised_force
+    if data is None or path is None:
         return np.full(0 if data is None else data.K, np.inf)
     _, accel, bias = evidence.raw_triads
-    last = turns.starts[1:] - 1
-    sequences = turns.sequence[last]
+    last = path.blocks.starts[1:] - 1
+    sequences = path.blocks.sequence[last]
     measured = invert_readings(accel, evidence.stationary_force[data.end[sequences]] - bias)
     measured /= np.maximum(np.linalg.norm(measured, axis=1, keepdims=True), 1e-300)
     out = np.full(data.K, np.inf)

@@ -9,7 +9,6 @@ import numpy as np
 from srt.constants import DEG, DEG_PER_H, EARTH_RATE_RAD_S, normal_gravity_m_s2
 from srt.diagnosis.false_alarms import limit
 from srt.diagnosis.findings import Fault, Finding
-from srt.diagnosis.stationary_rates import earth_rate_factor
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -77,8 +76,7 @@ def earth_rate(evidence: Evidence) -> Iterator[Finding]:
     degree of freedom and those of the stationary rates.
     """
     site, fixture = evidence.recording.site, evidence.recording.fixture
-    fit, earth = evidence.stationary_rate_fit, evidence.earth_rate
-    factor = earth_rate_factor(earth)
+    fit, earth, factor = evidence.stationary_rate_fit, evidence.earth_rate, evidence.earth_rate_factor
     if site.latitude_rad is None or fixture is None or fit is None or earth is None or factor is None:
         return
     largest = float(limit("F", 1, fit.freedom))

@@ -161,16 +161,16 @@ def whitened(covariance: Array, table: Array) -> Array:
     return np.concatenate(own).reshape(-1, *table.shape[2:])
 
 
-def stationary_rate_fit(rates: StationaryRates, instability: float | None) -> StationaryRateFit | None:
+def stationary_rate_fit(rates: StationaryRates, recording: Recording) -> StationaryRateFit | None:
     """Fit the stationary rates; None if their poses are too similar.
 
-    A bias instability (rad/s) that is not stated is estimated as the flicker noise that explains the residuals.
+    A bias instability that is not stated is estimated as the flicker noise that explains the residuals.
     """
     freedom = rates.rate.size - rates.columns.shape[2]
     solved = _solve(rates, rates.covariance)
     if solved is None:
         return None
-    if instability is None:
+    if recording.noise.gyro_bias_instability is None:
         # Bisection of the logarithm of its square; the residuals are allowed chi-square of p = 0.975.
         level = float(np.trace(rates.covariance.mean(axis=0)) / np.trace(rates.flicker))
         low, high = np.log(level * 1e-4), np.log(level * 1e6)
@@ -236,7 +236,7 @@ class EarthRate(NamedTuple):
     true: Array
 
 
-def earth_rate(fit: StationaryRateFit | None, recording: Recording) -> EarthRate | None:
+def earth_rate(fit: StationaryRateFit, recording: Recording) -> EarthRate | None:
     """Earth rate from the stationary rates; None if it is not observable.
 
     The sigmas include those of the alignment and, of the vertical component, the unknown trace of the g-sensitivity.
@@ -245,7 +245,7 @@ def earth_rate(fit: StationaryRateFit | None, recording: Recording) -> EarthRate
     at the false-alarm probability to that of a normal distribution.
     """
     site, fixture = recording.site, recording.fixture
-    if site.latitude_rad is None or fixture is None or fit is None or fit.horizontal is None:
+    if site.latitude_rad is None or fixture is None or fit.horizontal is None:
         return None
     factor = limit("t", 8, both_sides=True) / limit("normal", both_sides=True)
     hidden = np.array([np.sum(fit.g_sensitivity**2) / 8.0 / 3.0, 0.0])
@@ -256,14 +256,12 @@ def earth_rate(fit: StationaryRateFit | None, recording: Recording) -> EarthRate
     return EarthRate(found, np.sqrt(sigma**2 + factor**2 * hidden + align**2), true)
 
 
-def earth_rate_factor(earth: EarthRate | None) -> EarthRateFactor | None:
-    """Factor on the Earth rate that fits the stationary rates at the stated latitude; None if it is not observable.
+def earth_rate_factor(earth: EarthRate) -> EarthRateFactor:
+    """Factor on the Earth rate that fits the stationary rates at the stated latitude.
 
     A wrong sample rate multiplies both components by the same factor. A wrong latitude does not change the sum of their
     squares.
     """
-    if earth is None:
-        return None
     found, true = earth.found / earth.sigma, earth.true / earth.sigma
     information = float(true @ true)
     value = float(true @ found) / information

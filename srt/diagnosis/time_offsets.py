@@ -1,4 +1,4 @@
-"""Synchronisation of gyros and accelerometers: time offset between the sensors, and samples lost in rotations.
+"""Gyro-stabilised specific force, and what it shows: time offset between the sensors, and samples lost in rotations.
 
 The attitude from the gyros transforms the measured specific force to B_Strt, the body frame at the start of the
 sequence, in which it should be constant. Its change in the direction in which gravity rotates, divided by gravity, is
@@ -8,19 +8,22 @@ the angle between the rotations that gyros and accelerometers measure.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
 from srt.diagnosis.cause_comparison import Cause, compare
 from srt.diagnosis.false_alarms import limit
-from srt.diagnosis.rotation_readings import cross
+from srt.diagnosis.rotation_readings import cross, invert_readings
+from srt.model import rotations
 from srt.model.table1 import AXES
 
 if TYPE_CHECKING:
     from srt.diagnosis.cause_comparison import Explanation
     from srt.diagnosis.rotation_readings import BlockAverages
-    from srt.diagnosis.stabilised_force import StabilisedForce
+    from srt.diagnosis.triad_fits import RawTriads
+    from srt.sequences.preparation import PreparedRecording
     from srt.types import Array, Indices, Mask
 
 _FEWEST_TURNS: Final = 4
@@ -33,6 +36,56 @@ _COARSE: Final = 5
 """Number of blocks that are averaged for the estimate of the offset, which is constant during a rotation."""
 _SIDE: Final = 20
 """Number of blocks used on each side of a step."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StabilisedForce:
+    """Specific force averaged over blocks of about 10 ms, transformed by the gyros to B_Strt of its sequence.
+
+    Attributes
+    ----------
+    blocks : BlockAverages
+        Raw readings.
+    attitude : ndarray, shape (m, 3, 3)
+        Attitude at the middle of the block, from the gyros: B to B_Strt.
+    rate : ndarray, shape (m, 3), rad/s
+        Rate in B, less the stationary mean.
+    up, up_body : ndarray, shape (m, 3)
+        Measured vertical at the start of the block's sequence in B_Strt, and in B at the middle of the block.
+    force : ndarray, shape (m, 3)
+        Specific force in B_Strt, in units of gravity; constant for a perfect IMU.
+    """
+
+    blocks: BlockAverages
+    attitude: Array
+    rate: Array
+    up: Array
+    up_body: Array
+    force: Array
+
+
+def stabilised_force(data: PreparedRecording, blocks: BlockAverages, triads: RawTriads) -> StabilisedForce:
+    """Gyro-stabilised specific force of all rotations."""
+    gyro, accel, bias = triads
+    rate = invert_readings(gyro, blocks.rate)
+    attitude = _attitudes(rate * blocks.step_s, blocks.starts)
+    vertical = invert_readings(accel, data.windows.accel_mean[data.start] - bias)
+    size = np.linalg.norm(vertical, axis=1, keepdims=True)
+    up = np.divide(vertical, size, out=np.zeros_like(vertical), where=size > 0.0)[blocks.sequence]
+    force = invert_readings(accel, blocks.force - bias) / data.gravity
+    up_body = np.einsum("ma,mab->mb", up, attitude)
+    return StabilisedForce(blocks, attitude, rate, up, up_body, np.einsum("mab,mb->ma", attitude, force))
+
+
+def _attitudes(angle: Array, starts: Indices) -> Array:
+    """Attitude at the middle of each step, relative to the start of its chain of rotation vectors, (n, 3, 3)."""
+    half = rotations.from_rotation_vector(np.ascontiguousarray(0.5 * angle.T))
+    ends = rotations.prefix_product(rotations.multiply(half, half))
+    begins = np.concatenate([[[1.0], [0.0]], ends[:, starts[1:-1] - 1]], axis=1)
+    # One product over all chains, times the inverse attitude at the start of each chain and of half the last step.
+    back = np.repeat(rotations.conjugate(begins), np.diff(starts), axis=1)
+    middle = rotations.multiply(rotations.multiply(back, ends), rotations.conjugate(half))
+    return np.ascontiguousarray(np.moveaxis(rotations.to_matrix(middle), 2, 0))
 
 
 class TimeOffset(NamedTuple):
@@ -59,13 +112,13 @@ class TimeOffset(NamedTuple):
     spread: Array
 
 
-def time_offset(path: StabilisedForce, turns: BlockAverages) -> TimeOffset | None:
+def time_offset(path: StabilisedForce) -> TimeOffset | None:
     """Time offset between the sensors; None with fewer than four rotations about one horizontal axis.
 
     The accelerometer errors are common to all rotations. Each rotation has its own offset, initial angle and gyro
     scale-factor error; the scatter of the offsets includes all unmodelled effects.
     """
-    first = turns.starts[:-1]
+    turns, first = path.blocks, path.blocks.starts[:-1]
     rate = _levelled(path, path.rate)
     total = np.add.reduceat(rate, first) * turns.step_s
     size = np.linalg.norm(total, axis=1)
@@ -85,7 +138,7 @@ def time_offset(path: StabilisedForce, turns: BlockAverages) -> TimeOffset | Non
         blocks, middle = slice(s, s + count * _COARSE), slice(s + _COARSE // 2, s + count * _COARSE, _COARSE)
         about, angle = (
             x[blocks].reshape(count, _COARSE, 3).mean(axis=1) @ direction
-            for x, direction in ((rate, axis[k]), (path.force_start, across[k] / level[k]))
+            for x, direction in ((rate, axis[k]), (path.force, across[k] / level[k]))
         )
         along = across[k] / level[k] @ path.attitude[middle]
         late = along * cross(path.rate[middle], path.up_body[middle])
@@ -126,11 +179,11 @@ def _columns(along: Array, rate: Array, up: Array, step_s: float) -> Array:
     return np.concatenate([along * up, mixed, along, along * np.abs(up), lever], axis=1)
 
 
-def _expected(path: StabilisedForce, step_s: float, errors: Array, late_s: float) -> Array:
+def _expected(path: StabilisedForce, errors: Array, late_s: float) -> Array:
     """Effect of accelerometer errors and a time offset on the specific force in B_Strt, in units of gravity, (m, 3)."""
     e, lever, up, rate = errors, errors[12:], path.up_body, path.rate
     symmetric = np.array([[e[0], e[3], e[5]], [e[3], e[1], e[4]], [e[5], e[4], e[2]]])
-    change = np.gradient(rate, step_s, axis=0)  # sequences begin and end at rest
+    change = np.gradient(rate, path.blocks.step_s, axis=0)  # sequences begin and end at rest
     out = late_s * cross(rate, up) + up @ symmetric + e[6:9] + e[9:12] * np.abs(up)
     return _levelled(path, out + cross(change, lever) + cross(rate, cross(rate, lever)))
 
@@ -155,30 +208,29 @@ def lag(seen: TimeOffset, dt: float) -> list[Explanation] | None:
 
 
 class AttitudeStep(NamedTuple):
-    """Block before which the gyro-stabilised specific force has a step, and its angle, rad.
+    """Step of the gyro-stabilised specific force: its sequence, the first sample after it, and its angle, rad.
 
     The duration is the time in which the unit rotates by this angle; negative if the gyros measured too large an angle.
     """
 
-    block: int
+    sequence: int
+    sample: int
     height: float
     duration_s: float
 
 
-def attitude_step(
-    path: StabilisedForce, turns: BlockAverages, seen: TimeOffset | None, dt: float, void: list[int]
-) -> AttitudeStep | None:
+def attitude_step(path: StabilisedForce, seen: TimeOffset | None, dt: float, void: list[int]) -> AttitudeStep | None:
     """Largest significant step; None if there is none.
 
     Statistic: height over its standard deviation. Distribution: Rayleigh, as a height has two components. ``void`` are
     the sequences with clipped readings: clipping causes their missing angle, not lost samples.
     """
-    turning = cross(path.rate, path.up_body)
+    turns, turning = path.blocks, cross(path.rate, path.up_body)
     speed = np.linalg.norm(turning, axis=1)
-    left = path.force_start - path.up
+    left = path.force - path.up
     if seen is not None:
         # Without this correction, a time offset makes a step at the beginning and at the end of a rotation.
-        left -= _expected(path, turns.step_s, seen.errors, float(np.median(seen.by_turn)))
+        left -= _expected(path, seen.errors, float(np.median(seen.by_turn)))
     left -= np.einsum("ma,ma->m", left, path.up)[:, None] * path.up
     steps, whole = _steps(left, turns.starts)
     places = np.flatnonzero((speed > 0.2 * speed.max()) & whole)
@@ -190,7 +242,7 @@ def attitude_step(
     variance = np.full(len(height), (float(np.median(height)) / limit("Rayleigh", shared=0.5)) ** 2)
     if seen is not None and np.any(height > np.maximum(largest * np.sqrt(variance), half)):
         # Few rotations hardly determine the accelerometer errors.
-        doubts = (_steps(_expected(path, turns.step_s, own, 0.0), turns.starts)[0][places] for own in seen.spread)
+        doubts = (_steps(_expected(path, own, 0.0), turns.starts)[0][places] for own in seen.spread)
         variance += sum(np.einsum("ma,ma->m", step, step) for step in doubts)
     excess = height / np.maximum(largest * np.sqrt(variance), half)
     excess[np.isin(turns.sequence[places], void)] = 0.0
@@ -199,7 +251,8 @@ def attitude_step(
         return None
     block = int(places[best])
     surplus = steps[block] @ path.attitude[block] @ turning[block] > 0.0
-    return AttitudeStep(block, float(height[best]), (-1.0 if surplus else 1.0) * float(height[best] / speed[block]))
+    duration_s = (-1.0 if surplus else 1.0) * float(height[best] / speed[block])
+    return AttitudeStep(int(turns.sequence[block]), int(turns.first_sample[block]), float(height[best]), duration_s)
 
 
 def _levelled(path: StabilisedForce, in_body: Array) -> Array:

@@ -7,10 +7,9 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.diagnosis.channels import SAMPLES
 from srt.diagnosis.false_alarms import limit
 from srt.diagnosis.findings import Fault
-from srt.diagnosis.scale_candidates import TIME_UNITS, USUAL_S
+from srt.diagnosis.scale_causes import TIME_UNITS, USUAL_S
 from srt.diagnosis.units import scale_findings
 from srt.recording.timing import ROUNDING_FRACTION
 from srt.sequences.plausibility import LONGEST_INTERVAL_S, SHORTEST_INTERVAL_S
@@ -155,7 +154,7 @@ def gap_in_sequence(evidence: Evidence) -> Iterator[Finding]:
     gaps = gaps[missing > limit("normal", tests=len(time)) * _jitter(evidence)[0]]
     title = "a rotation"
     if not evidence.has_labels:
-        some = np.linalg.norm(gyro[:: max(1, len(gyro) // SAMPLES)], axis=1)
+        some = np.linalg.norm(evidence.some[0], axis=1)
         rest, fastest = np.median(some), some.max()
         size = np.linalg.norm(np.stack([gyro[gaps - 1], gyro[gaps]]), axis=2).min(axis=0)
         rows = gaps[size - rest > _TURNING * (fastest - rest)]

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from srt.sequences.preparation import PreparedRecording
     from srt.types import Array
 
-_SIGMAS: Final = 6.0
+SIGMAS: Final = 6.0
 """Largest rotation error, in sigma, that is consistent with a label (false alarms: p = 1e-9)."""
 _ALIKE: Final = 4.0
 """Largest error that is part of the scatter of the others, in its sigma by the median."""
@@ -106,7 +106,7 @@ class ExecutedRotations:
         for k, sequence, off in self._turns:
             # Every leg has its own error; about a misaligned axis a turn ends up to twice the misalignment away.
             legs = len(sequence.rotations)
-            if np.linalg.norm(off) <= _SIGMAS * math.hypot(math.sqrt(legs) * rotation, 2.0 * alignment):
+            if np.linalg.norm(off) <= SIGMAS * math.hypot(math.sqrt(legs) * rotation, 2.0 * alignment):
                 continue
             title = self._labels[k].title[0].upper() + self._labels[k].title[1:]
             if legs == 1:

@@ -3,16 +3,16 @@
 from dataclasses import replace
 from functools import cache
 
+import injected_faults.execution
+import injected_faults.logger
+import injected_faults.site_and_drift  # noqa: F401 - registers its injections
 import numpy as np
 import pytest
 from diagnosing import every_second_grade, grades_and_faults
+from injected_faults.injection import GRADES, INJECTIONS, Case
 from scipy.ndimage import uniform_filter1d
 
-import sims.faults.execution
-import sims.faults.logger
-import sims.faults.site_and_drift  # noqa: F401 - registers its injections
 import srt
-from sims.faults.injection import GRADES, INJECTIONS, Case
 from srt.constants import DEG
 from srt.sequences.clipping import clipping_levels
 

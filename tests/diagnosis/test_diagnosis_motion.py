@@ -9,16 +9,16 @@ import math
 from dataclasses import replace
 from functools import cache, cached_property
 
+import injected_faults.execution  # noqa: F401 - registers its injections
 import numpy as np
 import pytest
 import recorded_sets
 from diagnosing import findings_of_stage, grades_and_faults
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
+from injected_faults.injection import GRADES, INJECTIONS, Case
 from scipy.ndimage import uniform_filter1d
 
-import sims.faults.execution  # noqa: F401 - registers its injections
-from sims.faults.injection import GRADES, INJECTIONS, Case
 from sims.physics.sequences import TABLE_1
 from sims.scenarios.scenario import scenario_from_dict
 from sims.scenarios.simulation import simulate

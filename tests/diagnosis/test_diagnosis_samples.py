@@ -8,14 +8,14 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import cache
 
+import injected_faults.logger  # noqa: F401 - registers its injections
 import numpy as np
 import pytest
 from diagnosing import WithoutRecognition, examine_stages, grades_and_faults
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from injected_faults.injection import GRADES, INJECTIONS, Case
 
-import sims.faults.logger  # noqa: F401 - registers its injections
-from sims.faults.injection import GRADES, INJECTIONS, Case
 from sims.physics.disturbances import tilt_step
 from sims.physics.imu import read_out
 from srt.diagnosis import faults

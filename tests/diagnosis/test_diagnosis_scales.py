@@ -8,14 +8,14 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import cache
 
+import injected_faults.units_and_axes  # noqa: F401 - registers its injections
 import numpy as np
 import pytest
 from diagnosing import WithoutRecognition, examine_stages, findings_of_stage, grades_and_faults
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from injected_faults.injection import GRADES, INJECTIONS, Case
 
-import sims.faults.units_and_axes  # noqa: F401 - registers its injections
-from sims.faults.injection import GRADES, INJECTIONS, Case
 from srt.constants import DEG
 from srt.diagnosis import faults
 from srt.diagnosis.axes import mapping, nearest_axes

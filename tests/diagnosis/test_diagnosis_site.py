@@ -7,14 +7,15 @@ import math
 from dataclasses import replace
 from functools import cache, cached_property
 
+import injected_faults.site_and_drift  # noqa: F401 - registers its injections
 import numpy as np
 import pytest
 from diagnosing import findings_of_stage, grades_and_faults
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from injected_faults.injection import GRADES, INJECTIONS, Case
 
-import sims.faults.site_and_drift  # registers its injections
-from sims.faults.injection import GRADES, INJECTIONS, Case
+import sims
 from sims.physics.imu import ImuModel
 from srt.constants import DEG, DEG_PER_H, EARTH_RATE_RAD_S, normal_gravity_m_s2
 from srt.diagnosis.evidence import Evidence

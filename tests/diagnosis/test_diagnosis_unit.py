@@ -6,14 +6,14 @@ One unit of each grade per fault here; ``benchmarks/faults.py`` runs 200 of each
 from dataclasses import replace
 from functools import cache, cached_property
 
+import injected_faults.site_and_drift  # noqa: F401 - registers its injections
 import numpy as np
 import pytest
 from diagnosing import findings_of_stage, grades_and_faults
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from injected_faults.injection import GRADES, INJECTIONS, Case
 
-import sims.faults.site_and_drift  # noqa: F401 - registers its injections
-from sims.faults.injection import GRADES, INJECTIONS, Case
 from srt.constants import DEG_PER_H, MICRO_G
 from srt.diagnosis.evidence import Evidence
 from srt.diagnosis.imu_properties import BENCH_C, NOISE_RATIO, STEADY_C, white_noise_test

@@ -5,8 +5,8 @@ import functools
 import pytest
 from fault_outcomes import OUTCOMES, Units, all_kinds, outcome_of
 from fault_severities import halvings
+from injected_faults.injection import Case
 
-from sims.faults.injection import Case
 from srt.diagnosis.staged_diagnosis import diagnose
 
 SEED = 20261410

@@ -5,9 +5,9 @@ from dataclasses import replace
 import accuracy_trials
 import numpy as np
 import pytest
+from injected_faults.injection import Case
 
 import srt
-from sims.faults.injection import Case
 from srt.constants import DEG
 from srt.estimation.options import Options
 from srt.procedure import calibrate

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from foreign_motion import GRADES, drawn_errors, hand_turns, recording
+from injected_faults.injection import Case
 
 import srt
-from sims.faults.injection import Case
 from srt.sensor_errors import INDEX, NAMES
 
 NONE = {name: 0.0 for name in NAMES if "asymmetry" in name}

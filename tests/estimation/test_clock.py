@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from injected_faults.injection import Case
 
 import srt
-from sims.faults.injection import Case
 from srt.sensor_errors import GROUP_SLICES, NAMES
 
 STRETCH = 1e-4

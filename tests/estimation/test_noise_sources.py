@@ -10,10 +10,10 @@ from functools import cache
 
 import numpy as np
 import pytest
+from injected_faults.injection import Case
 from scipy.stats import chi2
 
 import srt
-from sims.faults.injection import Case
 from sims.physics.fixture import FixtureDraw
 from sims.physics.imu import ImuModel, read_out
 from sims.physics.table_motion import table1_motion

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from injected_faults.execution import labels_exchanged
+from injected_faults.injection import Case
 
 import srt
-from sims.faults.execution import labels_exchanged
-from sims.faults.injection import Case
 
 ALL = ("closed-form", "least-squares", "ekf", "graph")
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from foreign_fixture import on_fixture, table_1, write
 from foreign_motion import DEG, GRADES, GRAVITY_M_S2, drawn_errors
+from injected_faults.injection import Case
 
 import sims
 import srt
-from sims.faults.injection import Case
 from sims.scenarios.scenario import scenario_from_dict
 from srt.cli import main
 from srt.constants import DEG_PER_H

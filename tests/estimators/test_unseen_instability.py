@@ -7,9 +7,9 @@ from functools import cache
 
 import numpy as np
 import pytest
+from injected_faults.injection import Case
 
 import srt
-from sims.faults.injection import Case
 from sims.physics.imu import read_out
 from srt.constants import DEG_PER_H, MICRO_G
 from srt.sequences import preparation

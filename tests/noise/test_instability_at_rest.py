@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from injected_faults.injection import Case
 from scipy.signal import lfilter
 from scipy.stats import chi2
 
 import srt
-from sims.faults.injection import Case
 from srt.constants import MICRO_G
 from srt.noise.bias_instability import CORRELATION_TIMES_S
 from srt.noise.instability_at_rest import _fitted, instability_at_rest

@@ -88,7 +88,9 @@ def folder_of(path: Path) -> str:
 
 
 FILES = [path for top in sorted({f.partition("/")[0] for f in EXTRAS}) for path in sorted((ROOT / top).rglob("*.py"))]
-HELPERS = {path.stem for path in FILES if path.relative_to(ROOT).parts[0] in {"tests", "benchmarks", "examples"}}
+HELPERS = {"injected_faults"} | {
+    path.stem for path in FILES if path.relative_to(ROOT).parts[0] in {"tests", "benchmarks", "examples"}
+}
 """Modules of tests, benchmarks and examples, which import each other by their own names."""
 
 
@@ -133,3 +135,24 @@ def test_no_two_files_import_each_other():
     while ready := {name for name, imports in left.items() if not imports & left.keys()}:
         left = {name: imports for name, imports in left.items() if name not in ready}
     assert not left
+
+
+def test_injected_faults_share_no_mathematics_with_the_estimators():
+    """Import rules see the installed packages only."""
+    files = sorted((ROOT / "tests/injected_faults").glob("*.py"))
+    inside = {
+        node.module
+        for path in files
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith(("srt", "estimators"))
+    }
+    allowed = (
+        "srt.constants",
+        "srt.estimation.options",
+        "srt.exceptions",
+        "srt.recording",
+        "srt.sensor_errors",
+        "srt.types",
+    )
+    assert len(files) > 5
+    assert {name for name in inside if not name.startswith(allowed)} == set()

@@ -9,9 +9,9 @@ import pytest
 from foreign_motion import GRADES as HAND_GRADES
 from foreign_motion import drawn_errors, hand_turns
 from foreign_motion import recording as hand_recording
+from injected_faults.injection import GRADES, Case
 
 import srt
-from sims.faults.injection import GRADES, Case
 from srt.constants import DEG
 from srt.sequences.clipping import clipped_samples, clipping_levels
 

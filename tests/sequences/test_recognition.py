@@ -8,9 +8,9 @@ import pytest
 import recognition_trials
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from injected_faults.injection import GRADES, Case
 
 import srt
-from sims.faults.injection import GRADES, Case
 from srt.model.table1 import AXES, SEQUENCES
 from srt.sequences.manoeuvres import face_vector, quarter_turn
 from srt.sequences.recognition import label_sequences, recognise

@@ -51,7 +51,7 @@ def test_free_turns_are_found(name, peak):
 @pytest.mark.parametrize("seed", [70002, 70003, 70004])
 def test_drift_within_the_stated_bias_instability_ends_no_window(seed):
     """Fibre-optic unit at 50 Hz, accelerometers of 50 µg instability: a window of 10 s was cut to 8.2 s."""
-    Case = pytest.importorskip("sims.faults.injection", exc_type=ImportError).Case
+    Case = pytest.importorskip("injected_faults.injection", exc_type=ImportError).Case
     recording = Case("tactical-fog", seed, {"recording": {"sample_rate_hz": 50.0}}).recording.with_sequences(())
     assert (np.diff(find_windows(recording)).min() / 50.0) > 9.9
 

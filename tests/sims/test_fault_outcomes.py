@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 from fault_outcomes import OUTCOMES, Outcome, Units, all_kinds, outcome_of, outcomes, page, write_section
 from fault_severities import LEAST_SHIFT, halvings, severities
+from injected_faults.foreign_operators import PAIRS
+from injected_faults.injection import GRADES, INJECTIONS, VARIANTS
 
-from sims.faults.foreign_operators import PAIRS
-from sims.faults.injection import GRADES, INJECTIONS, VARIANTS
 from srt.diagnosis.faults import FAULTS
 
 SEED = 20261400

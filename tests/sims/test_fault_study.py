@@ -27,8 +27,8 @@ from fault_study import (
 from faults import markdown, missed_targets
 from hypothesis import given
 from hypothesis import strategies as st
+from injected_faults.injection import GRADES, Injection
 
-from sims.faults.injection import GRADES, Injection
 from srt.diagnosis.faults import FAULTS
 from srt.exceptions import InputError
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from honesty import ESTIMATORS, STUDIES
 from honesty_recordings import SILENT_ERRORS
+from injected_faults.injection import Case
 from scipy.stats import chi2
 
 import srt
-from sims.faults.injection import Case
 from srt.constants import MICRO_G
 from srt.estimation import drift_model
 from srt.result.verdict import verdict_on

@@ -1,7 +1,7 @@
 """Injection of single faults of a stated severity into simulated recordings, to test the diagnosis.
 
 Each injection models the physical cause of a fault, independently of the check that detects the fault. The modules
-``sims.faults.logger``, ``sims.faults.execution`` and ``sims.faults.site_and_drift`` register injections when imported.
+``logger``, ``execution`` and ``site_and_drift`` register injections when imported.
 """
 
 from __future__ import annotations

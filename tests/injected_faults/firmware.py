@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from scipy.signal import lfilter
 
-from sims.faults.injection import GRADES, injection
+from injected_faults.injection import GRADES, injection
 from srt.constants import MICRO_G
 
 if TYPE_CHECKING:
-    from sims.faults.injection import Case
+    from injected_faults.injection import Case
     from srt.recording.recording import Recording
     from srt.types import Array
 

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from sims.faults.injection import GRADES, injection
+from injected_faults.injection import GRADES, injection
 from srt.constants import DEG, DEG_PER_H, STANDARD_GRAVITY_M_S2
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from sims.faults.injection import Case
+    from injected_faults.injection import Case
     from srt.recording.recording import Recording
     from srt.types import Array
 

@@ -1,6 +1,6 @@
 """Faults of a logger: time stamps, columns, stuck or spurious readings, and saturation.
 
-Faults of units and axes are in ``sims.faults.units_and_axes``.
+Faults of units and axes are in ``injected_faults.units_and_axes``.
 """
 
 from __future__ import annotations
@@ -11,15 +11,15 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-import sims.faults.firmware
-import sims.faults.units_and_axes  # noqa: F401 - these modules register their injections on import
-from sims.faults.injection import GRADES, injection
+import injected_faults.firmware
+import injected_faults.units_and_axes  # noqa: F401 - these modules register their injections on import
+from injected_faults.injection import GRADES, injection
 from sims.physics.imu import read_out
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from sims.faults.injection import Case
+    from injected_faults.injection import Case
     from srt.recording.recording import Recording, SequenceLabel
     from srt.types import Array
 

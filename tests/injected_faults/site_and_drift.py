@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from scipy.signal import lfilter
 
-from sims.faults.injection import GRADES, Case, injection
+from injected_faults.injection import GRADES, Case, injection
 from sims.physics.imu import read_out
 from srt.constants import DEG, DEG_PER_H, MICRO_G, normal_gravity_m_s2
 from srt.estimation.options import Options

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from sims.faults.injection import injection
+from injected_faults.injection import injection
 from sims.physics import disturbances
 from sims.physics.fixture import rotation
 from sims.physics.imu import read_out
@@ -20,7 +20,7 @@ from srt.constants import DEG, MICRO_G
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from sims.faults.injection import Case
+    from injected_faults.injection import Case
     from sims.physics.true_motion import TrueMotion
     from srt.recording.recording import Recording, SequenceLabel
     from srt.types import Array

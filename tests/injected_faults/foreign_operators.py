@@ -1,6 +1,6 @@
 """Faults of operators, mountings, labels and sites in forms other than those of the catalogue, and pairs of faults.
 
-They were written without knowledge of the checks, like the variants of ``sims.faults.foreign_loggers``.
+They were written without knowledge of the checks, like the variants of ``injected_faults.foreign_loggers``.
 """
 
 from __future__ import annotations
@@ -11,17 +11,17 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-import sims.faults.execution
-import sims.faults.foreign_loggers
-import sims.faults.site_and_drift  # noqa: F401 - registers its injections
-from sims.faults.injection import INJECTIONS, FaultyCase, variant
+import injected_faults.execution
+import injected_faults.foreign_loggers
+import injected_faults.site_and_drift  # noqa: F401 - registers its injections
+from injected_faults.injection import INJECTIONS, FaultyCase, variant
 from sims.physics.imu import accel_matrix, gyro_matrix
 from srt.constants import DEG
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from sims.faults.injection import Case
+    from injected_faults.injection import Case
     from srt.recording.recording import Recording, SequenceLabel
     from srt.types import Array
 

@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from scipy.signal import lfilter
 
-from sims.faults.injection import variant
-from sims.faults.logger import restamped, somewhere
+from injected_faults.injection import variant
+from injected_faults.logger import restamped, somewhere
 from srt.constants import DEG, MICRO_G, STANDARD_GRAVITY_M_S2
 
 if TYPE_CHECKING:
-    from sims.faults.injection import Case
+    from injected_faults.injection import Case
     from srt.recording.recording import Recording, SequenceLabel
     from srt.types import Array, Indices
 
