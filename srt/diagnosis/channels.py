@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -21,12 +22,21 @@ if TYPE_CHECKING:
 
     from srt.diagnosis.evidence import Evidence
     from srt.diagnosis.findings import Finding
+    from srt.types import Array, Mask
 
 
 SAMPLES: Final = 20_000
 """Number of samples that suffices for the tests of whole columns: more would only take longer."""
 MOVED: Final = 0.5
 """Labelled rotation, rad, and change of a gravity component, g, that the readings of an axis must show."""
+_FEWEST_DEAD: Final = 2
+"""Fewest successive rotations of a dead axis: readings that freeze or saturate in one are another fault."""
+_FLAT: Final = 0.1
+"""Largest share of the missing angle that a dead axis reads: a scale error, or its bias over the rotation."""
+_SAME_G: Final = 0.02
+"""Largest change of a dead accelerometer's reading from one window to the next, g: noise and drift."""
+_OTHERS: Final = 0.1
+"""Largest error of the other two accelerometers: they leave less than √0.2 g = 0.45 g to an axis without input."""
 _SCALES: Final = 10.0
 """Largest ratio between the count values of the axes of one triad."""
 _EARTH: Final = 1.02 * EARTH_RATE_RAD_S / STANDARD_GRAVITY_M_S2
@@ -39,7 +49,7 @@ _TURNED: Final = 0.95
 
 
 def dead_channels(evidence: Evidence) -> Iterator[Finding]:
-    """Find constant columns, if other columns are noisy or the labels change the input of the axis.
+    """Find constant columns, if other columns are noisy or the labels change the input of the axis, and dead axes.
 
     Noise-free readings can be constant. Such a column is dead only if the labels change the input of its axis.
     """
@@ -52,16 +62,87 @@ def dead_channels(evidence: Evidence) -> Iterator[Finding]:
             dead = [axis for axis in dead if len(inputs) and np.ptp(inputs[:, axis]) > MOVED]
         if dead:
             yield fault.found(
-                channel=", ".join(f"{sensor}_{AXES[axis]}" for axis in dead), value=float(table[0, dead[0]])
+                channel=", ".join(f"{sensor}_{AXES[axis]}" for axis in dead), value=float(table[0, dead[0]]), when=""
             )
+        elif (part := _DEAD_PARTS[sensor](evidence)) is not None:
+            axis, first, last = part
+            yield fault.found(
+                channel=f"{sensor}_{AXES[axis]}",
+                value=float(np.median(table[first:last, axis])) * evidence.per_rate,
+                when=f" from {evidence.recording.time[first]:.6g} s to {evidence.recording.time[last - 1]:.6g} s",
+            )
+
+
+def _dead_gyro(evidence: Evidence) -> tuple[int, int, int] | None:
+    """Axis of a gyro that misses successive rotations, and their first and last sample; None if there is none.
+
+    Exchanged or scaled axes read something wherever they miss something, and one of one polarity misses one sense.
+    """
+    if evidence.manoeuvres is None:
+        return None
+    missed, read = evidence.missed_rotations
+    dead = unread(missed, read)
+    moved = np.abs(read) > MOVED
+    alive = moved & (np.abs(missed) < 0.5 * np.abs(read))
+    for axis in np.flatnonzero(dead.sum(axis=0) >= _FEWEST_DEAD).tolist():
+        first, *_, last = np.flatnonzero(dead[:, axis]).tolist()
+        senses = {*np.sign(missed[dead[:, axis], axis]), *-np.sign(read[alive[:, axis], axis])}
+        if (
+            np.all(alive[moved[:, axis], axis])
+            and not alive[first:last, axis].any()
+            and alive.any()
+            and len(senses) > 1
+        ):
+            return axis, int(evidence.manoeuvres.spans[first, 0]), int(evidence.manoeuvres.spans[last, 1])
+    return None
+
+
+def unread(missed: Array, read: Array) -> Mask:
+    """True for each rotation, by axis, of which a gyro reads next to nothing."""
+    return np.asarray((np.abs(missed) > 2.0 * MOVED) & (np.abs(read) < _FLAT * np.abs(missed)))
+
+
+def _dead_accel(evidence: Evidence) -> tuple[int, int, int] | None:
+    """Axis of an accelerometer whose reading stays as gravity moves onto and off it; None if there is none.
+
+    The other two axes show what is left of gravity for the third one.
+    """
+    turns, gravity = evidence.manoeuvres, evidence.recording.site.gravity_m_s2
+    if turns is None or len(turns.spans) < _FEWEST_DEAD:
+        return None
+    force = turns.force[turns.between.ravel()] / gravity
+    reach = np.abs(force).max(axis=0)
+    for axis in range(3):
+        others = np.delete(np.arange(3), axis)
+        left = np.sqrt(np.maximum(1.0 - np.sum(force[:, others] ** 2, axis=1), 0.0))
+        # Runs of windows with one reading.
+        cuts = [0, *(np.flatnonzero(np.abs(np.diff(force[:, axis])) > _SAME_G) + 1).tolist(), len(force)]
+        first, last = max(pairwise(cuts), key=lambda run: float(np.ptp(left[slice(*run)])))
+        inside = slice(first, last)
+        outside = np.delete(force[:, axis], np.r_[inside])
+        outside = outside[np.abs(outside) > MOVED]
+        one_polarity = outside.size > 0 and abs(np.sign(outside).sum()) == outside.size
+        if (
+            last - first > _FEWEST_DEAD
+            and np.ptp(left[inside]) > MOVED
+            and np.ptp(force[inside, axis]) < 2.0 * _SAME_G
+            and np.all(np.abs(reach[others] - 1.0) < _OTHERS)
+            and not one_polarity
+        ):
+            return axis, int(turns.spans[first // 2, 0]), int(turns.spans[(last - 1) // 2, 1])
+    return None
+
+
+_DEAD_PARTS: Final = {"gyro": _dead_gyro, "accel": _dead_accel}
 
 
 CHANNEL_DEAD: Final = by_sensor(
     "channel_dead",
-    "[A gyro|An accelerometer] column never changes",
-    "range of every [gyro|accelerometer] column",
-    "Column {channel} reads {value:g} in all samples, but noise or [rotation|gravity] should change it: connect the "
-    "sensor, or name the right column.",
+    "[A gyro|An accelerometer] column does not change with its input",
+    "range of every [gyro|accelerometer] column; successive [rotations of gravity that the gyro does not measure"
+    "|windows with one reading, though the other two axes show gravity move onto the axis or off it]",
+    "Column {channel} reads {value:.4g} in all samples{when}, but noise or [rotation|gravity] should change it: connect"
+    " the sensor, or name the right column.",
     "exit 1",
     dead_channels,
 )

@@ -11,7 +11,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from srt.diagnosis.gravity_rotation import gravity_relation, labelled_manoeuvres, recognised_manoeuvres
+from srt.diagnosis.gravity_rotation import (
+    gravity_relation,
+    labelled_manoeuvres,
+    missed_rotations,
+    recognised_manoeuvres,
+)
 from srt.diagnosis.label_shift import label_shift
 from srt.diagnosis.rotation_readings import (
     ROUNDING,
@@ -320,6 +325,12 @@ class Evidence:
         if self.has_labels:
             return None if self.data is None else labelled_manoeuvres(self.data, self.contiguous)
         return None if self.recognition is None else recognised_manoeuvres(self.recording, self.recognition)
+
+    @cached_property
+    def missed_rotations(self) -> tuple[Array, Array]:
+        """Angles that single gyros miss in each manoeuvre, and that they read, (K, 3) each, rad."""
+        turns = self.manoeuvres
+        return (np.zeros((0, 3)), np.zeros((0, 3))) if turns is None else missed_rotations(self.recording, turns)
 
     @cached_property
     def gravity_relation(self) -> Array | None:

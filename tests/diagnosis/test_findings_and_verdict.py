@@ -97,6 +97,48 @@ def turned_by_hand(seed):
     return by_hand(hand_turns(rng, count=15, rest_s=2.0), 5.0, errors, GRADES["consumer"], rng, profile="hand")
 
 
+@pytest.mark.parametrize("noisy", [False, True])
+@pytest.mark.parametrize("sensor", ["gyro", "accel"])
+@pytest.mark.parametrize("labelled", [False, True])
+def test_an_axis_without_input_for_half_the_test_is_named(sensor, noisy, labelled):
+    """Gravity rotates about it, or onto it, and its readings do not change."""
+    unit, _ = on_the_fixture(0, "consumer")
+    readings = getattr(unit, sensor).copy()
+    half = len(readings) // 2
+    readings[half:, 1] = 0.0
+    if noisy:
+        readings[half:, 1] += np.random.default_rng((SEED, 3)).normal(0.0, 1e-3, len(readings) - half)
+    unit = replace(unit, **{sensor: readings})
+    with pytest.raises(DataError, match="in all samples from") as refused:
+        srt.calibrate(unit if labelled else unit.with_sequences(()))
+    assert refused.value.fault == f"{sensor}_channel_dead"
+
+
+def test_a_gyro_of_one_polarity_is_named_without_labels():
+    unit, _ = on_the_fixture(0, "industrial")
+    gyro = unit.gyro.copy()
+    gyro[:, 1] = np.maximum(gyro[:, 1], 0.0)
+    with pytest.raises(DataError, match="no negative reading") as refused:
+        srt.calibrate(replace(unit, gyro=gyro).with_sequences(()))
+    assert refused.value.fault == "gyro_one_polarity"
+
+
+@pytest.mark.parametrize("channel", [0, 4])
+def test_a_spike_in_a_turn_by_hand_is_named(channel):
+    unit = turned_by_hand(1)
+    readings = np.hstack([unit.gyro, unit.accel])
+    turning = np.flatnonzero(np.linalg.norm(unit.gyro, axis=1) > 0.5)
+    readings[turning[len(turning) // 2], channel] += 3.0
+    spiked = replace(unit, gyro=readings[:, :3], accel=readings[:, 3:])
+    found = srt.calibrate(spiked)
+    assert found.diagnostics.faults[0].fault == "spikes"
+    assert found.judgement.word != SOUND
+    # A bump moves several channels.
+    readings[turning[len(turning) // 2], (channel + 3) % 6] += 3.0
+    bumped = replace(unit, gyro=readings[:, :3], accel=readings[:, 3:])
+    assert "spikes" not in {fault.fault for fault in srt.calibrate(bumped).diagnostics.faults}
+
+
 def test_half_a_count_value_is_refused_by_the_result():
     unit = turned_by_hand(0)
     half = replace(unit, gyro=0.5 * unit.gyro)
