@@ -113,14 +113,17 @@ def dropouts(t: Trial, size: float, *, sensor: int) -> None:
 # --- logger ---------------------------------------------------------------------------------------------------------
 
 
-def lost(t: Trial, size: float, *, renumbered: bool, places: int = 1) -> None:
+def lost(t: Trial, size: float, *, renumbered: bool, by_count: bool = False, places: int = 1) -> None:
     gone = np.zeros(len(t.time), dtype=bool)
     for _ in range(places):
         a, b = t.a_turn()
         n = max(1, min(round(size / t.dt), (b - a) // 2))
         first = int(t.rng.integers(a + (b - a) // 4, b - (b - a) // 4 - n // 2))
         gone[first : first + n] = True
-    t.without(gone, renumbered=renumbered)
+    if renumbered and not by_count:  # the last label stays within the recording
+        extended(t, 0, int(gone.sum()))
+        gone = np.append(gone, np.zeros(int(gone.sum()), dtype=bool))
+    t.without(gone, renumbered=renumbered, by_count=by_count)
 
 
 def twice(t: Trial, size: float) -> None:
@@ -219,15 +222,20 @@ def one_polarity(t: Trial, _: float, *, sensor: int) -> None:
 # --- operator -------------------------------------------------------------------------------------------------------
 
 
-def labels_late(t: Trial, size: float) -> None:
-    # A label may not begin before the recording: the samples are those of a test with more rest before and after.
-    shift, more = size * t.a_sign(), math.ceil(size / t.dt) + 1
+def extended(t: Trial, before: int, after: int) -> None:
+    """Add samples of rest before and after the test, those of its ends in reverse order."""
     for name in ("gyro", "accel"):
         table = getattr(t, name)
-        ends = table[np.r_[np.arange(more) + 1, -np.arange(more) - 2]]
-        setattr(t, name, np.concatenate([ends[:more], table, ends[more:]]))
+        setattr(t, name, np.concatenate([table[before:0:-1], table, table[-2 : -2 - after : -1]]))
     t.time = t.dt * np.arange(1, len(t.gyro) + 1)
-    relabel(t, lambda a: a + more * t.dt + shift)
+
+
+def labels_late(t: Trial, size: float) -> None:
+    # A label may not reach beyond the recording: the test has more rest before and after.
+    more = math.ceil(size / t.dt) + 1
+    extended(t, more, more)
+    shift = more * t.dt + size * t.a_sign()
+    relabel(t, lambda a: a + shift)
 
 
 def labels_drift(t: Trial, size: float) -> None:
@@ -379,8 +387,12 @@ KINDS: dict[str, Kind] = {
     "stamps in ms": Kind("time_unit", 1, 1, _P(fast_clock, unit=1e3)),
     "triads exchanged": Kind("sensors_exchanged", 1, 1, triads_exchanged),
     "samples lost with their stamps": Kind("gap_in_sequence", 0.1, 2, _P(lost, renumbered=False)),
-    "samples lost, renumbered": Kind("samples_lost", 0.1, 2, _P(lost, renumbered=True)),
-    "many samples lost, renumbered": Kind("samples_lost", 0.02, 0.06, _P(lost, renumbered=True, places=30)),
+    "samples lost, renumbered": Kind("samples_lost", 0.1, 2, _P(lost, renumbered=True, by_count=True)),
+    "many samples lost, renumbered": Kind(
+        "samples_lost", 0.02, 0.06, _P(lost, renumbered=True, by_count=True, places=30)),
+    "samples lost, labels of a watch": Kind("samples_lost", 0.1, 2, _P(lost, renumbered=True), needs="labelled"),
+    "many samples lost, labels of a watch": Kind(
+        "samples_lost", 0.02, 0.06, _P(lost, renumbered=True, places=30), needs="labelled"),
     "samples written twice": Kind("samples_duplicated samples_lost", 10, 200, twice),
     "stall": Kind("samples_stuck", 0.3, 2, held),
     "gyros frozen": Kind("gyro_stuck", 0.3, 2, _P(held, accel=False)),

@@ -282,10 +282,10 @@ class Trial:
         a, b = rests[int(self.rng.integers(len(rests)))]
         return int(a / self.dt) + 6, int(b / self.dt) - 6
 
-    def without(self, gone: np.ndarray, *, renumbered: bool) -> None:
-        """Lose samples; renumbered: stamps and labels have no gap, as they come from the count of samples."""
+    def without(self, gone: np.ndarray, *, renumbered: bool, by_count: bool) -> None:
+        """Lose samples; renumbered stamps have no gap, as they come from the count of samples, and so do the labels."""
         keep = ~gone
-        if renumbered:
+        if by_count:
             for label in self.labels:
                 for key in ("start_static_s", "end_static_s"):
                     label[key] = [t - self.dt * int(gone[: round(t / self.dt)].sum()) for t in label[key]]

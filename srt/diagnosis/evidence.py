@@ -281,6 +281,13 @@ class Evidence:
             return None
         return label_shift(data, seen, self.contiguous, self.turning_windows)
 
+    @cached_property
+    def unlabelled(self) -> Evidence:
+        """Evidence of the same readings without labels."""
+        own = Evidence(self.recording.with_sequences(()), self.options)
+        own.recognition = self.recognition
+        return own
+
     # --- rotations ---------------------------------------------------------------------------------------------------
 
     @cached_property

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from foreign_motion import GRADES, drawn_errors, hand_turns
 from foreign_motion import recording as by_hand
+from scipy.signal import butter, lfilter, lfilter_zi
 from scipy.spatial.transform import Rotation
 from unstated_noise import on_the_fixture
 
@@ -88,6 +89,31 @@ def test_repeated_samples_are_the_cause_of_shifted_labels():
     with pytest.raises(DataError, match="The labels are late by") as refused:
         srt.calibrate(replace(unit, time=time, gyro=unit.gyro[rows], accel=unit.accel[rows]))
     assert refused.value.fault == "samples_duplicated"
+
+
+@pytest.mark.parametrize("places", [1, 30])
+def test_lost_samples_are_the_cause_of_shifted_labels(places):
+    """60 samples of rotations lost without a gap in the stamps: the labels lag by up to 1.2 s."""
+    unit, _ = on_the_fixture(0, "tactical")
+    turning = np.flatnonzero(np.linalg.norm(unit.gyro, axis=1) > 0.5)
+    first = turning[(np.arange(places) + 1) * len(turning) // (places + 2)]
+    # The recording goes on at rest, so that the last label stays within it.
+    rows = np.delete(np.arange(len(unit.time)), first[:, None] + np.arange(60 // places))
+    rows = np.append(rows, np.arange(len(unit.time) - 2, len(unit.time) - 62, -1))
+    with pytest.raises(DataError, match="the labels after them are late") as refused:
+        srt.calibrate(replace(unit, gyro=unit.gyro[rows], accel=unit.accel[rows]))
+    assert refused.value.fault == "samples_lost"
+
+
+@pytest.mark.parametrize("grade", ["navigation", "tactical"])
+def test_a_low_pass_filter_does_not_shift_labels(grade):
+    """At 0.8 Hz, rotations reach into the windows after them, and the noise is correlated as long."""
+    unit, _ = on_the_fixture(0, grade)
+    b, a = butter(1, 0.8, fs=1.0 / unit.nominal_interval_s)
+    readings = np.hstack([unit.gyro, unit.accel])
+    readings = lfilter(b, a, readings, axis=0, zi=lfilter_zi(b, a)[:, None] * readings[:1])[0]
+    filtered = replace(unit, gyro=readings[:, :3], accel=readings[:, 3:])
+    assert srt.diagnose(filtered, calibrating=False).first.fault == "unsettled"
 
 
 def turned_by_hand(seed):
