@@ -111,7 +111,7 @@ def _dead_accel(evidence: Evidence) -> tuple[int, int, int] | None:
     if turns is None or len(turns.spans) < _FEWEST_DEAD:
         return None
     force = turns.force[turns.between.ravel()] / gravity
-    reach = np.abs(force).max(axis=0)
+    reach, found = np.abs(force).max(axis=0), []
     for axis in range(3):
         others = np.delete(np.arange(3), axis)
         left = np.sqrt(np.maximum(1.0 - np.sum(force[:, others] ** 2, axis=1), 0.0))
@@ -119,18 +119,18 @@ def _dead_accel(evidence: Evidence) -> tuple[int, int, int] | None:
         cuts = [0, *(np.flatnonzero(np.abs(np.diff(force[:, axis])) > _SAME_G) + 1).tolist(), len(force)]
         first, last = max(pairwise(cuts), key=lambda run: float(np.ptp(left[slice(*run)])))
         inside = slice(first, last)
-        outside = np.delete(force[:, axis], np.r_[inside])
-        outside = outside[np.abs(outside) > MOVED]
-        one_polarity = outside.size > 0 and abs(np.sign(outside).sum()) == outside.size
+        # A channel of one polarity reads zero for the other sign, and one sign alone elsewhere.
+        off = evidence.force[:, axis] / gravity - float(np.median(force[inside, axis]))
+        one_polarity = np.ptp(off) > MOVED and min(-float(off.min()), float(off.max())) < 2.0 * _SAME_G
         if (
             last - first > _FEWEST_DEAD
             and np.ptp(left[inside]) > MOVED
             and np.ptp(force[inside, axis]) < 2.0 * _SAME_G
             and np.all(np.abs(reach[others] - 1.0) < _OTHERS)
-            and not one_polarity
         ):
-            return axis, int(turns.spans[first // 2, 0]), int(turns.spans[(last - 1) // 2, 1])
-    return None
+            found.append((axis, int(turns.spans[first // 2, 0]), int(turns.spans[(last - 1) // 2, 1]), one_polarity))
+    # Gravity that one axis cuts off is missing while another axis is level, too.
+    return found[0][:3] if len(found) == 1 and not found[0][3] else None
 
 
 _DEAD_PARTS: Final = {"gyro": _dead_gyro, "accel": _dead_accel}
