@@ -33,6 +33,8 @@ _FEWEST_DEAD: Final = 2
 """Fewest successive rotations of a dead axis: readings that freeze or saturate in one are another fault."""
 _FLAT: Final = 0.1
 """Largest share of the missing angle that a dead axis reads: a scale error, or its bias over the rotation."""
+_OF_OTHERS: Final = 0.5
+"""Smallest missing angle of a dead axis, relative to the largest angle that a gyro reads in that rotation."""
 _SAME_G: Final = 0.02
 """Largest change of a dead accelerometer's reading from one window to the next, g: noise and drift."""
 _OTHERS: Final = 0.1
@@ -98,8 +100,12 @@ def _dead_gyro(evidence: Evidence) -> tuple[int, int, int] | None:
 
 
 def unread(missed: Array, read: Array) -> Mask:
-    """True for each rotation, by axis, of which a gyro reads next to nothing."""
-    return np.asarray((np.abs(missed) > 2.0 * MOVED) & (np.abs(read) < _FLAT * np.abs(missed)))
+    """True for each rotation, by axis, of which a gyro reads next to nothing.
+
+    Errors of scale and alignment of the other gyros are a share of what those read.
+    """
+    size, most = np.abs(missed), np.abs(read).max(axis=1, initial=0.0, keepdims=True)
+    return np.asarray((size > np.maximum(2.0 * MOVED, _OF_OTHERS * most)) & (np.abs(read) < _FLAT * size))
 
 
 def _dead_accel(evidence: Evidence) -> tuple[int, int, int] | None:
