@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -21,11 +22,21 @@ if TYPE_CHECKING:
 
     from srt.diagnosis.evidence import Evidence
     from srt.diagnosis.findings import Finding
-    from srt.types import Array, Indices
+    from srt.types import Array, Indices, Mask
 
 
 MOVED: Final = 0.5
 """Labelled rotation, rad, and change of a gravity component, g, that the readings of an axis must show."""
+_FEWEST_DEAD: Final = 2
+"""Fewest successive rotations of a dead axis: readings that freeze or saturate in one are another fault."""
+_FLAT: Final = 0.1
+"""Largest share of the missing angle that a dead axis reads: a scale error, or its bias over the rotation."""
+_OF_OTHERS: Final = 0.5
+"""Smallest missing angle of a dead axis, relative to the largest angle that a gyro reads in that rotation."""
+_SAME_G: Final = 0.02
+"""Largest change of a dead accelerometer's reading from one window to the next, g: noise and drift."""
+_OTHERS: Final = 0.1
+"""Largest error of the other two accelerometers: they leave less than √0.2 g = 0.45 g to an axis without input."""
 _SCALES: Final = 10.0
 """Largest ratio between the count values of the axes of one triad."""
 _EARTH: Final = 1.02 * EARTH_RATE_RAD_S / STANDARD_GRAVITY_M_S2
@@ -38,7 +49,7 @@ _TURNED: Final = 0.95
 
 
 def dead_channels(evidence: Evidence) -> Iterator[Finding]:
-    """Find constant columns, if other columns are noisy or the labels change the input of the axis.
+    """Find constant columns, if other columns are noisy or the labels change the input of the axis, and dead axes.
 
     Noise-free readings can be constant. Such a column is dead only if the labels change the input of its axis.
     """
@@ -51,16 +62,91 @@ def dead_channels(evidence: Evidence) -> Iterator[Finding]:
             dead = [axis for axis in dead if len(inputs) and np.ptp(inputs[:, axis]) > MOVED]
         if dead:
             yield fault.found(
-                channel=", ".join(f"{sensor}_{AXES[axis]}" for axis in dead), value=float(table[0, dead[0]])
+                channel=", ".join(f"{sensor}_{AXES[axis]}" for axis in dead), value=float(table[0, dead[0]]), when=""
             )
+        elif (part := _DEAD_PARTS[sensor](evidence)) is not None:
+            axis, first, last = part
+            yield fault.found(
+                channel=f"{sensor}_{AXES[axis]}",
+                value=float(np.median(table[first:last, axis])) * evidence.per_rate,
+                when=f" from {evidence.recording.time[first]:.6g} s to {evidence.recording.time[last - 1]:.6g} s",
+            )
+
+
+def _dead_gyro(evidence: Evidence) -> tuple[int, int, int] | None:
+    """Axis of a gyro that misses successive rotations, and their first and last sample; None if there is none.
+
+    Exchanged or scaled axes read something wherever they miss something, and one of one polarity misses one sense.
+    """
+    if evidence.manoeuvres is None:
+        return None
+    missed, read = evidence.missed_rotations
+    dead = unread(missed, read)
+    moved = np.abs(read) > MOVED
+    alive = moved & (np.abs(missed) < 0.5 * np.abs(read))
+    for axis in np.flatnonzero(dead.sum(axis=0) >= _FEWEST_DEAD).tolist():
+        first, *_, last = np.flatnonzero(dead[:, axis]).tolist()
+        senses = {*np.sign(missed[dead[:, axis], axis]), *-np.sign(read[alive[:, axis], axis])}
+        if (
+            np.all(alive[moved[:, axis], axis])
+            and not alive[first:last, axis].any()
+            and alive.any()
+            and len(senses) > 1
+        ):
+            return axis, int(evidence.manoeuvres.spans[first, 0]), int(evidence.manoeuvres.spans[last, 1])
+    return None
+
+
+def unread(missed: Array, read: Array) -> Mask:
+    """True for each rotation, by axis, of which a gyro reads next to nothing.
+
+    Errors of scale and alignment of the other gyros are a share of what those read.
+    """
+    size, most = np.abs(missed), np.abs(read).max(axis=1, initial=0.0, keepdims=True)
+    return np.asarray((size > np.maximum(2.0 * MOVED, _OF_OTHERS * most)) & (np.abs(read) < _FLAT * size))
+
+
+def _dead_accel(evidence: Evidence) -> tuple[int, int, int] | None:
+    """Axis of an accelerometer whose reading stays as gravity moves onto and off it; None if there is none.
+
+    The other two axes show what is left of gravity for the third one.
+    """
+    turns, gravity = evidence.manoeuvres, evidence.recording.site.gravity_m_s2
+    if turns is None or len(turns.spans) < _FEWEST_DEAD:
+        return None
+    force = turns.force[turns.between.ravel()] / gravity
+    reach, found = np.abs(force).max(axis=0), []
+    for axis in range(3):
+        others = np.delete(np.arange(3), axis)
+        left = np.sqrt(np.maximum(1.0 - np.sum(force[:, others] ** 2, axis=1), 0.0))
+        # Runs of windows with one reading.
+        cuts = [0, *(np.flatnonzero(np.abs(np.diff(force[:, axis])) > _SAME_G) + 1).tolist(), len(force)]
+        first, last = max(pairwise(cuts), key=lambda run: float(np.ptp(left[slice(*run)])))
+        inside = slice(first, last)
+        # A channel of one polarity reads zero for the other sign, and one sign alone elsewhere.
+        off = evidence.force[:, axis] / gravity - float(np.median(force[inside, axis]))
+        one_polarity = np.ptp(off) > MOVED and min(-float(off.min()), float(off.max())) < 2.0 * _SAME_G
+        if (
+            last - first > _FEWEST_DEAD
+            and np.ptp(left[inside]) > MOVED
+            and np.ptp(force[inside, axis]) < 2.0 * _SAME_G
+            and np.all(np.abs(reach[others] - 1.0) < _OTHERS)
+        ):
+            found.append((axis, int(turns.spans[first // 2, 0]), int(turns.spans[(last - 1) // 2, 1]), one_polarity))
+    # Gravity that one axis cuts off is missing while another axis is level, too.
+    return found[0][:3] if len(found) == 1 and not found[0][3] else None
+
+
+_DEAD_PARTS: Final = {"gyro": _dead_gyro, "accel": _dead_accel}
 
 
 CHANNEL_DEAD: Final = by_sensor(
     "channel_dead",
-    "[A gyro|An accelerometer] column never changes",
-    "range of every [gyro|accelerometer] column",
-    "Column {channel} reads {value:g} in all samples, but noise or [rotation|gravity] should change it: connect the "
-    "sensor, or name the right column.",
+    "[A gyro|An accelerometer] column does not change with its input",
+    "range of every [gyro|accelerometer] column; successive [rotations of gravity that the gyro does not measure"
+    "|windows with one reading, though the other two axes show gravity move onto the axis or off it]",
+    "Column {channel} reads {value:.4g} in all samples{when}, but noise or [rotation|gravity] should change it: connect"
+    " the sensor, or name the right column.",
     "exit 1",
     dead_channels,
 )

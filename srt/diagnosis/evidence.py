@@ -11,7 +11,12 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import numpy as np
 
-from srt.diagnosis.gravity_rotation import gravity_relation, labelled_manoeuvres, recognised_manoeuvres
+from srt.diagnosis.gravity_rotation import (
+    gravity_relation,
+    labelled_manoeuvres,
+    missed_rotations,
+    recognised_manoeuvres,
+)
 from srt.diagnosis.label_shift import label_shift
 from srt.diagnosis.rotation_readings import (
     ROUNDING,
@@ -282,6 +287,13 @@ class Evidence:
             return None
         return label_shift(data, seen, self.contiguous, turning)
 
+    @cached_property
+    def unlabelled(self) -> Evidence:
+        """Evidence of the same readings without labels."""
+        own = Evidence(self.recording.with_sequences(()), self.options)
+        own.recognition = self.recognition
+        return own
+
     # --- rotations ---------------------------------------------------------------------------------------------------
 
     raw_integrals = _of(raw_integrals, "data")
@@ -312,6 +324,12 @@ class Evidence:
         if self.has_labels:
             return None if self.data is None else labelled_manoeuvres(self.data, self.contiguous)
         return None if self.recognition is None else recognised_manoeuvres(self.recording, self.recognition)
+
+    @cached_property
+    def missed_rotations(self) -> tuple[Array, Array]:
+        """Angles that single gyros miss in each manoeuvre, and that they read, (K, 3) each, rad."""
+        turns = self.manoeuvres
+        return (np.zeros((0, 3)), np.zeros((0, 3))) if turns is None else missed_rotations(self.recording, turns)
 
     gravity_relation = _of(gravity_relation, "recording", "manoeuvres")
     """Matrix K of the rotation of gravity against the gyros, shape (3, 3)."""

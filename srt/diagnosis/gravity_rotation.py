@@ -14,9 +14,11 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.diagnosis.rotation_readings import rates_factor
+from srt.diagnosis.rotation_readings import cross, rates_factor
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from srt.recording.recording import Recording
     from srt.sequences.preparation import PreparedRecording
     from srt.sequences.recognition import Recognition
@@ -31,6 +33,10 @@ cover one axis."""
 _UNEXPLAINED_BY_GYROS: Final = 0.65
 """Largest share of the power of df/dt that K may leave unexplained: the acceleration of a unit turned by hand changes f
 about as much as the rotation does."""
+_ACROSS: Final = 0.25
+"""Smallest squared sine of the angle between an axis and the vertical at which the accelerometers see a rotation."""
+_UNEXPLAINED_BY_AXIS: Final = 0.2
+"""Largest share of the power that the gyros leave of df, and that a missing rotation about one axis leaves, too."""
 _FEWEST_BLOCKS: Final = 50
 """Fewest blocks for a fit of K: with 50 blocks, its nine coefficients explain 6 % of pure noise."""
 
@@ -72,23 +78,53 @@ def recognised_manoeuvres(recording: Recording, found: Recognition) -> Manoeuvre
     return ManoeuvreReadings(rate, force, spans, between)
 
 
-def gravity_relation(recording: Recording, turns: ManoeuvreReadings) -> Array | None:
-    """Matrix K of ``df/dt = f × (K ω̃)`` over all rotations, by least squares, shape (3, 3).
-
-    None if the rotations do not cover all axes, or no K explains the readings.
-    """
+def _blocks(recording: Recording, turns: ManoeuvreReadings) -> Iterator[tuple[int, Array, Array, Array]]:
+    """Number of each manoeuvre, and raw angle, mean specific force and its change from block to block, (n, 3) each."""
     size = max(1, round(_BLOCK_S / recording.nominal_interval_s))
     seconds = recording.nominal_interval_s * size
-    normal, right, seen, blocks = np.zeros((3, 3, 3, 3)), np.zeros((3, 3)), 0.0, 0
-    for (a, b), (before, after) in zip(turns.spans.tolist(), turns.between.tolist(), strict=True):
+    for k, ((a, b), ends) in enumerate(zip(turns.spans.tolist(), turns.between, strict=True)):
         count = (b - a) // size
         if count < 2:
             continue
         stop = a + count * size
         rate = recording.gyro[a:stop].reshape(count, size, 3).mean(axis=1) * rates_factor(recording)
-        angle = (rate - 0.5 * (turns.rate[before] + turns.rate[after])) * seconds
+        angle = (rate - turns.rate[ends].mean(axis=0)) * seconds
         force = recording.accel[a:stop].reshape(count, size, 3).mean(axis=1)
-        turned, mean, change = 0.5 * (angle[1:] + angle[:-1]), 0.5 * (force[1:] + force[:-1]), np.diff(force, axis=0)
+        yield k, 0.5 * (angle[1:] + angle[:-1]), 0.5 * (force[1:] + force[:-1]), np.diff(force, axis=0)
+
+
+def missed_rotations(recording: Recording, turns: ManoeuvreReadings) -> tuple[Array, Array]:
+    """Angles that single gyros miss in each manoeuvre, and that they read, (K, 3) each, rad, with signs.
+
+    The change of specific force that the gyros leave, ``df - f × dθ``, gives the angle about one axis that they miss.
+    It is zero where an angle about that axis does not explain this change.
+    """
+    missed, read = np.zeros((2, len(turns.spans), 3))
+    for k, turned, force, change in _blocks(recording, turns):
+        left = change - cross(force, turned)
+        about = cross(force[:, None], np.eye(3))
+        square = np.einsum("nij,nij->ni", about, about)
+        seen = square > _ACROSS * np.einsum("ni,ni->n", force, force)[:, None]
+        angle = np.where(seen, np.einsum("nj,nij->ni", left, about) / np.where(seen, square, 1.0), 0.0)
+        rest = np.sum((left[:, None] - angle[:, :, None] * about) ** 2, axis=(0, 2))
+        explained = rest < _UNEXPLAINED_BY_AXIS * np.sum(left**2)
+        missed[k] = _extent(np.cumsum(angle, axis=0)) * explained
+        read[k] = _extent(np.cumsum(turned, axis=0))
+    return missed, read
+
+
+def _extent(course: Array) -> Array:
+    """Value of each column of the course (n, 3) that is farthest from zero, with its sign."""
+    return np.asarray(course[np.argmax(np.abs(course), axis=0), range(3)])
+
+
+def gravity_relation(recording: Recording, turns: ManoeuvreReadings) -> Array | None:
+    """Matrix K of ``df/dt = f × (K ω̃)`` over all rotations, by least squares, shape (3, 3).
+
+    None if the rotations do not cover all axes, or no K explains the readings.
+    """
+    normal, right, seen, blocks = np.zeros((3, 3, 3, 3)), np.zeros((3, 3)), 0.0, 0
+    for _, turned, mean, change in _blocks(recording, turns):
         across = np.einsum("ni,ni->n", mean, mean)[:, None, None] * np.eye(3) - np.einsum("ni,nj->nij", mean, mean)
         normal += np.einsum("nij,nk,nl->ikjl", across, turned, turned)
         right += np.einsum("ni,nk->ik", np.cross(change, mean), turned)

@@ -6,10 +6,12 @@ differ clearly from the others.
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
+from srt.diagnosis.cause_comparison import CLOSE, Cause, compare
 from srt.diagnosis.rotation_readings import ROTATING, cross, rates_factor
 from srt.exceptions import DataError
 from srt.sequences.rest_detection import BLOCK_S
@@ -34,6 +36,11 @@ _FEWEST: Final = 2
 """Fewest samples of rotation in a window: a single one may be due to a channel that is sampled early or late."""
 _LEAST_RAD: Final = 1e-3
 """Smallest angle of a rotation in a window, rad: the accuracy of a fixture."""
+_CORRELATED_S: Final = 0.05
+"""Lag of the autocorrelation that shows a low-pass filter, s: shorter responses do not reach into a window."""
+_CORRELATED: Final = 0.3
+"""Autocorrelation at that lag from which a filter counts: white noise of 100 samples exceeds it with p = 0.001, and
+that of a fifth of the windows and of all channels does not."""
 _IN_A_ROW: Final = 5
 """Number of successive sequences with rotation in a window, from which the labels are shifted, as they are with more
 than half of all sequences: the clock of the labels may drift relative to that of the samples."""
@@ -52,7 +59,65 @@ def label_shift(data: PreparedRecording, seen: RawIntegrals, contiguous: Mask, t
     ``contiguous`` (K,) is true for the sequences without a gap, ``turning`` (W,) for the windows with a rotation.
     """
     found = _block_shift(data, turning) if turning.any() else None
-    return _rotation_at_edges(data, seen, contiguous) if found is None else found
+    found = _rotation_at_edges(data, seen, contiguous) if found is None else found
+    return None if found is None or abs(found.late_s) < _filter_tail(data, seen) else found
+
+
+def lost_samples(data: PreparedRecording) -> tuple[int, float] | None:
+    """Window from which the labels are late, and the time, s; None if all are late alike, or ever later.
+
+    Samples that are lost without a gap in the stamps shift the labels after them; a clock shifts them in proportion.
+    Residuals: times of the inner edges of the labels, less those of the stationary windows that they overlap most.
+    """
+    try:
+        rest = find_windows(data.recording)
+    except DataError:
+        return None
+    time, windows = data.recording.time, data.windows.samples
+    number = np.concatenate([data.start, data.end])
+    side = np.repeat([1, 0], data.K)
+    order = np.argsort(windows[number, 0])
+    number, side = number[order], side[order]
+    own = windows[number]
+    shared = np.minimum(own[:, 1, None], rest[:, 1]) - np.maximum(own[:, 0, None], rest[:, 0])
+    found = rest[np.argmax(shared, axis=1)]
+    rows = np.arange(len(own))
+    last = len(time) - 1
+    late = time[np.minimum(own[rows, side], last)] - time[np.minimum(found[rows, side], last)]
+    causes = [Cause("", np.zeros((len(late), 0)), {}), Cause("labels_shifted", time[own[:, 0], None], {})]
+    causes += [
+        Cause("samples_lost", (rows >= m)[:, None].astype(np.float64), {"window": number[m]}, len(late))
+        for m in range(2, len(late) - 1)
+    ]
+    ranked = compare(late, causes, np.stack([side, 1 - side], axis=1).astype(np.float64))
+    best = ranked[0]
+    other = next(e for e in ranked if e.cause.fault != "samples_lost")
+    if best.cause.fault != "samples_lost" or best.score - other.score < CLOSE or best.value[0] < _BESIDE_S:
+        return None
+    return int(best.cause.details["window"]), float(best.value[0])
+
+
+def _filter_tail(data: PreparedRecording, seen: RawIntegrals) -> float:
+    """Time after a rotation, s, in which a filter's response falls below the noise; zero without a filter.
+
+    A low-pass filter of all channels correlates their noise: that of one pole, with the time constant τ, by
+    ``exp(-t/τ)``, as it does the end of a rotation. The least correlated channel and windows count, as vibration and
+    rotations correlate others.
+    """
+    recording, factor = data.recording, rates_factor(data.recording)
+    reach = max(1, round(_CORRELATED_S / recording.nominal_interval_s))
+    inner = [(a + (b - a) // 4, b - (b - a) // 4) for a, b in data.windows.samples.tolist() if b - a > 8 * reach]
+    rho, scatter = np.zeros((2, len(inner), 6))
+    for w, (a, b) in enumerate(inner):
+        x = np.hstack([recording.gyro[a:b], recording.accel[a:b]])
+        x = x - x.mean(axis=0)
+        power = np.maximum(np.mean(x**2, axis=0), np.finfo(float).tiny)
+        rho[w], scatter[w] = np.mean(x[reach:] * x[:-reach], axis=0) / power, np.sqrt(power) * factor
+    least = float(np.quantile(rho, 0.2, axis=0).min()) if inner else 0.0
+    if least <= _CORRELATED:
+        return 0.0
+    decays = math.log(max(math.e, float(seen.speed.max()) / float(np.median(scatter[:, :3]))))
+    return _CORRELATED_S / -math.log(min(least, 0.99)) * decays + _BESIDE_S
 
 
 def _block_shift(data: PreparedRecording, turning: Mask) -> LabelShift | None:

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from srt.diagnosis.findings import Fault
+from srt.diagnosis.label_shift import lost_samples
 from srt.diagnosis.rotation_readings import invert_readings, nominal_integrals
+from srt.diagnosis.sensor_synchronisation import SAMPLES_LOST, samples_lost
 from srt.estimation.rotation_accuracy import SIGMAS, scatter_ratio
 from srt.model import closed_form
 from srt.model.table1 import SEQUENCES
@@ -31,14 +34,31 @@ _AGREE: Final = 0.5
 error due to lost samples or asymmetric scale factors, but nothing of a rotation by a wrong angle."""
 _RAW_SCALE: Final = 0.015
 """Scale-factor error of uncalibrated MEMS gyros, 1-sigma."""
+_LOST: Final = (
+    "Samples of about {duration:.2g} s are missing in or before {sequence} (at {time:.6g} s), but the time stamps have "
+    "no gap: the labels after them are late by as much. Omit the labels to have the sequences recognised, and repeat "
+    "the sequence."
+)
+"""Message of lost samples that shift labels."""
 _SHORT: Final = 0.5
 """Ratio of the length of a window to the median length, below which it is short: its mean is noisier by √2."""
 
 
 def labels_shifted(evidence: Evidence) -> Iterator[Finding]:
-    """Compare the labelled windows that include rotation with the stationary windows found in the samples."""
+    """Compare the labelled windows that include rotation with the stationary windows found in the samples.
+
+    Lost samples, of which the readings show a step without labels, shift all labels after them.
+    """
     seen = evidence.label_shift
-    if seen is not None and evidence.data is not None:
+    if seen is None or evidence.data is None:
+        return
+    lost = next(samples_lost(evidence.unlabelled), None)
+    place = lost_samples(evidence.data) if lost is None else None
+    if place is not None:
+        lost = SAMPLES_LOST.found(duration=place[1], **evidence.window_place(place[0]))
+    if lost is not None:
+        yield replace(lost, cause=replace(SAMPLES_LOST, message=_LOST, effect="exit 1"))
+    else:
         yield LABELS_SHIFTED.found(shift=seen.late_s, count=seen.windows, of=len(evidence.data.windows.samples))
 
 

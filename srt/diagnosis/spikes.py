@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from scipy.ndimage import maximum_filter1d
 
 from srt.diagnosis.rotation_readings import ROUNDING, rates_factor
 from srt.noise.noise_model import smallest_step
@@ -85,10 +86,7 @@ def find_spikes(columns: Array, data: PreparedRecording, contiguous: Mask) -> Sp
     inner += x[:, 2:-2]
     size, windows, sequences = np.abs(off), data.windows.samples, np.flatnonzero(contiguous)
     start, end = windows[data.start[sequences]], windows[data.end[sequences]]
-    parts = [start + np.array([2, 0]), end - np.array([0, 2])]
-    if data.recording.fixture is not None:  # rotations by hand include bumps, as when the unit is set down
-        parts.append(data.rotation[sequences])
-    spans = np.concatenate(parts)
+    spans = np.concatenate([start + np.array([2, 0]), end - np.array([0, 2]), data.rotation[sequences]])
     spans = spans[spans[:, 1] - spans[:, 0] >= 4]
     if len(spans) == 0:
         return NO_SPIKES
@@ -101,9 +99,17 @@ def find_spikes(columns: Array, data: PreparedRecording, contiguous: Mask) -> Sp
         for (a, b), own in zip(spans.tolist(), limits, strict=True)
     ]
     channel, sample = np.concatenate(found).T
+    alone = np.ones(len(sample), dtype=np.bool_)
+    if data.recording.fixture is None:
+        # Rotations by hand include bumps, as when the unit is set down, but those move more than one channel.
+        loud, turning = np.zeros(x.shape, dtype=np.bool_), np.zeros(x.shape[1], dtype=np.bool_)
+        loud[channel, sample] = True
+        for a, b in data.rotation[sequences].tolist():
+            turning[a:b] = True
+        alone = ~turning[sample] | (maximum_filter1d(loud, 5, axis=1)[:, sample].sum(axis=0) == 1)
     slopes = np.diff(x[channel[:, None], sample[:, None] + (-2, -1, 1, 2)]) * (1.0, 0.5, 1.0)
     jump = off[channel, sample]
-    keep = np.abs(jump) > _JERK * np.ptp(slopes, axis=1)
+    keep = alone & (np.abs(jump) > _JERK * np.ptp(slopes, axis=1))
     there = Spikes(sample[keep], channel[keep], jump[keep])
     bump = [_is_bump(columns, data, int(i), there) for i in there.sample]
     return there[~np.array(bump, dtype=np.bool_)]

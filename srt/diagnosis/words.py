@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from srt.constants import MICRO_G
-from srt.diagnosis.channels import MOVED
+from srt.diagnosis.channels import MOVED, unread
 from srt.diagnosis.false_alarms import limit
 from srt.diagnosis.findings import Fault, by_sensor
 from srt.diagnosis.rotation_readings import ROUNDING
@@ -62,8 +62,11 @@ WRAPPED: Final = by_sensor(
 
 def words_of_one_polarity(evidence: Evidence) -> Iterator[Finding]:
     """Find channels that often read zero, and never a sign that some labelled rotation or pose requires."""
+    turned, poses = evidence.labelled_inputs
+    missed, read = evidence.missed_rotations
+    turned = np.concatenate([turned, np.where(unread(missed, read), missed, read)])
     for sensor, table, some, inputs in zip(
-        ONE_POLARITY, (evidence.rate, evidence.force), evidence.some, evidence.labelled_inputs, strict=True
+        ONE_POLARITY, (evidence.rate, evidence.force), evidence.some, (turned, poses), strict=True
     ):
         if sensor in evidence.wrapped_readings:
             continue  # signed words that are read as unsigned ones have no negative values either
@@ -81,7 +84,7 @@ def words_of_one_polarity(evidence: Evidence) -> Iterator[Finding]:
 ONE_POLARITY: Final = by_sensor(
     "one_polarity",
     "[A gyro|An accelerometer] reads values of only one sign",
-    "zeros, and no reading of a sign that some labelled [rotation|pose] requires",
+    "zeros, and no reading of a sign that some [rotation of gravity|labelled pose] requires",
     "{channel} has no {missing} reading, and reads zero in {share:.3g} % of the samples, but the sequences require "
     "both signs: {missing} values are cut off (by an unsigned word, or a unipolar converter); read signed words.",
     "exit 1",

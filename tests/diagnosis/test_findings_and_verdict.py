@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from foreign_motion import GRADES, drawn_errors, hand_turns
 from foreign_motion import recording as by_hand
+from scipy.signal import butter, lfilter, lfilter_zi
 from scipy.spatial.transform import Rotation
 from unstated_noise import on_the_fixture
 
@@ -90,11 +91,78 @@ def test_repeated_samples_are_the_cause_of_shifted_labels():
     assert refused.value.fault == "samples_duplicated"
 
 
+@pytest.mark.parametrize("places", [1, 30])
+def test_lost_samples_are_the_cause_of_shifted_labels(places):
+    """60 samples of rotations lost without a gap in the stamps: the labels lag by up to 1.2 s."""
+    unit, _ = on_the_fixture(0, "tactical")
+    turning = np.flatnonzero(np.linalg.norm(unit.gyro, axis=1) > 0.5)
+    first = turning[(np.arange(places) + 1) * len(turning) // (places + 2)]
+    # The recording goes on at rest, so that the last label stays within it.
+    rows = np.delete(np.arange(len(unit.time)), first[:, None] + np.arange(60 // places))
+    rows = np.append(rows, np.arange(len(unit.time) - 2, len(unit.time) - 62, -1))
+    with pytest.raises(DataError, match="the labels after them are late") as refused:
+        srt.calibrate(replace(unit, gyro=unit.gyro[rows], accel=unit.accel[rows]))
+    assert refused.value.fault == "samples_lost"
+
+
+@pytest.mark.parametrize("grade", ["navigation", "tactical"])
+def test_a_low_pass_filter_does_not_shift_labels(grade):
+    """At 0.8 Hz, rotations reach into the windows after them, and the noise is correlated as long."""
+    unit, _ = on_the_fixture(0, grade)
+    b, a = butter(1, 0.8, fs=1.0 / unit.nominal_interval_s)
+    readings = np.hstack([unit.gyro, unit.accel])
+    readings = lfilter(b, a, readings, axis=0, zi=lfilter_zi(b, a)[:, None] * readings[:1])[0]
+    filtered = replace(unit, gyro=readings[:, :3], accel=readings[:, 3:])
+    assert srt.diagnose(filtered, calibrating=False).first.fault == "unsettled"
+
+
 def turned_by_hand(seed):
     """A consumer unit in 15 turns by hand: the rotation of gravity shows gyro scales to some percent."""
     rng = np.random.default_rng((SEED, 8, seed))
     errors = drawn_errors(GRADES["consumer"], rng)
     return by_hand(hand_turns(rng, count=15, rest_s=2.0), 5.0, errors, GRADES["consumer"], rng, profile="hand")
+
+
+@pytest.mark.parametrize("noisy", [False, True])
+@pytest.mark.parametrize("sensor", ["gyro", "accel"])
+@pytest.mark.parametrize("labelled", [False, True])
+def test_an_axis_without_input_for_half_the_test_is_named(sensor, noisy, labelled):
+    """Gravity rotates about it, or onto it, and its readings do not change."""
+    unit, _ = on_the_fixture(0, "consumer")
+    readings = getattr(unit, sensor).copy()
+    half = len(readings) // 2
+    readings[half:, 1] = 0.0
+    if noisy:
+        readings[half:, 1] += np.random.default_rng((SEED, 3)).normal(0.0, 1e-3, len(readings) - half)
+    unit = replace(unit, **{sensor: readings})
+    with pytest.raises(DataError, match="in all samples from") as refused:
+        srt.calibrate(unit if labelled else unit.with_sequences(()))
+    assert refused.value.fault == f"{sensor}_channel_dead"
+
+
+def test_a_gyro_of_one_polarity_is_named_without_labels():
+    unit, _ = on_the_fixture(0, "industrial")
+    gyro = unit.gyro.copy()
+    gyro[:, 1] = np.maximum(gyro[:, 1], 0.0)
+    with pytest.raises(DataError, match="no negative reading") as refused:
+        srt.calibrate(replace(unit, gyro=gyro).with_sequences(()))
+    assert refused.value.fault == "gyro_one_polarity"
+
+
+@pytest.mark.parametrize("channel", [0, 4])
+def test_a_spike_in_a_turn_by_hand_is_named(channel):
+    unit = turned_by_hand(1)
+    readings = np.hstack([unit.gyro, unit.accel])
+    turning = np.flatnonzero(np.linalg.norm(unit.gyro, axis=1) > 0.5)
+    readings[turning[len(turning) // 2], channel] += 3.0
+    spiked = replace(unit, gyro=readings[:, :3], accel=readings[:, 3:])
+    found = srt.calibrate(spiked)
+    assert found.diagnostics.faults[0].fault == "spikes"
+    assert found.judgement.word != SOUND
+    # A bump moves several channels.
+    readings[turning[len(turning) // 2], (channel + 3) % 6] += 3.0
+    bumped = replace(unit, gyro=readings[:, :3], accel=readings[:, 3:])
+    assert "spikes" not in {fault.fault for fault in srt.calibrate(bumped).diagnostics.faults}
 
 
 def test_half_a_count_value_is_refused_by_the_result():
