@@ -127,16 +127,6 @@ def test_axes_mean_what_they_say(small):
         assert part.max() > 0.9 * bound or group == "gyro_bias"  # whose bound is drawn itself
 
 
-def test_scale_factors_and_angles_by_one_number(small):
-    """30 stands for ±30 % and ±0.3 rad."""
-    text = SMALL.replace("scale_percent = [5, 50]", "matrix_percent = [30]").replace("misalignment_mrad = [30]\n", "")
-    truth = simulate(small(text=text).unit(0, 0)[0]).truth.vector
-    for group in ("gyro_scale", "accel_scale", "gyro_orthogonality", "accel_misalignment"):
-        part = np.abs(truth[GROUP_SLICES[group]])
-        # Of three even draws, all are below a hundredth of the bound with a probability of 1e-6.
-        assert 0.003 < part.max() <= 0.3
-
-
 def test_missing_and_repeated_sequences(small):
     campaign = small(extra="missing_sequences = { choices = [2] }\nrepeated_sequences = { choices = [3] }\n")
     ids = [label.id for label in simulate(campaign.unit(0, 0)[0]).recording.sequences]
