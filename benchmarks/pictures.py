@@ -1,6 +1,6 @@
 """Pictures of the README and the documentation: fixture with the 17 sequences, calibration of the demo, convergence.
 
-``python benchmarks/pictures.py`` writes them to docs/images. The maps of convergence show the tables of
+``python benchmarks/pictures.py`` writes them to docs/images. The picture of convergence shows a table of
 docs/studies/filters.md. A test draws all again and compares, so that they are those of the present software.
 """
 
@@ -15,9 +15,7 @@ import numpy as np
 
 import sims
 import srt
-from sims.robustness.convergence import ConvergenceMap
-from sims.robustness.figures import map_figure
-from sims.robustness.trial_table import AxisLevels
+from sims.robustness.error_statistics import share_interval
 from srt.model.table1 import SEQUENCES
 from srt.reports.figures.calibration import calibration_figure
 from srt.reports.figures.style import (
@@ -32,8 +30,11 @@ from srt.reports.figures.style import (
     SMALL,
     VERMILION,
     Axes,
+    ConstrainedLayoutEngine,
     Figure,
+    NullLocator,
     save_figure,
+    style,
 )
 
 if TYPE_CHECKING:
@@ -41,7 +42,7 @@ if TYPE_CHECKING:
 
 FOLDER = Path(__file__).parents[1] / "docs" / "images"
 STUDY = FOLDER.parent / "studies" / "filters.md"
-"""Tables that the maps of convergence show."""
+"""Page with the table that the picture of convergence shows."""
 COLOURS = {"x": BLUE, "y": VERMILION, "z": GREEN}
 # Oblique view: table axes x (away from the reader), y (to the right, along the outer axis), z (down): right-handed.
 VIEW = np.array([[0.50, 0.94, 0.0], [0.40, -0.08, -1.0]])
@@ -152,26 +153,54 @@ def demo_figure() -> Figure:
     return calibration_figure(srt.calibrate(simulation.recording), truth=simulation.truth, title="demo")
 
 
-def levels(name: str, labels: list[str]) -> AxisLevels:
-    """Axis of a map, without rows of trials."""
-    none = np.zeros(0)
-    return AxisLevels(name, True, tuple(labels), np.array(labels, dtype=np.float64), none.astype(np.intp), none)
+def start_scores() -> tuple[dict[str, dict[str, np.ndarray]], list[float]]:
+    """Units with errors within 5 sigma and all units, by estimator and start, and the size of the errors, %."""
+    text = STUDY.read_text(encoding="utf-8")
+    table = re.search(r"^\*\*Within 5 sigma, .*?\*\*\n\n(.*?)\n\n", text, re.M | re.S)
+    assert table is not None
+    head, _, *rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in table[1].splitlines()]
+    found: dict[str, dict[str, np.ndarray]] = {}
+    for label, *cells in rows:
+        name, start = label.split(" from ")
+        found.setdefault(name, {})[start] = np.array([[int(n) for n in cell.split(" of ")] for cell in cells])
+    return found, [float(size) for size in head[1:]]
+
+
+STARTS = {"zero": (VERMILION, "s", (0, (3, 1.5))), "the fixture": (BLUE, "o", "-")}
 
 
 def convergence_figure() -> Figure:
-    """Maps of convergence of the forms of the filter and the other estimators, from the tables of their study."""
-    shares, names = [], []
-    tables = re.findall(r"^\*\*Converged, %: (.*?)\*\*\n\n(.*?)\n\n", STUDY.read_text(encoding="utf-8"), re.M | re.S)
-    for name, table in tables:
-        head, _, *rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines()]
-        # "60 (20)": 60 % converged, 20 % with errors beyond their sigmas
-        cells = [[re.findall(r"\d+", cell) for cell in row[1:]] for row in reversed(rows)]
-        shares.append([[(len(cell) > 0, *map(int, [*cell, 0, 0][:2])) for cell in row] for row in cells])
-        names.append(name)
-    up, across = (axis.split()[0] for axis in head[0].split("↓"))
-    tried, converged, beyond = np.moveaxis(np.array(shares), -1, 0) * np.reshape([100, 1, 1], (3, 1, 1, 1))
-    axes = levels(across, head[1:]), levels(up, [row[0] for row in reversed(rows)])
-    return map_figure(ConvergenceMap(*axes, (), converged, tried, beyond), names)
+    """Share of the units with errors within 5 sigma over the size of the errors: a panel for each estimator."""
+    found, sizes = start_scores()
+    figure = Figure(figsize=(9.0, 6.6), dpi=DPI, layout=ConstrainedLayoutEngine(h_pad=0.06, w_pad=0.1))
+    panels = figure.subplots(2, 3, sharex=True, sharey=True)
+    letters = 1.6 * MEDIUM  # legible at 360 pixels
+    for axes, (name, by_start) in zip(panels.ravel(), found.items(), strict=True):
+        style(axes)
+        for start, (colour, marker, line) in STARTS.items():
+            right, units = by_start[start].T
+            low, high = share_interval(right, units)
+            share = right / units
+            away = np.maximum(100.0 * np.stack([share - low, high - share]), 0.0)
+            axes.errorbar(sizes, 100.0 * share, away, color=colour, linewidth=3.0, linestyle=line, marker=marker,
+                          markersize=9.0, elinewidth=1.2, label=f"from {start}", clip_on=False, zorder=3)  # fmt: skip
+        axes.set_xscale("log")
+        axes.set_xticks([0.1, 1.0, 10.0, 50.0], ["0.1", "1", "10", "50"])
+        axes.xaxis.set_minor_locator(NullLocator())
+        axes.set_yticks([0, 50, 100])
+        axes.set_ylim(-4.0, 104.0)
+        axes.tick_params(labelsize=letters)
+        axes.set_title(name, fontsize=letters, color=INK, loc="left")
+    units = sorted({int(n) for by_start in found.values() for cells in by_start.values() for n in cells[:, 1]})
+    number = str(units[0]) if len(units) == 1 else f"{units[0]} to {units[-1]}"
+    figure.supxlabel("scale-factor error, %   (10 mrad of misalignment for 1 %)", fontsize=letters, color=INK)
+    figure.supylabel("errors within 5 sigma, % of units", fontsize=letters, color=INK)
+    handles, _ = panels[0, 0].get_legend_handles_labels()
+    words = [f"start from {start}" for start in STARTS]
+    title = f"{number} units a point; bars: 95 % intervals"
+    figure.legend(handles[::-1], words[::-1], loc="outside upper left", ncols=2, fontsize=letters, frameon=False,
+                  title=title, title_fontsize=letters, alignment="left")  # fmt: skip
+    return figure
 
 
 PICTURES = {"fixture.png": fixture_figure, "calibration.png": demo_figure, "convergence.png": convergence_figure}

@@ -9,7 +9,7 @@ import numpy as np
 
 from estimators.covariance_filter import CovarianceFilter
 from estimators.kalman_filter import KalmanSolver
-from estimators.sequential_filter import SequentialFilter, run_sequentially
+from estimators.sequential_filter import SequentialFilter, initial_prior, run_sequentially
 from estimators.square_root_filter import SquareRootFilter
 from estimators.unscented_filter import UnscentedFilter
 from srt.estimation.convergence import PARAMETER_UNITS
@@ -43,6 +43,7 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
     if options.filter in ("one-pass", "per-sequence", "unscented"):
         # These filters have no state for the attitude in which a sequence ends and a move begins.
         joint = open_joint_model(recording, replace(options, ignore_moves=True))
+        prior = initial_prior(joint, prior)
         free = np.array([name not in options.fixed_names for name in NAMES])
         if options.filter == "unscented":
             return run_sequentially(UnscentedFilter(joint, prior, free), joint, progress)

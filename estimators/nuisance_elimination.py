@@ -110,12 +110,13 @@ def smoothed(parts: list[SequenceEquations], g: Array) -> list[Array]:
     return out
 
 
-def eliminate_nuisances(system: LinearSystem) -> list[SequenceEquations]:
-    """Equations of all sequences in time order."""
+def eliminate_nuisances(system: LinearSystem, last: int | None = None) -> list[SequenceEquations]:
+    """Equations of the sequences in time order, to that of the number ``last``, from 0; default: of all."""
     out = []
     before = np.empty(0, dtype=np.intp)
     is_before = np.zeros(len(system.active), dtype=np.bool_)
-    for step in elimination_steps(system, global_columns(system), own_bias=True)[0]:
+    steps = elimination_steps(system, global_columns(system), own_bias=True)[0]
+    for step in steps if last is None else steps[: last + 1]:
         own = np.concatenate([step.local, step.onward])
         is_before[:] = False
         is_before[before] = True

@@ -1,6 +1,7 @@
 """Filters linearised about their running estimate, sequence by sequence, for comparison with the iterated filter.
 
-They start from the prior mean, process every sequence once in time order, and never return to an earlier one:
+They start at the initial estimate (:func:`initial_prior`), process every sequence once in time
+order, and never return to an earlier one:
 
 - ``one-pass``: each sequence linearised about the estimate from the sequences before it (textbook extended filter);
 - ``per-sequence``: the update of each sequence iterated (iterated extended filter);
@@ -23,14 +24,17 @@ from estimators.kalman_filter import FilterRun, filter_diagnostics, hand_on, pad
 from estimators.nuisance_elimination import eliminate_nuisances
 from estimators.square_root_filter import SquareRootFilter
 from srt.estimation.convergence import PARAMETER_UNITS
-from srt.estimation.fixed_parameters import fixed_sigma, reason_on_request
+from srt.estimation.fixed_parameters import determined_by_fixture, fixed_sigma, reason_on_request
+from srt.estimation.initial_estimates import estimate_from_fixture
 from srt.exceptions import InputError
 from srt.joint.initial_attitudes import placed
 from srt.joint.iteration import apply_correction
 from srt.joint.linear_system import attitude_columns, global_columns
 from srt.joint.linearisation import Linearisation, linearise
+from srt.joint.nominal_attitudes import mounting_prior
 from srt.joint.solution_analysis import FixedParameters, make_calibration, whole_solution
 from srt.joint.solver import IterationState, JointSolver, LinearSolution
+from srt.model.prior import Prior
 from srt.model.sensor_model import outside_model
 from srt.result.diagnostics import Optimum
 from srt.sensor_errors import NAMES, SensorErrors
@@ -39,7 +43,6 @@ if TYPE_CHECKING:
     from srt.estimation.registry import Progress
     from srt.joint.joint_model import JointModel
     from srt.joint.joint_state import JointState
-    from srt.model.prior import Prior
     from srt.result.calibration import Calibration
     from srt.result.diagnostics import Diagnostics
     from srt.types import Array, Mask
@@ -53,6 +56,9 @@ _ATTITUDE_PASSES: Final = 3
 """Number of linearisations of the attitudes for the comparison with the optimum: the second is exact to 1e-9 rad."""
 _OPTIMUM_SIGMAS: Final = 1.0
 """Distance from the optimum of all measurements, in sigmas, above which linearisation errors are reported."""
+_START_SIGMAS: Final = 3.0
+"""Factor on the fixture's accuracy in the prior: its angles are measurements, too, and this second use of them makes no
+sigma smaller by more than 5 %."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,6 +115,12 @@ class SequentialFilter(JointSolver):
                 f"The filter {form!r} needs labelled sequences on a fixture, no shared windows, no stated rates and "
                 "one gyro bias: use filter='iterated'."
             )
+        start, fixture = joint.options.start, joint.data.recording.fixture
+        if isinstance(start, SensorErrors) and joint.data.nominal is not None:
+            # The rotation of MARS on the table, too, would be that of the given errors, and is not renewed later.
+            joint.U_prior, joint.U_note = mounting_prior(
+                fixture, estimate_from_fixture(joint.data, joint.data.rotation_stream)[1]
+            )
         self.prior: Prior = prior
         self.form, self.free = form, free
         self.last: FilterRun | None = None
@@ -156,11 +168,13 @@ class SequentialFilter(JointSolver):
         self, joint: JointModel, state: JointState, number: int, previous: SequenceUpdate | None
     ) -> SequenceUpdate:
         """Update the estimate with a sequence, linearised once or until the correction is negligible."""
-        state = placed(joint, state)[0]
+        state, compensated = placed(joint, state)
         total: Array | float = 0.0
-        for _ in range(_ITERATIONS[self.form]):
-            system = linearise(joint, state, joint.compensate(state), self.free)
-            part = eliminate_nuisances(system)[number]
+        for i in range(_ITERATIONS[self.form]):
+            if i:
+                compensated = joint.compensate(state)
+            system = linearise(joint, state, compensated, self.free)
+            part = eliminate_nuisances(system, number)[-1]
             columns = global_columns(system)
             n, handed = len(columns), max(len(part.before), len(part.after))
             if previous is None:
@@ -219,6 +233,28 @@ class SequentialFilter(JointSolver):
             )
 
 
+def initial_prior(joint: JointModel, prior: Prior) -> Prior:
+    """Distribution of the sensor errors with which a sequential filter begins.
+
+    It has the mean that the options give and the covariance of the prior, or it is the prior updated with the estimate
+    from the fixture's nominal angles. With that mean and a wide covariance, a filter is inconsistent: the derivatives
+    of a sequence are wrong by the errors of the mean, and act on the width of the covariance.
+
+    Parameters
+    ----------
+    joint : JointModel
+    prior : Prior
+    """
+    if isinstance(joint.options.start, SensorErrors):
+        return replace(prior, mean=joint.options.start)
+    seen = determined_by_fixture(joint.data)
+    mean, P = prior.mean.vector, prior.covariance
+    R = np.diag((_START_SIGMAS * fixed_sigma(joint.data, joint.options)[seen]) ** 2)
+    gain = np.linalg.solve(P[np.ix_(seen, seen)] + R, P[seen]).T
+    mean = mean + gain @ (joint.start.errors.vector - mean)[seen]
+    return Prior(SensorErrors(mean), P - gain @ P[seen])
+
+
 def require_valid(state: JointState) -> None:
     """Raise an error if the estimated errors are outside the sensor model."""
     reason = outside_model(state.errors)
@@ -235,7 +271,8 @@ def run_sequentially(solver: SequentialFilter, joint: JointModel, progress: Prog
         If an option does not apply to joint estimation.
     """
     options = joint.options
-    options.refuse(("step", "down", "measured_vertical", "start"), f"The filter {solver.form!r}")
+    refused = ("step", "down", "measured_vertical", *(["start"] if options.start == "zero" else []))
+    options.refuse(refused, f"The filter {solver.form!r}")
     uncertain = fixed_sigma(joint.data, options)
     fixed = FixedParameters(
         {name: reason_on_request(name, uncertain, joint.data) for name in options.fixed_names}, uncertain

@@ -119,7 +119,7 @@ class SequenceModel:
         label = joint.data.labels[k]
         data = prepare_checked(joint.data.recording.with_sequences((label,)), (label,), joint.options.average)
         self.joint, self.free = JointModel(data, joint.options, (state.errors, state.U)), free
-        self.joint.U_prior = joint.U_prior
+        self.joint.U_prior, self.joint.ends_tied = joint.U_prior, joint.ends_tied
         if joint.drift.force_axes is not None:  # two windows alone would show one direction
             self.joint.follow_force(joint.drift.force_axes)
         self.system = self._linearise(replace(state, bias_deviation=np.zeros((1, 3)), attitude=None))

@@ -128,6 +128,10 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        from importlib.metadata import version
+
+        return version("strapdown-rotation-test")
     if name not in _HOME:
         raise AttributeError(f"module 'srt' has no attribute {name!r}")
     module, _, attribute = _HOME[name].partition(":")

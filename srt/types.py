@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
-from typing import Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array: TypeAlias = NDArray[np.float64]
+# Not numpy's NDArray: from numpy 2.5 on, it hides the class of which the reader of calibration files finds the fields.
+Shape: TypeAlias = tuple[Any, ...]
+
+Array: TypeAlias = np.ndarray[Shape, np.dtype[np.float64]]
 """Real numbers: samples (n, 3), states (27,), covariances (27, 27)."""
 
-Mask: TypeAlias = NDArray[np.bool_]
+Mask: TypeAlias = np.ndarray[Shape, np.dtype[np.bool_]]
 """Truth value per element."""
 
-Indices: TypeAlias = NDArray[np.intp]
+Indices: TypeAlias = np.ndarray[Shape, np.dtype[np.intp]]
 """Positions in another array."""
 
-Counts: TypeAlias = NDArray[np.int64]
+Counts: TypeAlias = np.ndarray[Shape, np.dtype[np.int64]]
 """Integers that are counted or stored, of the same size on all platforms."""
 
 Sensor: TypeAlias = Literal["gyro", "accel"]

@@ -81,6 +81,17 @@ AXES: Final[Mapping[str, AxisDefinition]] = {
         "angles between gyros, and of accelerometers to the body axes",
         True,
     ),
+    "matrix_percent": AxisDefinition(
+        (
+            "imu.errors.gyro_scale_ppm",
+            "imu.errors.accel_scale_ppm",
+            "imu.errors.gyro_orthogonality_urad",
+            "imu.errors.accel_misalignment_urad",
+        ),
+        1e4,
+        "scale factors, %, and angles between axes, hundredths of a radian",
+        True,
+    ),
     "asymmetry_ppm": AxisDefinition(
         ("imu.errors.gyro_asymmetry_ppm", "imu.errors.accel_asymmetry_ppm"), 1.0, "scale-factor asymmetries", True
     ),

@@ -16,6 +16,7 @@ import numpy as np
 import pandas as pd
 from scipy.special import betaincinv, chdtri
 
+from sims.robustness.campaign import AXES
 from srt.sensor_errors import GROUPS, NAMES
 
 if TYPE_CHECKING:
@@ -31,6 +32,10 @@ FALSE_ALARM: Final = 0.01
 """Probability that at least one sigma is called inconsistent although all are consistent."""
 BAND: Final = 3.5
 """Half width of the single-parameter band of an rms, in standard errors of the rms."""
+NEAR_SIGMAS: Final = 5.0
+"""Largest error over sigma of an estimate that counts as right."""
+NEAR_SHARE: Final = 0.01
+"""Largest error, as a share of the errors before the calibration, of an estimate that counts as close."""
 _TWO_SIDED_95: Final = 1.959964
 """Half width of the 95 % interval of a normal error, sigma."""
 
@@ -109,6 +114,43 @@ def sigma_shares(trials: TrialTable) -> pd.DataFrame:
     medians = dict.fromkeys(("nees", "nees_all"), "median")
     counts = dict.fromkeys(("judged", "estimates", "converged", "within", "beyond"), "sum")
     return columns.groupby("estimator", observed=False).agg(counts | medians).reindex(list(trials.header.estimators))
+
+
+def scores_by_level(trials: TrialTable, axis: AxisLevels) -> pd.DataFrame:
+    """Errors of all estimates, of any status, by estimator and level of an axis.
+
+    Parameters
+    ----------
+    trials : TrialTable
+    axis : AxisLevels
+
+    Returns
+    -------
+    pandas.DataFrame
+        ``judged`` trials; ``right``: with all errors within :data:`NEAR_SIGMAS`; ``close``: with all errors whose size
+        the axis states within :data:`NEAR_SHARE` of that size, zero if it states none; medians over the estimates:
+        ``nees`` per degree of freedom, ``largest`` error over sigma; over the trials: ``seconds`` of CPU.
+    """
+    frame = trials.frame
+    stated = AXES.get(axis.name)
+    worst = np.full(len(frame), np.nan)
+    for group in GROUPS:
+        if stated is not None and stated.error and any(f".{group.name}_" in key for key in stated.keys):
+            for suffix in group.suffixes:
+                error = trials.table.column(f"error_{group.name}_{suffix}").to_numpy().astype(np.float64)
+                worst = np.fmax(worst, np.abs(error) * group.display_factor)
+    columns = pd.DataFrame({
+        "estimator": frame["estimator"],
+        "level": axis.codes,
+        "judged": trials.judged,
+        "right": frame["largest"] <= NEAR_SIGMAS,
+        "close": worst <= NEAR_SHARE * axis.values * (1.0 if stated is None else stated.factor),
+        "nees": frame["nees"] / frame["observed"].where(frame["observed"] > 0),
+        "largest": frame["largest"],
+        "seconds": frame["calibrate_s"],
+    })  # fmt: skip
+    kinds = dict.fromkeys(("judged", "right", "close"), "sum") | dict.fromkeys(("nees", "largest", "seconds"), "median")
+    return columns[trials.judged].groupby(["estimator", "level"], observed=False).agg(kinds)
 
 
 def innovation_medians(trials: TrialTable) -> pd.DataFrame:

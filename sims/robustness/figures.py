@@ -50,8 +50,7 @@ if TYPE_CHECKING:
 
 
 _PANELS: Final = 3
-"""Number of maps in a row, doubled for more than :data:`_MANY` maps."""
-_MANY: Final = 12
+"""Number of maps in a row."""
 _MOST_LABELS: Final = 14
 """Maximum number of labels of an axis; with more levels, every second (third, ...) level is labelled."""
 _LINEAR_TO: Final = 4.0
@@ -75,11 +74,9 @@ def map_figure(found: ConvergenceMap, estimators: Sequence[str]) -> Figure:
     """
     share = found.share
     number, levels_up, levels_across = share.shape
-    dense = number > _MANY
-    columns = min(number, 2 * _PANELS if dense else _PANELS)
+    columns = min(number, _PANELS)
     rows = -(-number // columns)
-    width = 0.32 * levels_across + 0.4 if dense else max(3.4, 0.42 * levels_across + 1.2)
-    height = 0.32 * levels_up + 0.6 if dense else max(1.9, 0.34 * levels_up + 1.3)
+    width, height = max(3.4, 0.42 * levels_across + 1.2), max(1.9, 0.34 * levels_up + 1.3)
     figure = _figure(width * columns + 1.0, height * rows + 0.4)
     panels = figure.subplots(rows, columns, squeeze=False).ravel()
     mesh: Any = None
@@ -96,8 +93,8 @@ def map_figure(found: ConvergenceMap, estimators: Sequence[str]) -> Figure:
         )
         _write_shares(axes, share[k], found.share_beyond[k])
         axes.set_title(_plain(name), fontsize=MEDIUM, color=INK, loc="left")
-        _levels(axes, "x", found.across, named=not dense or k >= number - columns)
-        _levels(axes, "y", found.up, named=not dense or k % columns == 0)
+        _levels(axes, "x", found.across)
+        _levels(axes, "y", found.up)
         axes.tick_params(labelsize=SMALL, color=GREY, labelcolor=INK)
         for side in axes.spines.values():
             side.set_visible(False)
@@ -125,13 +122,12 @@ def _write_shares(axes: Axes, share: Array, beyond: Array) -> None:
     axes.set_ylim(-0.5, share.shape[0] - 0.5)
 
 
-def _levels(axes: Axes, side: str, axis: Any, *, named: bool) -> None:
-    """Label the levels of one side of a map, or mark them only."""
+def _levels(axes: Axes, side: str, axis: Any) -> None:
+    """Label the levels of one side of a map."""
     labels = ("all",) if axis is None else axis.labels
     every = -(-len(labels) // _MOST_LABELS)
     places, words = range(0, len(labels), every), [_plain(_short(word)) for word in labels[::every]]
-    words = words if named else [""] * len(words)
-    name = _plain(axis.name) if named and axis is not None else ""
+    name = "" if axis is None else _plain(axis.name)
     if side == "x":
         long = len(words) > 5 and sum(map(len, words)) > 30
         axes.set_xticks(places, words, rotation=40.0 if long else 0.0, ha="right" if long else "center")

@@ -30,6 +30,7 @@ from sims.robustness.tables import (
     outcome_table,
     point_table,
     region_table,
+    score_tables,
     sentences,
     share_table,
     varied_table,
@@ -109,7 +110,7 @@ def markdown_tables(found: CampaignSummary) -> str:
     """Write the results of a campaign as sentences and tables in Markdown."""
     header = found.header
     tables = [varied_table(found), outcome_table(found), share_table(found), region_table(found)]
-    tables += [t for m in found.maps[:1] for t in map_tables(m, header.estimators)]
+    tables += score_tables(found) or [t for m in found.maps[:1] for t in map_tables(m, header.estimators)]
     for a in found.accuracy:
         if a.axis is None or a.axis.on_grid:  # random axes have too many levels for a document
             errors = accuracy_tables(a, header.estimators, noisy=header.noisy)

@@ -19,6 +19,7 @@ from sims.robustness.convergence import axis_pairs, convergence_map, convergence
 from sims.robustness.error_statistics import (
     accuracy,
     innovation_medians,
+    scores_by_level,
     share_interval,
     sigma_consistency,
     sigma_shares,
@@ -93,6 +94,8 @@ class CampaignSummary:
         Consistency of the sigmas; None if the recordings have no noise.
     shares : pandas.DataFrame
         Convergence and consistency of the sigmas together, by estimator: :func:`error_statistics.sigma_shares`.
+    scores : pandas.DataFrame or None
+        Errors by estimator and level of the axis, :func:`error_statistics.scores_by_level`; None with several.
     innovations : pandas.DataFrame
         Innovations by filter and sequence: :func:`error_statistics.innovation_medians`.
     effort : Effort
@@ -115,6 +118,7 @@ class CampaignSummary:
     accuracy: tuple[Accuracy, ...]
     consistency: SigmaConsistency | None
     shares: pd.DataFrame
+    scores: pd.DataFrame | None
     innovations: pd.DataFrame
     effort: Effort
     causes: pd.DataFrame
@@ -144,6 +148,8 @@ def summarise(table: pa.Table, header: Header) -> CampaignSummary:
     first = frame.loc[~frame.duplicated("point"), ["point"]].sort_values("point")
     grid = {a.name: np.array(a.labels, dtype=object)[a.codes[first.index]] for a in trials.axes if a.on_grid}
     distances = frame.loc[trials.converged, "distance"]
+    maps = tuple(convergence_map(trials, *pair) for pair in axis_pairs(trials))
+    only = maps[0].across if maps[0].up is None else None
     return CampaignSummary(
         header,
         trials.axes,
@@ -153,11 +159,12 @@ def summarise(table: pa.Table, header: Header) -> CampaignSummary:
         outcomes=_with_rates(counts.groupby("estimator", observed=False).sum().reindex(list(header.estimators))),
         points=_with_rates(counts),
         settings=pd.DataFrame(grid, index=first["point"]),
-        maps=tuple(convergence_map(trials, *pair) for pair in axis_pairs(trials)),
+        maps=maps,
         regions=convergence_regions(trials),
         accuracy=accuracy(trials),
         consistency=sigma_consistency(trials) if header.noisy else None,
         shares=sigma_shares(trials),
+        scores=scores_by_level(trials, only) if only is not None and len(units) else None,
         innovations=innovation_medians(trials),
         effort=effort(trials),
         causes=causes(trials),

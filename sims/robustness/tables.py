@@ -7,16 +7,15 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+import pandas as pd
 
 from sims.robustness.convergence import percent
-from sims.robustness.error_statistics import BAND, share_interval
+from sims.robustness.error_statistics import BAND, NEAR_SHARE, NEAR_SIGMAS, share_interval
 from sims.robustness.trial import OUTCOMES
 from srt.sensor_errors import GROUPS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
-
-    import pandas as pd
 
     from sims.robustness.convergence import AxisLimit, ConvergenceMap, ConvergenceRegion
     from sims.robustness.error_statistics import Accuracy
@@ -282,6 +281,40 @@ def map_tables(found: ConvergenceMap, estimators: Sequence[str]) -> tuple[TextTa
             " ".join(filter(None, (averaged(found), note))),
         )
         for k, name in enumerate(estimators)
+    )
+
+
+def score_tables(found: CampaignSummary) -> tuple[TextTable, ...]:
+    """Errors of all estimates by estimator and level of the only axis; no table without one, or without noise."""
+    axis, scores = found.maps[0].across, found.scores
+    if axis is None or scores is None or not found.header.noisy:
+        return ()
+
+    labels, estimators = axis.labels, found.header.estimators
+    cells = scores.reindex(pd.MultiIndex.from_product([estimators, range(len(labels))], names=scores.index.names))
+
+    def table(title: str, column: str, note: str) -> TextTable:
+        shown = [number(value) for value in cells[column]]
+        if column in ("right", "close"):
+            pairs = cells[[column, "judged"]].fillna(0).astype(int).itertuples(index=False)
+            shown = [f"{many} of {judged}" if judged else _NOTHING for many, judged in pairs]
+        width = len(labels)
+        rows = tuple((name, *shown[k * width : (k + 1) * width]) for k, name in enumerate(estimators))
+        return TextTable(f"{title}, by {axis.name}", ("estimator", *labels), rows, note)
+
+    right = f"Units with an estimate, of any status, whose errors are all within {NEAR_SIGMAS:g} sigma."
+    close = (
+        f"Units with an estimate whose errors that {axis.name} sizes are within {100.0 * NEAR_SHARE:g} % of this size."
+    )
+    median = "Median over the estimates of any status."
+    tables = [table(f"Within {NEAR_SIGMAS:g} sigma", "right", right)]
+    if scores["close"].any():
+        tables.append(table(f"Within {100.0 * NEAR_SHARE:g} % of the size", "close", close))
+    return (
+        *tables,
+        table("NEES/n", "nees", median),
+        table("Largest error over sigma", "largest", median),
+        table("CPU time, s", "seconds", "Median over the trials."),
     )
 
 

@@ -30,7 +30,7 @@ BINS: Final = 8
 _MOST_LEVELS: Final = 12
 """Largest number of distinct values of a random axis for which each value is a level."""
 _COLUMNS: Final = ("point", "replicate", "seed", "estimator", "outcome", "message")
-_NUMBERS: Final = ("playbacks", "distance", "nees", "observed", "simulate_s", "calibrate_s")
+_NUMBERS: Final = ("playbacks", "distance", "nees", "largest", "observed", "simulate_s", "calibrate_s")
 
 
 @dataclass(frozen=True, slots=True)

@@ -58,7 +58,8 @@ class Options:
         the nominal one.
     filter : "iterated", "per-sequence", "one-pass", "covariance" or "unscented"
         Form of the Kalman filter: square-root form, iterated over the test; each sequence iterated; one pass linearised
-        about the running estimate; covariance form, iterated over the test; unscented.
+        about the running estimate; covariance form, iterated over the test; unscented. Forms that process each sequence
+        once have no start "zero".
     loss : "squared", "huber" or "cauchy"
         Loss of the factor graph: squared is efficient, the robust ones reduce the weight of outliers.
     fixture_states : bool

@@ -32,8 +32,10 @@ PACKAGES = {"srt": "srt", "estimators": "estimators", "sims": "sims", "configs":
     "configs/protocol": "srt/protocols"
 }
 """Folders of the tree, and where the wheel has them."""
-FILES = ("strapdown_srt.py", "pyproject.toml", "README.md", "LICENSE")
+FILES = ("strapdown_srt.py", "pyproject.toml", "README.md", "LICENSE", "MANIFEST.in", "CHANGELOG.md", "CITATION.cff")
 """Files beside these folders of which a distribution is built; the first is in the wheel."""
+OF_TESTS = ("tests", "benchmarks", "docs", "examples", "packaging")
+"""Folders that only the source distribution has, which the tests need."""
 COMMANDS = ("srt", "strapdown-srt")
 CALIBRATION = ROOT / "tests" / "data" / "calibration-v1.json"
 ALONE = ("numpy", "scipy")
@@ -73,7 +75,7 @@ def run(*arguments: object) -> str:
 def source(tmp_path_factory):
     """Copy of the tree: what an earlier build left in it must not get into a distribution."""
     source = tmp_path_factory.mktemp("source")
-    for name in PACKAGES:
+    for name in (*PACKAGES, *OF_TESTS):
         shutil.copytree(ROOT / name, source / name, ignore=shutil.ignore_patterns("__pycache__"), dirs_exist_ok=True)
     for name in FILES:
         shutil.copy(ROOT / name, source)
@@ -144,12 +146,13 @@ def test_the_wheel_holds_all_modules_and_data_of_the_tree(wheel):
     assert held == {*wanted, FILES[0]}
 
 
-def test_the_source_distribution_builds_the_same_wheel(sdist, wheel, tmp_path):
+def test_the_source_distribution_has_the_tests_and_builds_the_same_wheel(source, sdist, wheel, tmp_path):
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     assert sdist.name == f"strapdown_rotation_test-{project['version']}.tar.gz"
     with tarfile.open(sdist) as archive:
         names = {name.partition("/")[2] for name in archive.getnames()}
-    assert {"LICENSE", "README.md", "pyproject.toml", "PKG-INFO"} <= names
+    assert {"PKG-INFO", *FILES} <= names
+    assert {path.relative_to(source).as_posix() for name in OF_TESTS for path in (source / name).rglob("*")} <= names
     again = build_wheel(sdist, tmp_path)
 
     def held(path: Path) -> dict[str, bytes]:
@@ -202,6 +205,15 @@ def test_the_conda_recipe_follows_the_project():
         "license": project["license"],
         "license_file": "LICENSE",
     }
+
+
+def test_the_version_is_one():
+    """A source tree whose version has changed since it was installed has the old one in its metadata."""
+    number = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
+    assert srt.__version__ == version("strapdown-rotation-test")
+    assert f'\nversion: "{number}"\n' in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    changes = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    assert changes.split("\n## ")[1].splitlines()[0] == number
 
 
 def readings_of(document: dict, rate: np.ndarray, force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

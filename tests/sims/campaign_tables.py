@@ -35,7 +35,8 @@ def table(rows, types=None):
         ran = whole["outcome"] not in ("no_imu", "refused")
         whole = {"status": whole["outcome"], "message": None, "playbacks": 4 if ran else None} | whole
         whole = {"distance": 0.5 if whole["outcome"] == "converged" else None, "simulate_s": 0.5} | whole
-        whole = {"calibrate_s": None if whole["outcome"] == "no_imu" else 0.25, "largest": 2.0} | whole
+        whole = {"calibrate_s": None if whole["outcome"] == "no_imu" else 0.25} | whole
+        whole = {"largest": 2.0 if ran else None} | whole
         whole = {"nees": 27.0 if ran else None, "observed": 27 if ran else None} | whole
         for name, factor in zip(NAMES, DISPLAY_FACTORS, strict=True):
             values = {"truth": 0.0, "error": 1.0 / factor, "sigma": 1.0 / factor} if ran else {}
