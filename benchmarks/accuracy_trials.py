@@ -147,11 +147,8 @@ class Trial:
         Reported 1-sigma value, in the same units.
     nees : float
         Normalised estimation error squared of the observed parameters, divided by their number.
-    status : str
-    playbacks : int
     distance : float
         Largest difference from the fixed point reached from the truth, over max(1e-8, 0.01 sigma); NaN if not asked.
-    redrawn : int
     """
 
     error: Array

@@ -147,8 +147,6 @@ class Criterion:
 
     Attributes
     ----------
-    name : str
-    value : float
     standard_error : float
         Standard error of the value at this number of units.
     low, high : float
@@ -174,7 +172,6 @@ class Efficiency:
 
     Attributes
     ----------
-    units : int
     rms : ndarray, shape (27,)
         Rms of the error over the bound.
     own : ndarray, shape (27,)

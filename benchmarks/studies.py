@@ -50,7 +50,7 @@ class Score:
     scale_sigma : float
         Largest sigma of the accelerometer scale factors.
     faults : tuple of str
-        Findings of the checks of the recording.
+        What the checks of the recording, or the result, name.
     named : bool
         True if the checks or the result tell the error that was put in.
     """
@@ -75,7 +75,8 @@ class Score:
 
 def scored(found: Calibration, truth: Array) -> Score:
     """Score of a calibration; ``truth`` of shape (27,), SI."""
-    seen, error, z, nees = found.observed, _nothing(), _nothing(), math.nan
+    # A parameter that is exactly known has no normalised error.
+    seen, error, z, nees = found.observed & (found.sigma > 0.0), _nothing(), _nothing(), math.nan
     if seen.any():
         error[seen] = (found.errors.vector - truth)[seen]
         z[seen] = error[seen] / found.sigma[seen]
