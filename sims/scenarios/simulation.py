@@ -54,7 +54,6 @@ class Simulation:
         Stationary windows before and after each turn, s, whether or not the recording labels them.
     motion : TrueMotion
         True integrals; ``read_out`` makes of them a recording of the same motion with other errors.
-    scenario : Scenario
     """
 
     recording: Recording
@@ -114,7 +113,6 @@ def draw_errors(
 
     Parameters
     ----------
-    rng : numpy.random.Generator
     sizes : dict
         Standard deviation by group name, SI; zero for absent groups.
     distribution : "normal", "uniform" or "none"
@@ -139,7 +137,6 @@ def simulate(scenario: Scenario, rng: np.random.Generator | None = None) -> Simu
 
     Parameters
     ----------
-    scenario : Scenario
     rng : numpy.random.Generator, optional
         Default: a generator of the scenario's seed. Sensor errors, unit, fixture, motion and noise each
         draw from a child of their own, so that a change in one leaves the others' numbers alone. With a seed of its

@@ -82,8 +82,6 @@ def run_estimators(
 
     Parameters
     ----------
-    recording : Recording
-    names : sequence of str
     options : Options, optional
         The same for all.
     progress : callable, optional
@@ -138,8 +136,6 @@ class Comparison(Presented):
     seconds : mapping of str to float
     failures, left_out : mapping of str to str
         Estimators that ran without a result, and those that were not run, with the reason in a sentence.
-    truth : SensorErrors or None
-    notes : tuple of str
     """
 
     calibrations: Mapping[str, Calibration]
@@ -261,11 +257,6 @@ def compare(
         Run time of each.
     failures, left_out : mapping of str to str, optional
         Estimators without a result, and those not run, with the reason.
-    truth : SensorErrors, optional
-
-    Returns
-    -------
-    Comparison
 
     Raises
     ------

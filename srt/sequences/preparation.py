@@ -59,11 +59,8 @@ class PreparedRecording:
 
     Attributes
     ----------
-    recording : Recording
-    labels : tuple of SequenceLabel
     catalogue : tuple of RotationSequence or None
         Per sequence; None for a free turn.
-    windows : Windows
     start, end : ndarray of int, shape (K,)
         Window that each sequence starts and ends with; turns may share windows.
     voided : dict of str to str

@@ -283,7 +283,6 @@ def leave_out(recording: Recording, names: SequenceOf[str]) -> tuple[Recording, 
 
     Parameters
     ----------
-    recording : Recording
     names : sequence of str
         Number of a turn or pose without an id, "22", or id, "1a", of which all runs are left out.
 
