@@ -46,14 +46,7 @@ from srt.estimation.initial_estimates import initial_estimate
 from srt.estimation.options import Options
 from srt.model.prior import Prior
 from srt.recording.recording import Fixture
-from srt.sensor_errors import (
-    DISPLAY_FACTORS,
-    DISPLAY_UNITS,
-    GROUP_SLICES,
-    N_PARAMETERS,
-    SYMBOLS,
-    SensorErrors,
-)
+from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, GROUP_SLICES, N_PARAMETERS, SYMBOLS, SensorErrors
 from srt.sequences.checked_preparation import prepare_checked
 
 if TYPE_CHECKING:

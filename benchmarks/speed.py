@@ -65,9 +65,7 @@ DEFAULT_PARTS = ("memory", "processes", "length", "workers")
 ROUNDS = 7
 """Repeats of each timing; figures are medians."""
 SAMPLE_RATE_HZ = 200.0
-PEERS = {
-    "Xsens MTi from its file": "imu_tk in C++: 4.0 loads",
-}
+PEERS = {"Xsens MTi from its file": "imu_tk in C++: 4.0 loads"}
 """Other tools on the same work. imu_tk took 0.66 of this command as it was in November 2026, which took 6.1 loads."""
 
 LARGEST_ERRORS = {

@@ -153,13 +153,7 @@ def simulate(scenario: Scenario, rng: np.random.Generator | None = None) -> Simu
         motion = _kept_motion(_MotionKey.of(scenario))
     stated = scenario.recording
     recording = read_out(
-        motion,
-        truth,
-        model,
-        for_noise,
-        kind=stated.kind,
-        state_noise=stated.state_noise,
-        serial=stated.serial,
+        motion, truth, model, for_noise, kind=stated.kind, state_noise=stated.state_noise, serial=stated.serial
     )
     if not stated.label_sequences:
         recording = recording.with_sequences(())
@@ -248,10 +242,7 @@ def _free_run(scenario: Scenario, rng: np.random.Generator) -> TrueMotion:
     else:
         assert free.turns is not None
         turns = random_turns(
-            rng,
-            free.turns,
-            smallest_rad=free.smallest_turn_deg * DEG,
-            largest_rad=free.largest_turn_deg * DEG,
+            rng, free.turns, smallest_rad=free.smallest_turn_deg * DEG, largest_rad=free.largest_turn_deg * DEG
         )
     return free_motion(
         turns,

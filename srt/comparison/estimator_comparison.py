@@ -73,10 +73,7 @@ def default_estimators(recording: Recording) -> tuple[tuple[str, ...], dict[str,
 
 
 def run_estimators(
-    recording: Recording,
-    names: Sequence[str],
-    options: Options | None = None,
-    progress: Progress | None = None,
+    recording: Recording, names: Sequence[str], options: Options | None = None, progress: Progress | None = None
 ) -> tuple[dict[str, Calibration], dict[str, float], dict[str, str]]:
     """Calibrate one recording with several estimators; one that fails does not stop the others.
 

@@ -174,8 +174,7 @@ class Protocol:
             )
         factor = left / self._rests_s()
         return replace(
-            self,
-            steps=tuple(replace(s, rest_s=(s.rest_s[0] * factor, s.rest_s[1] * factor)) for s in self.steps),
+            self, steps=tuple(replace(s, rest_s=(s.rest_s[0] * factor, s.rest_s[1] * factor)) for s in self.steps)
         )
 
     @property

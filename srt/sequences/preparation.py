@@ -315,10 +315,7 @@ class PreparedRecording:
                 interval = recording.interval_s
                 rows = rows / (interval if isinstance(interval, float) else interval[a:b])
             force[:, at : at + b - a] = rows
-            for is_end, flagged, w in (
-                (False, open_start[k], self.start[k]),
-                (True, open_end[k], self.end[k]),
-            ):
+            for is_end, flagged, w in ((False, open_start[k], self.start[k]), (True, open_end[k], self.end[k])):
                 if flagged and F is not None and weights is not None:
                     lo, hi = samples[w] - a + at
                     weight = averaging_weights(hi - lo, self.average)

@@ -12,11 +12,7 @@ import pytest
 from certificate_cases import COMPONENTS, FACTORS, Reader, calibration, drawn
 
 import srt
-from srt.reports.certificate import (
-    html_page,
-    load_acceptance_limits,
-    make_certificate,
-)
+from srt.reports.certificate import html_page, load_acceptance_limits, make_certificate
 from srt.reports.certificate.figures import certificate_figures
 from srt.reports.certificate.parameter_changes import FALSE_ALARM, changes_since
 from srt.result.calibration import Residual

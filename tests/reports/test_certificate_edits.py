@@ -11,10 +11,7 @@ import pytest
 from certificate_cases import calibration
 
 import srt
-from srt.reports.certificate import (
-    calibration_file,
-    make_certificate,
-)
+from srt.reports.certificate import calibration_file, make_certificate
 from srt.result.consistency import Consistency, LeaveOneOut
 from srt.result.json_file import json_text
 
