@@ -37,22 +37,10 @@ def _nothing() -> Array:
 class Score:
     """Outcome of a calibration of a unit with known errors.
 
-    Attributes
-    ----------
-    status, word : str
-        Status, and the verdict in one word.
-    error, z : ndarray, shape (27,)
-        Estimate minus truth, SI, and the same over its sigma; NaN where not observed.
-    nees : float
-        Over all observed parameters, whose number is ``freedom``.
-    drift : frozenset of str
-        Sensors whose drift is modelled.
-    scale_sigma : float
-        Largest sigma of the accelerometer scale factors.
-    faults : tuple of str
-        What the checks of the recording, or the result, name.
-    named : bool
-        True if the checks or the result tell the error that was put in.
+    ``error`` and ``z``, shape (27,), are estimate minus truth, SI, and the same over its sigma, NaN where not observed;
+    ``nees`` is over all ``freedom`` observed parameters. ``word`` is the verdict, ``drift`` has the sensors whose drift
+    is modelled, ``faults`` what the checks or the result name, ``named`` tells if that is the error that was put in,
+    and ``scale_sigma`` is the largest sigma of the accelerometer scale factors.
     """
 
     status: str
