@@ -139,19 +139,9 @@ def error_in_quoted_units(calibration: Calibration, truth: SensorErrors) -> Arra
 class Trial:
     """Outcome of one trial.
 
-    Attributes
-    ----------
-    error : ndarray, shape (27,)
-        Estimate minus truth; accelerometer bias in g, else SI.
-    sigma : ndarray, shape (27,)
-        Reported 1-sigma value, in the same units.
-    nees : float
-        Normalised estimation error squared of the observed parameters, divided by their number.
-    status : str
-    playbacks : int
-    distance : float
-        Largest difference from the fixed point reached from the truth, over max(1e-8, 0.01 sigma); NaN if not asked.
-    redrawn : int
+    ``error`` and ``sigma``, shape (27,), have the accelerometer bias in g, all others SI; ``nees`` is over the number
+    of observed parameters; ``distance`` is the largest difference from the fixed point reached from the truth, over
+    max(1e-8, 0.01 sigma), NaN if not asked.
     """
 
     error: Array

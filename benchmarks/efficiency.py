@@ -26,9 +26,8 @@ import argparse
 import math
 import sys
 import time
-from dataclasses import dataclass
 from functools import cache, partial
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 from accuracy_trials import GRADES, IN_G, SITE, Trial, fixture_recording, normalised, run, score
@@ -46,14 +45,7 @@ from srt.estimation.initial_estimates import initial_estimate
 from srt.estimation.options import Options
 from srt.model.prior import Prior
 from srt.recording.recording import Fixture
-from srt.sensor_errors import (
-    DISPLAY_FACTORS,
-    DISPLAY_UNITS,
-    GROUP_SLICES,
-    N_PARAMETERS,
-    SYMBOLS,
-    SensorErrors,
-)
+from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, GROUP_SLICES, N_PARAMETERS, SYMBOLS, SensorErrors
 from srt.sequences.checked_preparation import prepare_checked
 
 if TYPE_CHECKING:
@@ -102,18 +94,8 @@ def prior_of_units() -> Prior:
     return Prior.from_sigma(sigma)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class UnitTrials:
-    """Calibrations of one unit by several estimators.
-
-    Attributes
-    ----------
-    trials : dict of str to Trial
-        By estimator.
-    innovations : tuple of ndarray
-        Of every sequence in the order of time, decorrelated and of unit variance if the filter's model holds; empty if
-        they were not asked for.
-    """
+class UnitTrials(NamedTuple):
+    """Calibrations of one unit, and the filter's innovations of every sequence, of unit variance if its model holds."""
 
     trials: Mapping[str, Trial]
     innovations: tuple[Array, ...] = ()
@@ -141,19 +123,8 @@ def calibrate_unit(
     return UnitTrials(trials, tuple(row.innovations for row in rows))
 
 
-@dataclass(frozen=True, slots=True)
-class Criterion:
-    """A figure, and the limits between which it is claimed to be.
-
-    Attributes
-    ----------
-    name : str
-    value : float
-    standard_error : float
-        Standard error of the value at this number of units.
-    low, high : float
-        Limits of the claim.
-    """
+class Criterion(NamedTuple):
+    """A figure with its standard error at this number of units, and the limits between which it is claimed to be."""
 
     name: str
     value: float
@@ -168,25 +139,11 @@ class Criterion:
         return self.low - allowed <= self.value <= self.high + allowed
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Efficiency:
+class Efficiency(NamedTuple):
     """Errors of one estimator over all units of a grade.
 
-    Attributes
-    ----------
-    units : int
-    rms : ndarray, shape (27,)
-        Rms of the error over the bound.
-    own : ndarray, shape (27,)
-        Rms of the sigma that the estimator reports, over the bound.
-    mean, mean_error : float
-        Mean of ``rms`` over the parameters, and its standard error.
-    nees : float
-        Normalised estimation error squared over 27, mean.
-    coverage, coverage_error : float
-        Share of all errors within their 95 % interval, and its standard error.
-    converged : float
-        Share of the units.
+    ``rms`` and ``own``, shape (27,), are the rms of the error and of the reported sigma over the bound; ``mean`` is
+    that of ``rms``, ``nees`` is over 27, ``coverage`` the share of errors within their 95 % interval.
     """
 
     units: int

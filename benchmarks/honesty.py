@@ -12,6 +12,8 @@ hand, hand-stated  turned by hand, no labels: rms of the normalised errors; no n
 hand-drift, array  turned by hand, with drifts; array: twelve turns in 500 s, as recordings of a sensor array
 asymmetry          nine turns: asymmetries estimated, or only where a test asks for them
 defects            defects of real logs, through ``srt calibrate``
+worse-than-stated  fixture, biases or readings worse than stated, through ``srt calibrate``; what the result names
+unstated-noise     nothing stated, of units without and with bias instability, and all stated; on a fixture, by hand
 """
 
 from __future__ import annotations
@@ -38,14 +40,17 @@ from honesty_recordings import (
     drifting_unit,
     fixture_drift,
     hand_unit,
+    truth_of,
 )
 from injected_faults.injection import GRADES, Case
 from scipy.stats import binom, chi2
 from studies import ESTIMATORS, Score, counts, pooled_nees, rms, scored
+from worse_recordings import CASES, HAND_RESTS_S, STATEMENTS, unit_of, unstated_unit
 
 import srt
 from srt.diagnosis.staged_diagnosis import diagnose
 from srt.noise.drift_forms import FALSE_ALARM
+from srt.result.verdict import OF_FIXTURE
 from srt.sensor_errors import GROUP_SLICES, NAMES
 
 Cell = tuple[Any, ...]
@@ -154,6 +159,42 @@ def defects(cell: Cell, unit: int, _estimators: list[str]) -> Rows:
     return {"default": replace(score, faults=faults, named=not named or bool(named & set(faults)))}
 
 
+def named_by(found: srt.Calibration) -> tuple[str, ...]:
+    """Drift that a result models, findings, and the sequence, the part of the fixture and the moves that it accuses."""
+    named = [f"{row.sensor} {row.form}" for row in found.diagnostics.drift or ()]
+    named += [finding.fault for finding in found.diagnostics.faults or ()]
+    verdict = found.verdict
+    if verdict is not None and verdict.contradicting is not None:
+        named.append(f"contradicts: {verdict.contradicting.sequence}")
+    added = verdict.added_noise if verdict is not None else None
+    named += [OF_FIXTURE[kind] for kind in added or () if kind in OF_FIXTURE]
+    named += ["move left out" for _ in found.provenance.voided]
+    named += ["moves contradict" for text in found.diagnostics.contradicted or () if "recorded moves" in text]
+    return *named, *("label" for warning in found.warnings if "check the label" in warning)
+
+
+def worse_than_stated(cell: Cell, unit: int, estimators: list[str]) -> Rows:
+    """Through ``srt.calibrate`` with its checks; the closed form, on the fixture alone."""
+    case, rows = CASES[cell[0]], {}
+    recording, errors = unit_of(case, unit)
+    for name in estimators:
+        if name == "closed-form" and case.motion in HAND_RESTS_S:
+            continue
+        try:
+            found = srt.calibrate(recording, name)
+        except srt.InputError as error:
+            rows[name] = Score("refused", faults=(str(error)[:60],))
+            continue
+        rows[name] = replace(scored(found, truth_of(errors)), faults=named_by(found))
+    return rows
+
+
+def unstated_noise(cell: Cell, unit: int, estimators: list[str]) -> Rows:
+    recording, errors = unstated_unit(unit, *cell)
+    able = [name for name in estimators if cell[0] == "fixture" or name != "closed-form"]
+    return calibrated(recording, truth_of(errors), able)
+
+
 Scores = list[Score]
 
 
@@ -209,6 +250,7 @@ COLUMNS: dict[str, Callable[[Scores, int], str]] = {
     "status": lambda scores, _: counts(s.status.replace("_", " ") for s in scores),
     "verdict": lambda scores, _: counts(s.word.replace("_", " ") for s in scores),
     "checks": lambda scores, _: counts(s.checks for s in scores),
+    "what is named": lambda scores, _: counts(what for s in scores for what in sorted(set(s.faults))),
     "first finding": lambda scores, _: counts((*s.faults, "none")[0] for s in scores),
     "largest error/sigma: all, used": all_and_used(lambda part: max(largest(s.z) for s in part), 1),
     "NEES/n: all, used": all_and_used(lambda part: float(np.mean([s.nees / s.freedom for s in part])), 2),
@@ -318,6 +360,14 @@ STUDIES = {
     "defects": Study(
         ("defect",), [(name,) for name in DEFECTS], defects, ("status", "first finding", "rms", "largest"),
         lambda scores, _: not all(s.named for s in scores), ("default",),
+    ),
+    "worse-than-stated": Study(
+        ("case",), [(name,) for name in CASES], worse_than_stated, ("NEES / n", "largest", "verdict", "what is named"),
+        estimators=ESTIMATORS,
+    ),
+    "unstated-noise": Study(
+        ("motion", "grade", "stated, unit"), list(product(("fixture", "hand"), HAND_GRADES, STATEMENTS)),
+        unstated_noise, ("NEES / n", "verdict"), estimators=ESTIMATORS,
     ),
 }  # fmt: skip
 

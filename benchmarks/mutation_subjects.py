@@ -313,10 +313,7 @@ SUBJECTS = (
     Subject(
         "digest",
         "srt/result/json_file.py",
-        (
-            "tests/result/test_calibration.py",
-            "tests/reports/test_certificate_edits.py",
-        ),
+        ("tests/result/test_calibration.py", "tests/reports/test_certificate_edits.py"),
         (),
         (
             ("document[_DIGEST] != _digest(document)", "False"),

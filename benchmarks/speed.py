@@ -1,10 +1,9 @@
 """Speed of everything in one table: estimators in memory, commands as processes, length of a recording, two workers.
 
 ``python benchmarks/speed.py`` prints it as Markdown; ``--only PART ...`` takes parts of it, or others: correction of
-readings, inspection of an hour at 1 kHz, units calibrated as arrays, sizes of results (a fleet of 10,000, a million
-trials). ``--long`` adds 20 million samples, ``--rounds N`` takes medians of N. Times are CPU times on one core
-(``workers``: wall times). Each has its ratio to a fixed numpy load that runs right before it, so that a busy or another
-machine matters less. benchmarks/README.md says what the rows are.
+readings, inspection of an hour at 1 kHz, units calibrated as arrays. ``--long`` adds 20 million samples, ``--rounds N``
+takes medians of N. Times are CPU times on one core (``workers``: wall times). Each has its ratio to a fixed numpy load
+that runs right before it, so that a busy or another machine matters less. benchmarks/README.md says what the rows are.
 """
 
 import os
@@ -17,6 +16,7 @@ import subprocess
 import sys
 import tempfile
 import time
+import tracemalloc
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
@@ -29,32 +29,50 @@ import numpy as np
 import recorded_sets
 import robustness
 from numpy_load import Row, beside_load, cpu_time, numpy_load
-from speed_of_parts import correction, inspection, nbytes, sizes, traced, units_as_arrays
 
+import sims
 import srt
-from sims.physics.imu import read_out
+from sims.physics.imu import ImuModel, read_out
 from sims.physics.sequences import TABLE_1
 from sims.physics.table_motion import table1_motion
 from sims.robustness.run import run_campaign
+from srt.closed_form.formulas import SelectedFormulas
+from srt.closed_form.iteration import iterate_units
 from srt.comparison.estimator_comparison import default_estimators
 from srt.comparison.parallel import Engine
+from srt.constants import DEG_PER_SQRT_H, MICRO_G
+from srt.diagnosis import diagnose
+from srt.diagnosis.inspection import inspect
+from srt.estimation.initial_estimates import initial_estimate
+from srt.estimation.options import Options
 from srt.model.analytic_platform import integrate_attitude
 from srt.model.gyro_stream import gyro_stream
 from srt.model.platform_steps import COMPILED_RECORDINGS, many_recordings
-from srt.model.sensor_model import gyro_triad
+from srt.model.rotations import rotation_matrix
+from srt.model.sensor_model import gyro_triad, outside_model
 from srt.noise.noise_model import noise_model
+from srt.recording.recording import Fixture, Site
+from srt.reports.figures.inspection import inspection_figure
+from srt.result.applier import Applier
+from srt.result.calibration import Calibration
+from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SensorErrors
+from srt.sequences.checked_preparation import prepare_checked
 from srt.sequences.preparation import prepare
+from srt.sequences.prepared_units import together
+from srt.sequences.recognition import recognise
 
-MORE = {"correction": correction, "inspection": inspection, "units": units_as_arrays, "sizes": sizes}
-PARTS = ("memory", "processes", "length", *MORE, "workers")
 DEFAULT_PARTS = ("memory", "processes", "length", "workers")
 ROUNDS = 7
 """Repeats of each timing; figures are medians."""
 SAMPLE_RATE_HZ = 200.0
-PEERS = {
-    "Xsens MTi from its file": "imu_tk in C++: 4.0 loads",
-}
+PEERS = {"Xsens MTi from its file": "imu_tk in C++: 4.0 loads"}
 """Other tools on the same work. imu_tk took 0.66 of this command as it was in November 2026, which took 6.1 loads."""
+
+LARGEST_ERRORS = {
+    "gyro_scale": 0.5, "gyro_asymmetry": 0.01, "gyro_orthogonality": 0.3, "accel_bias": 1.0, "accel_scale": 0.5,
+    "accel_asymmetry": 0.01, "accel_misalignment": 0.3, "gyro_bias": 0.02,
+}  # fmt: skip
+"""Largest sensor errors of the units that are calibrated as arrays, SI."""
 
 
 def sum_once(recording: srt.Recording) -> float:
@@ -237,10 +255,134 @@ def dask_engine(count: int) -> Iterator[Engine]:
         yield Engine(count, cluster.scheduler_address)
 
 
+def calibration(sigma: float = 0.01) -> Calibration:
+    """Calibration of a unit whose errors are drawn with one sigma."""
+    vector = np.random.default_rng(1).normal(0.0, sigma, N_PARAMETERS)
+    U = rotation_matrix(np.array([0.1, -0.2, 0.15]))
+    return Calibration("", "converged", "", SensorErrors(vector), np.eye(N_PARAMETERS) * 1e-8, U=U)
+
+
+def correction(rounds: int) -> Iterator[Row]:
+    """Arrays of readings, over one (n, 3) @ (3, 3) product, in slow motion and with random signs; single samples."""
+    n, rng = 1_000_000, np.random.default_rng(2)
+    rate = 0.3 * np.sin(2.0 * np.pi * np.arange(n)[:, None] / 200.0 / (200.0, 400.0, 600.0))
+    slow = rate, np.column_stack([rate[:, 0], rate[:, 1], np.full(n, -9.80665)])
+    signs = rng.normal(size=(n, 3)), 9.80665 * rng.normal(size=(n, 3))
+    for what, readings, sigma in (("slow motion, 1 %", slow, 0.01), ("random signs, 15 %", signs, 0.15)):
+        unit = calibration(sigma)
+        out, matrix = tuple(map(np.empty_like, readings)), gyro_triad(unit.errors).matrix
+        product, _ = beside_load(partial(cpu_time, partial(np.matmul, readings[0], matrix, out=out[0])), rounds)
+        for frame in ("mars", "table"):
+            call = partial(Applier(unit, frame=frame).apply, *readings, out=out)
+            seconds, load_s = beside_load(partial(cpu_time, call), rounds)
+            name = f"correction of {n:,} samples, {what}, {frame} axes, over one product: {seconds / n * 1e9:.0f} ns"
+            yield Row(name, seconds, load_s, product)
+    applier, count, sample = Applier(calibration()), 20_000, ([0.1, -0.2, 0.3], [1.0, 2.0, -9.0])
+    seconds, load_s = beside_load(
+        lambda: cpu_time(lambda: [applier.apply_sample(*sample) for _ in range(count)]), rounds
+    )
+    yield Row(f"correction of one sample at a time, {count:,}: {seconds / count * 1e6:.2f} µs", seconds, load_s)
+
+
+def an_hour() -> srt.Recording:
+    """Table 1 six times at 1 kHz, with the moves between the sequences, without labels."""
+    scenario = sims.load_scenario("navigation-rlg")
+    schedule = scenario.schedule.model_copy(update={"repeats": 6, "dwell_s": 10.8})
+    recording = scenario.recording.model_copy(update={"sample_rate_hz": 1000.0})
+    return sims.simulate(scenario.model_copy(update={"schedule": schedule, "recording": recording})).recording
+
+
+def inspection(rounds: int) -> Iterator[Row]:
+    """Inspection of a long log without reading it, over one sum of its columns, and its memory."""
+    recording = an_hour()
+    read_s = cpu_time(lambda: (recording.gyro.sum(axis=0), recording.accel.sum(axis=0)))
+    found = inspect(replace(recording))
+    what = f"{len(recording.time):,} samples"
+    for name, call in {
+        "inspection with recognition": inspect,
+        "recognition alone": recognise,
+        "diagnosis alone": partial(diagnose, calibrating=False),
+        "figure of the inspection": lambda fresh: inspection_figure(fresh, found),
+    }.items():
+        seconds, load_s = beside_load(lambda call=call: cpu_time(lambda: call(replace(recording))), min(rounds, 3))
+        yield Row(f"{name}, {what}", seconds, load_s, read_s)
+    load_s = cpu_time(numpy_load)
+    seconds, memory = traced(lambda: inspect(replace(recording)))
+    yield Row(f"the same traced: memory {1.0 + memory / nbytes(recording):.2f} of the samples", seconds, load_s, read_s)
+
+
+def nbytes(recording: srt.Recording) -> int:
+    """Bytes of the samples."""
+    return sum(a.nbytes for a in (recording.time, recording.gyro, recording.accel))
+
+
+def traced(call: Callable[[], object]) -> tuple[float, int]:
+    """CPU time of a call while its memory is traced, which takes time, and its peak of bytes."""
+    tracemalloc.start()
+    seconds = cpu_time(call)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    return seconds, peak
+
+
+def units_as_arrays(_rounds: int, count: int = 1024, batches: tuple[int, ...] = (1, 7, 32, 256)) -> Iterator[Row]:
+    """Closed form of many units of one motion (windows of 2 s, 3 rad/s, 50 Hz), by the size of the batch.
+
+    Units of ±50 % and 0.3 rad; those that are no IMU or have no initial estimate are drawn again. Simulation,
+    preparation and initial estimates are not timed.
+    """
+    rng, sizes = np.random.default_rng(20261125), np.zeros(N_PARAMETERS)
+    for group, size in LARGEST_ERRORS.items():
+        sizes[GROUP_SLICES[group]] = size
+    imu = ImuModel(gyro_noise=0.1 * DEG_PER_SQRT_H, accel_noise=50.0 * MICRO_G)
+    motion = table1_motion(
+        site=Site(9.80665, 5e-6, 0.8), stated_fixture=Fixture(0.3, 1e-3, 1e-3), heading_rad=0.3,
+        sample_rate_hz=50.0, rate_rad_s=3.0, dwell_s=2.0,
+    )  # fmt: skip
+    data, starts = [], []
+    while len(data) < count:
+        errors = SensorErrors(rng.uniform(-1.0, 1.0, N_PARAMETERS) * sizes)
+        if outside_model(errors) is not None:
+            continue
+        recording = read_out(motion, errors, imu, rng)
+        try:
+            unit = prepare_checked(recording, recording.sequences, "linear")
+            starts.append(initial_estimate(unit, Options()))
+        except srt.SrtError:
+            continue
+        data.append(unit)
+    formulas = SelectedFormulas(data[0], Options())
+    vectors, U = np.stack([errors.vector for errors, _ in starts]), np.stack([U for _, U in starts])
+    single, base = [], 0.0
+    for batch in batches:
+        found: list = []
+        load_s, began = cpu_time(numpy_load), time.process_time()
+        with many_recordings(count):
+            for own in (slice(a, a + batch) for a in range(0, count, batch)):
+                found += iterate_units(together(data[own]), Options(), formulas, vectors[own], U[own])
+        took = time.process_time() - began
+        single, base = single or found, base or took
+        off = max(
+            float(np.abs((x.errors.vector - y.errors.vector) / np.sqrt(np.diag(sum(y.covariance.values())))).max())
+            for x, y in zip(found, single, strict=True)
+            if y.status == "converged"
+        )
+        converged = sum(x.status == "converged" for x in found)
+        yield Row(
+            f"closed form of {count} units, batch {batch}: {count / took:.0f} a second, ratio {base / took:.2f}, "
+            f"{converged} converged, {off:.1e} sigma from single runs", took, load_s,
+        )  # fmt: skip
+
+
+MORE = {"correction": correction, "inspection": inspection, "units": units_as_arrays}
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--long", action="store_true", help="up to 20 million samples")
-    parser.add_argument("--only", nargs="+", choices=PARTS, default=DEFAULT_PARTS, help="parts of the table")
+    parser.add_argument(
+        "--only", nargs="+", choices=(*DEFAULT_PARTS, *MORE), default=DEFAULT_PARTS, help="parts of the table"
+    )
     parser.add_argument("--rounds", type=int, default=ROUNDS, help="repeats of each timing")
     arguments = parser.parse_args()
     print("| what | CPU time, ms | over the numpy load | over one read of the samples | peer |")

@@ -37,22 +37,10 @@ def _nothing() -> Array:
 class Score:
     """Outcome of a calibration of a unit with known errors.
 
-    Attributes
-    ----------
-    status, word : str
-        Status, and the verdict in one word.
-    error, z : ndarray, shape (27,)
-        Estimate minus truth, SI, and the same over its sigma; NaN where not observed.
-    nees : float
-        Over all observed parameters, whose number is ``freedom``.
-    drift : frozenset of str
-        Sensors whose drift is modelled.
-    scale_sigma : float
-        Largest sigma of the accelerometer scale factors.
-    faults : tuple of str
-        Findings of the checks of the recording.
-    named : bool
-        True if the checks or the result tell the error that was put in.
+    ``error`` and ``z``, shape (27,), are estimate minus truth, SI, and the same over its sigma, NaN where not observed;
+    ``nees`` is over all ``freedom`` observed parameters. ``word`` is the verdict, ``drift`` has the sensors whose drift
+    is modelled, ``faults`` what the checks or the result name, ``named`` tells if that is the error that was put in,
+    and ``scale_sigma`` is the largest sigma of the accelerometer scale factors.
     """
 
     status: str
@@ -75,7 +63,8 @@ class Score:
 
 def scored(found: Calibration, truth: Array) -> Score:
     """Score of a calibration; ``truth`` of shape (27,), SI."""
-    seen, error, z, nees = found.observed, _nothing(), _nothing(), math.nan
+    # A parameter that is exactly known has no normalised error.
+    seen, error, z, nees = found.observed & (found.sigma > 0.0), _nothing(), _nothing(), math.nan
     if seen.any():
         error[seen] = (found.errors.vector - truth)[seen]
         z[seen] = error[seen] / found.sigma[seen]

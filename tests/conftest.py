@@ -1,4 +1,4 @@
-"""Fixtures: symbolic derivation, derivatives taken through the simulator, and readers of logs in a fork."""
+"""Fixtures: symbolic derivation, derivatives through the simulator, certificates, readers of logs in a fork."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import os
 import sys
 from collections import Counter
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -54,6 +54,23 @@ def pytest_collection(session):
     finally:
         gc.freeze()
         gc.enable()
+
+
+@pytest.fixture
+def saved(tmp_path):
+    """Save a calibration and read it as a certificate does."""
+    from certificate_cases import saved_calibration
+
+    return partial(saved_calibration, tmp_path)
+
+
+@pytest.fixture
+def plain_page(monkeypatch):
+    """Pages of certificates without the pictures, which take a hundred times as long as all else."""
+    from srt.reports.certificate import html_page
+
+    monkeypatch.setattr(html_page, "certificate_figures", lambda certificate: ())
+    return html_page.html_page
 
 
 @pytest.fixture(scope="session")

@@ -105,7 +105,6 @@ def bayesian_bound(
 
     Parameters
     ----------
-    schedule : Schedule
     site : Site
         Its gravity sigma is a prior; the latitude is known exactly.
     imu : ImuModel
@@ -198,7 +197,6 @@ class Linearisation:
         From B in the end window to B in the start window, relative to inertial space.
     attitude : ndarray, shape (K, 2, 3, 10)
         Small rotation vector of B in both windows, by the same unknowns, of which the angles are those of that window.
-    moves : MoveLinearisation
     """
 
     errors: Array

@@ -53,7 +53,6 @@ class Budget:
 
     Attributes
     ----------
-    estimator : str
     sources : dict of str to ndarray, shape (27,)
         One sigma of every parameter by source, SI; NaN where the parameter is not estimated.
     not_counted : dict of str to ndarray, shape (27,)

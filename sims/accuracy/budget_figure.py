@@ -31,17 +31,7 @@ _HATCHES: Final = ("", "//", "..")
 
 
 def budget_figure(found: Budget, *, title: str = "") -> Figure:
-    """Draw stacked bars of the variance shares of every parameter, with its sigma beside the bar.
-
-    Parameters
-    ----------
-    found : Budget
-    title : str
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-    """
+    """Draw stacked bars of the variance shares of every parameter, with its sigma beside the bar."""
     total = found.total
     seen = np.flatnonzero(np.isfinite(total) & (total > 0.0))
     figure = Figure(figsize=(9.0, 1.6 + 0.27 * len(seen)), layout="constrained")

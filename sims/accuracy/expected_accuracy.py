@@ -34,7 +34,6 @@ class ProtocolAccuracy:
 
     Attributes
     ----------
-    name : str
     on_fixture : bool
         False: the fixture cannot run the protocol, which is then run without one.
     sigma : ndarray, shape (27,), SI
@@ -81,8 +80,6 @@ def sigma_with_moves(file: PlanFile, plan: Plan, estimator: str = "least-squares
 
     Parameters
     ----------
-    file : PlanFile
-    plan : Plan
     estimator : str
         Name of one that uses the moves.
 
@@ -117,7 +114,6 @@ def plan_with_moves(file: PlanFile, *, progress: Callable[[str, int, float], Non
 
     Parameters
     ----------
-    file : PlanFile
     progress : callable, optional
         As for :func:`srt.planning.planner.make_plan`.
 

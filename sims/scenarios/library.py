@@ -72,12 +72,7 @@ def find(folder: str, name_or_path: str | Path, *, near: Path | None = None) -> 
 
 def read_toml(path: Path) -> dict[str, Any]:
     """Read a TOML file. Raises InputError if it cannot be read or is not TOML."""
-    try:
-        return toml_text.read_toml(path)
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path} cannot be read: {error}.") from error
-    except ValueError as error:
-        raise InputError(f"{path} is not valid TOML: {error}.") from error
+    return toml_text.read_toml(path)
 
 
 def overlay(base: dict[str, Any], top: dict[str, Any]) -> dict[str, Any]:

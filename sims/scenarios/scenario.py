@@ -27,15 +27,7 @@ from sims.physics.sequences import TABLE_1, TurnSequence, table_sequences
 from sims.physics.turn_profiles import ProfileName  # noqa: TC001 - pydantic reads it
 from sims.scenarios import library
 from sims.scenarios.toml_table import LibraryTable, TomlTable, validated
-from srt.constants import (
-    ARCSEC,
-    DEG,
-    DEG_PER_H,
-    DEG_PER_SQRT_H,
-    MICRO_G,
-    STANDARD_GRAVITY_M_S2,
-    normal_gravity_m_s2,
-)
+from srt.constants import ARCSEC, DEG, DEG_PER_H, DEG_PER_SQRT_H, MICRO_G, STANDARD_GRAVITY_M_S2, normal_gravity_m_s2
 from srt.exceptions import InputError
 from srt.recording.protocol import Protocol, load_protocol
 from srt.recording.recording import Site

@@ -54,7 +54,6 @@ class Simulation:
         Stationary windows before and after each turn, s, whether or not the recording labels them.
     motion : TrueMotion
         True integrals; ``read_out`` makes of them a recording of the same motion with other errors.
-    scenario : Scenario
     """
 
     recording: Recording
@@ -114,7 +113,6 @@ def draw_errors(
 
     Parameters
     ----------
-    rng : numpy.random.Generator
     sizes : dict
         Standard deviation by group name, SI; zero for absent groups.
     distribution : "normal", "uniform" or "none"
@@ -139,7 +137,6 @@ def simulate(scenario: Scenario, rng: np.random.Generator | None = None) -> Simu
 
     Parameters
     ----------
-    scenario : Scenario
     rng : numpy.random.Generator, optional
         Default: a generator of the scenario's seed. Sensor errors, unit, fixture, motion and noise each
         draw from a child of their own, so that a change in one leaves the others' numbers alone. With a seed of its
@@ -156,13 +153,7 @@ def simulate(scenario: Scenario, rng: np.random.Generator | None = None) -> Simu
         motion = _kept_motion(_MotionKey.of(scenario))
     stated = scenario.recording
     recording = read_out(
-        motion,
-        truth,
-        model,
-        for_noise,
-        kind=stated.kind,
-        state_noise=stated.state_noise,
-        serial=stated.serial,
+        motion, truth, model, for_noise, kind=stated.kind, state_noise=stated.state_noise, serial=stated.serial
     )
     if not stated.label_sequences:
         recording = recording.with_sequences(())
@@ -251,10 +242,7 @@ def _free_run(scenario: Scenario, rng: np.random.Generator) -> TrueMotion:
     else:
         assert free.turns is not None
         turns = random_turns(
-            rng,
-            free.turns,
-            smallest_rad=free.smallest_turn_deg * DEG,
-            largest_rad=free.largest_turn_deg * DEG,
+            rng, free.turns, smallest_rad=free.smallest_turn_deg * DEG, largest_rad=free.largest_turn_deg * DEG
         )
     return free_motion(
         turns,

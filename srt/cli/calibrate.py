@@ -335,12 +335,7 @@ def run_job(job: Job, estimator: str, options: Options, display: Display) -> Cal
     recording = display.load(job.recording)
     with iteration_progress(job.name, quiet=display.quiet) as progress:
         calibration = srt.calibrate(
-            recording,
-            estimator,
-            force=display.force,
-            without_turns=display.without,
-            options=options,
-            progress=progress,
+            recording, estimator, force=display.force, without_turns=display.without, options=options, progress=progress
         )
     if job.output is not None:
         calibration.save(job.output)

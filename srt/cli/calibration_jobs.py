@@ -25,7 +25,6 @@ class Job:
 
     Attributes
     ----------
-    recording : Path
     name : str
         Name of the folder of the recording; the file of the result has it where there are several.
     output, plot : Path or None

@@ -47,10 +47,6 @@ def compare(
     **choices
         Fields of :class:`srt.Options`, instead of ``options``, and keywords of :func:`srt.read`.
 
-    Returns
-    -------
-    Comparison
-
     Raises
     ------
     InputError
@@ -75,10 +71,8 @@ def runnable_estimators(
 
     Parameters
     ----------
-    recording : Recording
     names : sequence of str
         Names asked for; empty: all of this package that can run.
-    reference : str or None
 
     Raises
     ------

@@ -73,17 +73,12 @@ def default_estimators(recording: Recording) -> tuple[tuple[str, ...], dict[str,
 
 
 def run_estimators(
-    recording: Recording,
-    names: Sequence[str],
-    options: Options | None = None,
-    progress: Progress | None = None,
+    recording: Recording, names: Sequence[str], options: Options | None = None, progress: Progress | None = None
 ) -> tuple[dict[str, Calibration], dict[str, float], dict[str, str]]:
     """Calibrate one recording with several estimators; one that fails does not stop the others.
 
     Parameters
     ----------
-    recording : Recording
-    names : sequence of str
     options : Options, optional
         The same for all.
     progress : callable, optional
@@ -138,8 +133,6 @@ class Comparison(Presented):
     seconds : mapping of str to float
     failures, left_out : mapping of str to str
         Estimators that ran without a result, and those that were not run, with the reason in a sentence.
-    truth : SensorErrors or None
-    notes : tuple of str
     """
 
     calibrations: Mapping[str, Calibration]
@@ -261,11 +254,6 @@ def compare(
         Run time of each.
     failures, left_out : mapping of str to str, optional
         Estimators without a result, and those not run, with the reason.
-    truth : SensorErrors, optional
-
-    Returns
-    -------
-    Comparison
 
     Raises
     ------

@@ -6,14 +6,13 @@ A unit that fails has no calibration in the result; the others are calibrated al
 from __future__ import annotations
 
 import csv
-import io
 import json
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, TextIO
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -72,14 +71,12 @@ class FleetUnit:
         Unique name in the fleet.
     recording : str
         Its path.
-    serial : str or None
     status : str
         Status of the calibration, or "failed".
     message : str
         One sentence.
     exit_code : int
         Exit code of the command line for this unit alone.
-    calibration : Calibration or None
     """
 
     name: str
@@ -102,7 +99,6 @@ class Fleet:
 
     Attributes
     ----------
-    units : tuple of FleetUnit
     outliers : FleetOutliers
         One row per unit; NaN for units without a converged calibration.
     """
@@ -146,24 +142,16 @@ class Fleet:
                 mark = bool(flagged[number, i]) if known["z"] is not None else None
                 yield {**about, "parameter": name, "unit_si": UNITS[i], **known, "flagged": mark}
 
-    def to_csv(self) -> str:
-        """Long table as CSV; unknown values are empty cells.
-
-        An apostrophe precedes texts that a spreadsheet would compute as a formula.
-        """
-        text = io.StringIO()
-        self._write_rows(text)
-        return text.getvalue()
-
     def save_csv(self, path: str | PathLike[str]) -> None:
-        """Write the long table as CSV row by row, completely or not at all. Raises InputError if it cannot be."""
-        with atomic_path(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
-            self._write_rows(file)
+        """Write the long table as CSV row by row, completely or not at all; unknown values are empty cells.
 
-    def _write_rows(self, file: TextIO) -> None:
-        writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows({key: _cell(value) for key, value in row.items()} for row in self.rows())
+        An apostrophe precedes texts that a spreadsheet would compute as a formula. Raises InputError if it cannot be
+        written.
+        """
+        with atomic_path(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
+            writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
+            writer.writeheader()
+            writer.writerows({key: _cell(value) for key, value in row.items()} for row in self.rows())
 
     def save_json(self, path: str | PathLike[str]) -> None:
         """Write :meth:`to_dict` as JSON piece by piece, completely or not at all. Raises InputError if it cannot be."""
@@ -237,7 +225,6 @@ def calibrate_fleet(
         Folders, or their ``recording.toml``; as a mapping by the units' names, which otherwise are the paths.
     estimator : str
         As for :func:`srt.calibrate`.
-    options : Options, optional
     engine : Engine, optional
         Processes to run on; default: this process, one after the other. The results do not depend on it.
     force : bool

@@ -155,10 +155,7 @@ def _recording_diagnostics(
     groups = [stack.rows(r) for r in range(len(titles))]
     left, X = stack.y - stack.design @ estimate_, stack.design
     pairs = zip(
-        titles,
-        consistency_tests(left, X, within, groups),
-        leave_one_out_estimates(left, X, total, groups),
-        strict=True,
+        titles, consistency_tests(left, X, within, groups), leave_one_out_estimates(left, X, total, groups), strict=True
     )
     return tuple(SequenceDiagnostics(title, 1, against, without) for title, against, without in pairs)
 
@@ -257,11 +254,7 @@ def _provenance(members: Sequence[Calibration]) -> Provenance:
 
 
 def _warnings(
-    used: Mapping[str, Calibration],
-    left_out: Mapping[str, str],
-    sizes: Array,
-    p_value: float | None,
-    U_note: str,
+    used: Mapping[str, Calibration], left_out: Mapping[str, str], sizes: Array, p_value: float | None, U_note: str
 ) -> tuple[str, ...]:
     said = [
         f"{title} is {status.replace('_', ' ')}, and was left out of the merged values."

@@ -196,9 +196,6 @@ def tail_probability(units: int, limits: ArrayLike, rng: np.random.Generator, dr
 
     Parameters
     ----------
-    units : int
-    limits : array_like
-    rng : numpy.random.Generator
     draws : int
         Number of draws of the other units. The unit itself is not drawn: given the others, its value is normal.
 

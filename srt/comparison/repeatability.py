@@ -38,8 +38,6 @@ def repeatability(
 
     Parameters
     ----------
-    stack : StackedEstimates
-    used : mapping of str to Calibration
     left_out : mapping of str to str
         Status of the recordings that were not used.
     merged : ndarray, shape (27,)

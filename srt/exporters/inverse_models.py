@@ -110,22 +110,14 @@ OPENVINS: Final = Exporter(
     options=OPTIONS,
 )
 
-_IMUCAL_UNITS: Final = {
-    "acc_unit": "m/s^2",
-    "gyr_unit": "deg/s",
-    "from_acc_unit": "m/s^2",
-    "from_gyr_unit": "deg/s",
-}
+_IMUCAL_UNITS: Final = {"acc_unit": "m/s^2", "gyr_unit": "deg/s", "from_acc_unit": "m/s^2", "from_gyr_unit": "deg/s"}
 _IMUCAL_SHAPES: Final = {
     "K_a": (3, 3), "R_a": (3, 3), "b_a": (3,), "K_g": (3, 3), "R_g": (3, 3), "K_ga": (3, 3), "b_g": (3,),
 }  # fmt: skip
 
 
 def _write_imucal(model: ExportModel) -> dict[str, str]:
-    document: dict[str, object] = {
-        **_IMUCAL_UNITS,
-        "comment": "\n".join(heading(IMUCAL, model)),
-    }
+    document: dict[str, object] = {**_IMUCAL_UNITS, "comment": "\n".join(heading(IMUCAL, model))}
     for letter, linear, unit in (("a", model.accel, 1.0), ("g", model.gyro, DEG)):
         size = np.linalg.norm(linear.matrix, axis=1)
         document[f"K_{letter}"] = np.diag(size).tolist()

@@ -42,10 +42,7 @@ _SIGMAS: Final = {
     "initgyrscale": "initsgstd",
     "initaccscale": "initsastd",
 }
-_NOISE: Final = {
-    "arw": ("gyro_noise", DEG_PER_SQRT_H),
-    "vrw": ("accel_noise", _METRE_PER_SQRT_H),
-}
+_NOISE: Final = {"arw": ("gyro_noise", DEG_PER_SQRT_H), "vrw": ("accel_noise", _METRE_PER_SQRT_H)}
 _DRIFTS: Final = {"gbstd": ("gyro", DEG_PER_H), "abstd": ("accel", _MGAL)}
 
 

@@ -173,10 +173,7 @@ def find_poses(recording: Recording, calibration: Calibration, *, level_sigma_ra
     drift[np.diag_indices(len(used))] += variance[used]
     own = np.einsum("sab,stb,tcb->satc", D, drift, D)
     J = force_error_jacobian(force[used], accel).reshape(3 * len(used), -1)
-    covariance = {
-        "accel_noise": own.reshape(3 * len(used), -1),
-        "calibration": J @ calibration.covariance @ J.T,
-    }
+    covariance = {"accel_noise": own.reshape(3 * len(used), -1), "calibration": J @ calibration.covariance @ J.T}
     return StaticPoses(times[used], force[used], covariance, len(kind) - len(used))
 
 

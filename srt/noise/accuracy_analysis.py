@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.constants import DEG_PER_H, EARTH_RATE_RAD_S, STANDARD_GRAVITY_M_S2
+from srt.constants import EARTH_RATE_RAD_S, STANDARD_GRAVITY_M_S2
 from srt.exceptions import InputError
 from srt.model import measurement_model as model
 from srt.model.rotation_integrals import RotationIntegrals, ideal_rotations
@@ -38,7 +38,6 @@ class Quantity:
     ----------
     symbol : str
         Combination of errors, in the symbols of the paper; accelerometer biases in g.
-    sequence : str
     component : str
         "x", "y" or "z" of Δa_H in B_Strt.
     sensitivity : float
@@ -109,7 +108,6 @@ class PaperSetting:
         Time that all rotations of a sequence take.
     rate_rad_s : float
         β̇ of a rotation.
-    gravity_m_s2 : float
     """
 
     gyro_noise: float = 0.0
@@ -139,10 +137,6 @@ class PaperSetting:
 
 def paper_budget(setting: PaperSetting) -> dict[str, Array]:
     """Errors of the quantities by source, one sigma except for the gyro bias, which has a sign.
-
-    Parameters
-    ----------
-    setting : PaperSetting
 
     Returns
     -------
@@ -186,7 +180,3 @@ def bias_effects(setting: PaperSetting) -> Array:
 
 def _integrals(setting: PaperSetting) -> RotationIntegrals:
     return ideal_rotations(tuple(SEQUENCES.values()), setting.rate_rad_s, setting.window_s)
-
-
-PAPER_BIAS: Final = 0.1 * DEG_PER_H
-"""Gyro bias of the paper's examples (§9.4), rad/s."""

@@ -114,13 +114,8 @@ def allan_deviation(recording: Recording, windows: Indices) -> AllanDeviation:
 
     Parameters
     ----------
-    recording : Recording
     windows : ndarray of int, shape (W, 2)
         First sample and one past the last; those shorter than :data:`SHORTEST_WINDOW_S` are left out.
-
-    Returns
-    -------
-    AllanDeviation
 
     Raises
     ------

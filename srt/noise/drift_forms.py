@@ -99,7 +99,6 @@ class Intervals:
     ----------
     start, end : ndarray, shape (W + K P + 2 W,), s
         In this order.
-    windows : int
     parts : (int, int)
         K and P.
     temperature : ndarray, shape (W + K P + 2 W,), °C, or None
@@ -165,7 +164,6 @@ def walk_between_windows(intervals: Intervals, walk: DriftShape) -> Array:
 
     Parameters
     ----------
-    intervals : Intervals
     walk : DriftShape
         Shape of the random walk in these intervals.
 
@@ -251,7 +249,6 @@ class DriftTest:
 
     Attributes
     ----------
-    p_value : float
     amplitude : ndarray, shape (q,)
         Least-squares estimate of the tested coefficients.
     gain : float

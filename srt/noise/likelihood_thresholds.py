@@ -44,11 +44,6 @@ def normal_threshold(size: float, confidence: float) -> float:
     ----------
     size : float
         Value tested, in standard deviations of the estimate.
-    confidence : float
-
-    Returns
-    -------
-    float
     """
     from scipy.optimize import brentq  # a heavy import that figures and tables of noise do without
 
@@ -99,7 +94,6 @@ class SimulatedRecords:
             Squared coefficients, true in the records, that of the tested term included.
         tested : int
             Column of the term.
-        confidence : float
         """
         other = [k for k in SLOW if k != tested]
         return _quantile(self._loss(squares, other, True) - self._loss(squares, list(SLOW), True), confidence)
@@ -113,7 +107,6 @@ class SimulatedRecords:
             Squared coefficients, true in the records.
         ramp : float
             Size tested. The records have no ramp: with the opposite sign it is twice that away.
-        confidence : float
         """
         slow = list(SLOW)
         tested = np.minimum(self._loss(squares, slow, False, 0.0), self._loss(squares, slow, False, 2.0 * ramp))

@@ -150,7 +150,6 @@ def noise_model(recording: Recording, windows: Indices) -> NoiseModel:
 
     Parameters
     ----------
-    recording : Recording
     windows : ndarray of int, shape (W, 2)
         First sample and one past the last of every window.
     """

@@ -153,15 +153,10 @@ def noise_terms(recording: Recording, window: tuple[int, int], rng: np.random.Ge
 
     Parameters
     ----------
-    recording : Recording
     window : (int, int)
         First sample and one past the last.
     rng : numpy.random.Generator, optional
         Of the simulated records behind the intervals; one of fixed seed if left out.
-
-    Returns
-    -------
-    NoiseTerms
 
     Raises
     ------

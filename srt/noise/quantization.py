@@ -26,10 +26,6 @@ _FEWEST_LARGE: Final = 3
 def reading_steps(recording: Recording) -> Array:
     """Smallest step between distinct readings, as angle (rad) and velocity (m/s), gyros then accelerometers.
 
-    Parameters
-    ----------
-    recording : Recording
-
     Returns
     -------
     ndarray, shape (6,)

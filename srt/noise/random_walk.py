@@ -97,7 +97,6 @@ def random_walk(recording: Recording, windows: Indices) -> RandomWalk:
 
     Parameters
     ----------
-    recording : Recording
     windows : ndarray of int, shape (W, 2)
         First sample and one past the last.
     """

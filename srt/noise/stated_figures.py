@@ -21,7 +21,6 @@ def stated_term(noise: NoiseFigures, sensor: str, term: int) -> tuple[Array, Mas
 
     Parameters
     ----------
-    noise : NoiseFigures
     sensor : "gyro" or "accel"
     term : int
         Index in :data:`srt.noise.allan.TERMS`.
@@ -56,7 +55,6 @@ def white_density(noise: NoiseFigures, sensor: str, correction: Array) -> Array:
 
     Parameters
     ----------
-    noise : NoiseFigures
     sensor : "gyro" or "accel"
     correction : ndarray, shape (3, 3)
         D of ``corrected = D (reading − bias)``.

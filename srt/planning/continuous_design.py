@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, TypeVar
 
 import numpy as np
 from scipy.optimize import linprog, minimize
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
     from srt.types import Array, Indices
 
+Value = TypeVar("Value")
 
 GAP: Final = 0.01
 """Distance of sigma to its bound, relative, at which the search ends."""
@@ -278,12 +279,26 @@ def _column_generation(
     return best
 
 
+def remembered(function: Callable[[Array], Value]) -> Callable[[Array], Value]:
+    """Function that keeps its last value: an optimiser asks for values and derivatives one after the other."""
+    last: tuple[Array, Value] | None = None
+
+    def of(x: Array) -> Value:
+        nonlocal last
+        if last is None or not np.array_equal(x, last[0]):
+            last = x.copy(), function(x)
+        return last[1]
+
+    return of
+
+
 def _best_shares(columns: Columns, active: Indices, share: Array, total_s: float) -> Array:
     """Best shares of the time for a few columns: sequential quadratic programming in epigraph form."""
     per_share = total_s / columns.cost_s[active]
     rows = columns.rows[active]
     n = len(active)
 
+    @remembered
     def logs(x: Array) -> tuple[Array, Array]:
         weight = np.maximum(x[:n], 0.0) * per_share
         g, X = columns.variances(columns.information(active, weight))

@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 
-from srt.noise.bias_instability import correlation_times, flicker_covariance
-from srt.planning.information import N_ROWS, equilibrated_inverse
+from srt.planning.information import equilibrated_inverse
+from srt.planning.prediction import whole_covariance
 from srt.planning.selection import power_mean
-from srt.planning.timetable import window_borders
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -39,8 +38,6 @@ class ExchangeSearch:
 
     Attributes
     ----------
-    criterion : AccuracyCriterion
-    pool : CandidatePool
     total_s : float
         Length of the whole test, s.
     """
@@ -49,31 +46,12 @@ class ExchangeSearch:
     pool: CandidatePool
     total_s: float
 
-    def borders(self, which: Indices, windows_s: Array) -> Array:
-        """Start and end of both windows of every sequence, shape (n, 4), s."""
-        between = self.criterion.signatures.between_windows_s[which]
-        return window_borders(windows_s, between, self.criterion.signatures.moves_s(which))
-
     def ratio(self, which: Indices, windows_s: Array) -> float:
         """Power mean of sigma over target: close to the largest, but differentiable where several are as large."""
-        s, n = self.criterion.signatures, len(which)
-        c = s.conditions
-        R = np.zeros((n, N_ROWS, n, N_ROWS))
-        blocks = s.covariances(windows_s[:, 0], windows_s[:, 1], which, drift=False)
-        R[np.arange(n), :, np.arange(n)] = sum(blocks.values())
-        borders = self.borders(which, windows_s)
-        K = flicker_covariance(borders[:, :3].ravel(), borders[:, 1:].ravel(), correlation_times(float(borders[-1, 3])))
-        K = K.reshape(n, 3, n, 3)
-        for floor, effect, part in (
-            (c.gyro_instability, s.by_bias[which], K),
-            (c.accel_instability, s.by_force[which], K[:, ::2, :, ::2]),
-        ):
-            if floor > 0.0:
-                R += floor**2 * _through(effect, part)
-        flat = R.reshape(n * N_ROWS, -1)
-        d = 1.0 / np.sqrt(np.diag(flat))
-        root = cholesky(flat * np.outer(d, d), lower=True, check_finite=False)
-        H = (s.H[which].reshape(n * N_ROWS, -1) * self.criterion.scale) * d[:, None]
+        R, _, _ = whole_covariance(self.criterion.signatures, which, windows_s)
+        d = 1.0 / np.sqrt(np.diag(R))
+        root = cholesky(R * np.outer(d, d), lower=True, check_finite=False)
+        H = (self.criterion.signatures.H[which].reshape(len(R), -1) * self.criterion.scale) * d[:, None]
         rows = solve_triangular(root, H, lower=True, check_finite=False)
         g = np.diag(equilibrated_inverse(self.criterion.prior + rows.T @ rows))[self.criterion.targets]
         return float(np.sqrt(power_mean(g, _POWER)))
@@ -149,16 +127,3 @@ class _Offer:
         worst = power_mean(self.criterion.variances(rest + self.added), _POWER)
         order = np.argsort(0.5 * np.log(worst) + self.price)[:_SHORTLIST]
         return [(int(self.which[j]), self.windows_s[j]) for j in order.tolist()]
-
-
-def _through(effect: Array, covariance: Array) -> Array:
-    """Covariance (n, 10, n, 10) of measurements from that of the biases (n, m, n, m), the same for the three axes.
-
-    ``effect`` has shape (n, m, 10, 3). Two matrix products are ten times faster than one contraction of three factors.
-    """
-    n, m = effect.shape[:2]
-    by_axis = effect.transpose(0, 3, 2, 1).reshape(n, 3 * N_ROWS, m)  # k, (c, a), i
-    half = (by_axis @ covariance.reshape(n, m, n * m)).reshape(n, 3, N_ROWS, n, m)
-    left = half.transpose(3, 0, 2, 1, 4).reshape(n, n * N_ROWS, 3 * m)  # l, (k, a), (c, j)
-    right = effect.transpose(0, 3, 1, 2).reshape(n, 3 * m, N_ROWS)  # l, (c, j), b
-    return np.asarray((left @ right).reshape(n, n, N_ROWS, N_ROWS).transpose(1, 2, 0, 3))

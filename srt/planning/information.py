@@ -58,15 +58,8 @@ _H, _DOWN, _START_RATE, _END_RATE = slice(0, 2), slice(2, 4), slice(4, 7), slice
 class Signatures:
     """Jacobians of the measurements of K sequences, and their covariances for given windows.
 
-    Parameters
-    ----------
-    candidates : sequence of Candidate
-    fixture : FixtureKinematics
-    conditions : Conditions
-
     Attributes
     ----------
-    integrals : RotationIntegrals
     between_windows_s : ndarray, shape (K,)
         Time between the two windows, s.
     H : ndarray, shape (K, 10, N_UNKNOWNS)

@@ -40,7 +40,6 @@ class Proposal:
 
     Attributes
     ----------
-    candidate : Candidate
     windows_s : (float, float)
         Length of the start and of the end window.
     time_s : float

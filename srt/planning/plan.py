@@ -86,7 +86,6 @@ class Plan(Presented):
         Length of the test from the first window to the last, and the part of it between the sequences, s.
     targets : ndarray, shape (27,), SI
         Target sigma; NaN: none.
-    prediction : Prediction
     bound : float
         Lower bound of the worst ratio for any plan of this length with these sequences and this fixture; NaN: not
         computed.

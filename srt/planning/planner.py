@@ -150,11 +150,7 @@ class Planner:
 
     Parameters
     ----------
-    fixture : FixtureKinematics
-    conditions : Conditions
     targets : ndarray, shape (27,), SI
-    limits : PlanLimits
-    progress : callable, optional
     known : ndarray, shape (N_UNKNOWNS, N_UNKNOWNS), optional
         Information from earlier measurements, SI; default: that on gravity and north.
     """
@@ -210,24 +206,29 @@ class Planner:
 
     def continuous(self, total_s: float) -> ContinuousDesign:
         """Optimal continuous design: on the coarse grid of equal windows, then with refined windows."""
-        optimum, self.columns, self.sequence, self.windows = self._optimum(self.signatures, self.coarse, total_s)
+        optimum, self.rough, self.columns, self.sequence, self.windows = self._optimum(
+            self.signatures, self.coarse, total_s
+        )
+        self.rough_s = total_s
         return optimum
 
     def bound(self, total_s: float) -> ContinuousDesign:
-        """Optimal continuous design with the least possible drift, for a lower bound."""
-        return self._optimum(self.bounded, self._coarse(self.bounded), total_s)[0]
+        """Optimal continuous design with the least possible drift, for a lower bound; from that with all drift."""
+        longer = (total_s + self.least_s) / (self.rough_s + self.least_s)
+        start = replace(self.rough, weight=longer * self.rough.weight)
+        return self._optimum(self.bounded, self._coarse(self.bounded), total_s, start)[0]
 
     def _optimum(
-        self, signatures: Signatures, coarse: Columns, total_s: float
-    ) -> tuple[ContinuousDesign, Columns, Indices, Array]:
+        self, signatures: Signatures, coarse: Columns, total_s: float, start: ContinuousDesign | None = None
+    ) -> tuple[ContinuousDesign, ContinuousDesign, Columns, Indices, Array]:
         def tell(count: int, gap: float) -> None:
             self.tell("optimum", count, gap)
 
         # No move precedes the first sequence.
         total_s += self.least_s
-        rough = optimal_design(coarse, total_s, progress=tell)
+        rough = optimal_design(coarse, total_s, start=start, progress=tell)
         columns, sequence, windows = self._with_fine_windows(signatures, coarse, rough)
-        return optimal_design(columns, total_s, start=rough, progress=tell), columns, sequence, windows
+        return optimal_design(columns, total_s, start=rough, progress=tell), rough, columns, sequence, windows
 
     def _with_fine_windows(
         self, signatures: Signatures, coarse: Columns, rough: ContinuousDesign

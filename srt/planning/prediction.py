@@ -11,7 +11,7 @@ import numpy as np
 from srt.noise.bias_instability import correlation_times, flicker_covariance
 from srt.planning.conditions import GRAVITY, N_UNKNOWNS, NORTH
 from srt.planning.information import N_ROWS, Signatures, equilibrated_inverse
-from srt.planning.timetable import move_times, window_borders
+from srt.planning.timetable import window_borders
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from srt.planning.candidates import Candidate
     from srt.planning.conditions import Conditions
     from srt.planning.fixture_kinematics import FixtureKinematics
-    from srt.types import Array
+    from srt.types import Array, Indices
 
 
 WEAK_PRIOR: Final = 1e-9
@@ -109,14 +109,16 @@ def predict(
     scale = unknown_scales(wanted)
     n = len(signatures)
     H = signatures.H.reshape(n * N_ROWS, -1) * scale
-    factors = _factors(signatures, windows_s)
-    R = np.asarray(sum(G @ G.T for G in factors.values()))
+    R, within, common = whole_covariance(signatures, np.arange(n), windows_s)
     d = 1.0 / np.sqrt(np.diag(R))
     WH = np.linalg.solve(R * np.outer(d, d), H * d[:, None]) * d[:, None]
     prior = prior_information(conditions, scale, known)
     P = equilibrated_inverse(prior + H.T @ WH)
     gain = P @ WH.T
-    sources = {name: np.linalg.norm(gain @ G, axis=1) * scale for name, G in factors.items()}
+    by_sequence = gain.reshape(-1, n, N_ROWS)
+    shares = {name: np.einsum("pka,kab,pkb->p", by_sequence, B, by_sequence) for name, B in within.items()}
+    shares |= {name: np.einsum("pa,pa->p", gain @ B, gain) for name, B in common.items()}
+    sources = {name: np.sqrt(np.maximum(share, 0.0)) * scale for name, share in shares.items()}
     before = conditions.prior() * scale**2
     for name, k in (("earth_rate_alignment", NORTH), ("gravity", GRAVITY)):
         shared = np.abs(P[:, k]) * math.sqrt(before[k]) * scale
@@ -134,31 +136,53 @@ def predict(
     )
 
 
-def _factors(signatures: Signatures, windows_s: Array) -> dict[str, Array]:
-    """Square root of the covariance of all measurements, by source, shape (10 n, number of draws) each.
+def whole_covariance(
+    signatures: Signatures, which: Indices, windows_s: Array
+) -> tuple[Array, dict[str, Array], dict[str, Array]]:
+    """Covariance of all measurements of a test: n sequences in this order, without loss of time.
 
-    Bias instability is one process over the whole test, correlated over all windows and rotations.
+    Bias instability is one process over the whole test, correlated over all windows and rotations; the other sources
+    act within sequences.
+
+    Parameters
+    ----------
+    which : ndarray of int, shape (n,)
+        Positions in the signatures.
+    windows_s : ndarray, shape (n, 2)
+
+    Returns
+    -------
+    covariance : ndarray, shape (10 n, 10 n)
+    within : dict of str to ndarray, shape (n, 10, 10)
+        Parts within sequences by source.
+    common : dict of str to ndarray, shape (10 n, 10 n)
+        Parts by bias instability.
     """
-    c, n = signatures.conditions, len(signatures)
-    out = {}
-    for name, blocks in signatures.covariances(windows_s[:, 0], windows_s[:, 1], drift=False).items():
-        whole = np.zeros((n, N_ROWS, n, N_ROWS))
-        values, vectors = np.linalg.eigh(blocks)
-        whole[np.arange(n), :, np.arange(n)] = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
-        out[name] = whole.reshape(n * N_ROWS, -1)
-    moves = move_times(signatures.candidates, signatures.fixture)
-    times = window_borders(windows_s, signatures.between_windows_s, moves)
-    start, end = times[:, :3].ravel(), times[:, 1:].ravel()
-    K = flicker_covariance(start, end, correlation_times(float(end[-1])))
-    values, vectors = np.linalg.eigh(K)
-    draws = (vectors * np.sqrt(np.maximum(values, 0.0))).reshape(n, 3, -1)
-    for name, floor, effect, parts in (
-        ("gyro_bias_instability", c.gyro_instability, signatures.by_bias, draws),
-        ("accel_bias_instability", c.accel_instability, signatures.by_force, draws[:, [0, 2]]),
-    ):
-        acts = np.einsum("kiac,kid->kacd", effect, parts)
-        out[name] = floor * acts.reshape(n * N_ROWS, -1)
-    return out
+    c, n = signatures.conditions, len(which)
+    within = signatures.covariances(windows_s[:, 0], windows_s[:, 1], which, drift=False)
+    borders = window_borders(windows_s, signatures.between_windows_s[which], signatures.moves_s(which))
+    K = flicker_covariance(borders[:, :3].ravel(), borders[:, 1:].ravel(), correlation_times(float(borders[-1, 3])))
+    K = K.reshape(n, 3, n, 3)
+    common = {
+        "gyro_bias_instability": c.gyro_instability**2 * _through(signatures.by_bias[which], K),
+        "accel_bias_instability": c.accel_instability**2 * _through(signatures.by_force[which], K[:, ::2, :, ::2]),
+    }
+    R = np.asarray(sum(common.values())).reshape(n, N_ROWS, n, N_ROWS)
+    R[np.arange(n), :, np.arange(n)] += np.asarray(sum(within.values()))
+    return R.reshape(n * N_ROWS, -1), within, common
+
+
+def _through(effect: Array, covariance: Array) -> Array:
+    """Covariance (10 n, 10 n) of measurements from that of the biases (n, m, n, m), the same for the three axes.
+
+    ``effect`` has shape (n, m, 10, 3). Two matrix products are ten times faster than one contraction of three factors.
+    """
+    n, m = effect.shape[:2]
+    by_axis = effect.transpose(0, 3, 2, 1).reshape(n, 3 * N_ROWS, m)  # k, (c, a), i
+    half = (by_axis @ covariance.reshape(n, m, n * m)).reshape(n, 3, N_ROWS, n, m)
+    left = half.transpose(3, 0, 2, 1, 4).reshape(n, n * N_ROWS, 3 * m)  # l, (k, a), (c, j)
+    right = effect.transpose(0, 3, 1, 2).reshape(n, 3 * m, N_ROWS)  # l, (c, j), b
+    return np.asarray((left @ right).transpose(1, 0, 2).reshape(n * N_ROWS, -1))
 
 
 def _needs(

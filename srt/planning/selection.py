@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from scipy.optimize import minimize
 
+from srt.planning.continuous_design import remembered
 from srt.planning.information import equilibrated_inverse, inverse_diagonals
 
 if TYPE_CHECKING:
@@ -62,7 +63,6 @@ class AccuracyCriterion:
 
     Attributes
     ----------
-    signatures : Signatures
     scale : ndarray, shape (N_UNKNOWNS,)
         Units of the unknowns, SI: their targets, where there are any.
     prior : ndarray, shape (N_UNKNOWNS, N_UNKNOWNS)
@@ -136,14 +136,9 @@ class AccuracyCriterion:
         if budget_s is not None:
             first = _filled(first, budget_s, low, high)
 
-        last: tuple[Array, tuple[Array, Array]] | None = None
-
+        @remembered
         def logs(x: Array) -> tuple[Array, Array]:
-            # The optimiser asks for values and derivatives one after the other.
-            nonlocal last
-            if last is None or not np.array_equal(x, last[0]):
-                last = x.copy(), self.log_variances(which, x[: 2 * n].reshape(n, 2))
-            return last[1]
+            return self.log_variances(which, x[: 2 * n].reshape(n, 2))
 
         bounds: list[tuple[float | None, float | None]] = [(low, high)] * (2 * n)
         ones = np.ones(2 * n)

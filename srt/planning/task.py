@@ -28,13 +28,10 @@ class PlanTask:
 
     Attributes
     ----------
-    fixture : FixtureKinematics
-    conditions : Conditions
     targets : ndarray, shape (27,), or mapping of str to float, SI
         Target sigma of every parameter, NaN for none; or of parameters and groups by name.
     total_s : float or None
         Length of the test, s; None: the shortest that meets the targets.
-    limits : PlanLimits
     """
 
     fixture: FixtureKinematics

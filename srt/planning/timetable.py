@@ -40,18 +40,13 @@ def timetable(
 ) -> tuple[ScheduledSequence, ...]:
     """Times of sequences that are run in this order, if no time is lost."""
     waits = fixture.pause_s + fixture.settle_s
-    moves = move_times(candidates, fixture)
+    moves = [fixture.move_s(before.end_deg, after.start_deg) for before, after in pairwise(candidates)]
     between = np.array([c.between_windows_s(fixture) for c in candidates])
     borders = window_borders(windows_s, between, moves).tolist()
     return tuple(
         ScheduledSequence((a, b), (c, d), move)
         for (a, b, c, d), move in zip(borders, [0.0, *(each - waits for each in moves)], strict=True)
     )
-
-
-def move_times(candidates: Sequence[Candidate], fixture: FixtureKinematics) -> list[float]:
-    """Times between consecutive sequences, waits included, s; one fewer than the sequences."""
-    return [fixture.move_s(before.end_deg, after.start_deg) for before, after in pairwise(candidates)]
 
 
 def window_borders(windows_s: Array, between_windows_s: Array, moves_s: ArrayLike) -> Array:

@@ -122,11 +122,6 @@ class AppliedCorrection:
             out[key.name] = value.ravel().tolist() if isinstance(value, np.ndarray) else value
         return out
 
-    @property
-    def is_identity(self) -> bool:
-        """True if the readings are those of the sensors, axes included."""
-        return all(np.array_equal(getattr(self, name), value) for name, value in _DEFAULTS.items())
-
 
 _DEFAULTS: Final = {
     item.name: item.default_factory() for item in fields(AppliedCorrection) if callable(item.default_factory)

@@ -257,12 +257,7 @@ def _inside(toml: Path, name: str) -> Path:
 
 
 def _read_toml(toml: Path) -> dict[str, Any]:
-    try:
-        document = read_toml(toml)
-    except OSError as error:
-        raise InputError(f"Cannot read {toml} ({error.strerror}): check its permissions.") from None
-    except ValueError as error:
-        raise InputError(f"{toml} is not valid TOML ({error}): correct it there.") from None
+    document = read_toml(toml)
     for section in document:
         if section not in SECTIONS or "." in section:
             raise InputError(

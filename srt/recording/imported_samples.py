@@ -9,14 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from srt.exceptions import InputError, NotStatedError, clipped
-from srt.recording.import_options import (
-    SENSOR_UNITS,
-    TRIADS,
-    ImportOptions,
-    counts_text,
-    option,
-    parse_axis_map,
-)
+from srt.recording.import_options import SENSOR_UNITS, TRIADS, ImportOptions, counts_text, option, parse_axis_map
 from srt.recording.recording import Kind, Recording, Site, require_bounded
 from srt.recording.samples import TEMPERATURE, TIME
 from srt.recording.schema import COUNTS, TIME_UNITS
@@ -223,12 +216,7 @@ def seconds_of(stamps: NDArray[Any], unit: str, notes: list[str]) -> Array:
     return np.asarray(stamps / divisor, dtype=np.float64)
 
 
-def join_streams(
-    gyro_time: Array,
-    accel_time: Array,
-    accel: Array,
-    notes: list[str],
-) -> tuple[slice | Indices, Array]:
+def join_streams(gyro_time: Array, accel_time: Array, accel: Array, notes: list[str]) -> tuple[slice | Indices, Array]:
     """Interpolate accelerometer readings linearly to the stamps of the gyros, where the stamps differ.
 
     Parameters

@@ -174,8 +174,7 @@ class Protocol:
             )
         factor = left / self._rests_s()
         return replace(
-            self,
-            steps=tuple(replace(s, rest_s=(s.rest_s[0] * factor, s.rest_s[1] * factor)) for s in self.steps),
+            self, steps=tuple(replace(s, rest_s=(s.rest_s[0] * factor, s.rest_s[1] * factor)) for s in self.steps)
         )
 
     @property
@@ -382,13 +381,7 @@ def load_protocol(name_or_path: str | Path, *, near: Path | None = None) -> Prot
                 f"{', '.join(known)}; a file of your own ends in .toml."
             )
         path = protocols_path() / f"{name}.toml"
-    try:
-        document = read_toml(path)
-    except OSError as error:
-        raise InputError(f"Cannot read the protocol {path} ({error.strerror}): check the path.") from None
-    except ValueError as error:
-        raise InputError(f"{path} is not valid TOML ({error}): correct it there.") from None
-    return protocol_from_dict(document, name=name)
+    return protocol_from_dict(read_toml(path), name=name)
 
 
 def protocol_from_dict(document: dict[str, Any], *, name: str) -> Protocol:

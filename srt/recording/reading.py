@@ -40,10 +40,7 @@ STATED_KEYS: Final = (*SAMPLES_KEYS, *IDENTIFICATION_KEYS, *(key for keys in SEC
 """Keywords of :func:`read` other than ``format`` and ``like``."""
 READING_KEYS: Final = frozenset((*STATED_KEYS, "format", "like"))
 
-_SI_UNITS: Final = {
-    "rate": StatedUnits("rad/s", "m/s^2", "s"),
-    "increment": StatedUnits("rad", "m/s", "s"),
-}
+_SI_UNITS: Final = {"rate": StatedUnits("rad/s", "m/s^2", "s"), "increment": StatedUnits("rad", "m/s", "s")}
 """Units of arrays by kind, unless others are stated: those of this package."""
 
 

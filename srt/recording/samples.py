@@ -248,9 +248,7 @@ def _fill(path: Path, names: Sequence[str], read: Callable[[str], NDArray[Any]])
     return samples
 
 
-def _array_reader(
-    opened: Callable[[Path], AbstractContextManager[ArrayFile]],
-) -> Callable[[Path, bool], Samples]:
+def _array_reader(opened: Callable[[Path], AbstractContextManager[ArrayFile]]) -> Callable[[Path, bool], Samples]:
     def read(path: Path, time_required: bool) -> Samples:
         with opened(path) as file:
             if "" in file.shapes:

@@ -165,10 +165,7 @@ def _read_rotations(value: Any) -> tuple[tuple[str, float], ...]:
     return tuple(_about_axis(item, _LARGEST_ANGLE_DEG) for item in value)
 
 
-GYRO_UNITS: Final = {
-    "rate": {"rad/s": 1.0, "deg/s": DEG, "deg/h": DEG_PER_H},
-    "increment": {"rad": 1.0, "deg": DEG},
-}
+GYRO_UNITS: Final = {"rate": {"rad/s": 1.0, "deg/s": DEG, "deg/h": DEG_PER_H}, "increment": {"rad": 1.0, "deg": DEG}}
 """SI units per unit of the file, by kind of recording; "counts" has its own factor."""
 
 ACCEL_UNITS: Final = {

@@ -6,6 +6,7 @@ import re
 import tomllib
 from typing import TYPE_CHECKING, Any, Final
 
+from srt.exceptions import InputError, clipped
 from srt.recording.bounded_file import read_bounded
 
 if TYPE_CHECKING:
@@ -17,6 +18,9 @@ MAX_BYTES: Final = 16 << 20
 MAX_KEY_PARTS: Final = 32
 """Largest number of parts of a dotted key: no known key has more than two, and parsing time grows with the square."""
 
+_CLAUSE: Final = 160
+"""Characters of a reason that a sentence quotes."""
+
 _PART = r"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')"""
 _LONG_KEY: Final = re.compile(rf"(?<![\w-])(?:{_PART}[ \t]*+\.[ \t]*+){{{MAX_KEY_PARTS}}}".encode())
 
@@ -24,14 +28,18 @@ _LONG_KEY: Final = re.compile(rf"(?<![\w-])(?:{_PART}[ \t]*+\.[ \t]*+){{{MAX_KEY
 def read_toml(path: Path) -> dict[str, Any]:
     """Read a TOML file.
 
-    Raises
-    ------
-    OSError
-        A file that cannot be read, or is too large.
-    ValueError
-        A file that is not TOML, or has keys that are too long; the message is a clause that says why.
+    Raises InputError, if it cannot be read, is too large or not TOML, or has keys that are too long.
     """
-    data = read_bounded(path, MAX_BYTES)
+    try:
+        return _parsed(read_bounded(path, MAX_BYTES))
+    except OSError as error:
+        raise InputError(f"{path} cannot be read ({error.strerror}): check the path and its permissions.") from None
+    except ValueError as error:
+        raise InputError(f"{path} is not valid TOML ({clipped(str(error), _CLAUSE)}): correct it there.") from None
+
+
+def _parsed(data: bytes) -> dict[str, Any]:
+    """Content of a TOML file; the message of a ValueError is a clause that says why there is none."""
     long_key = _LONG_KEY.search(data)
     if long_key is not None:
         line = data.count(b"\n", 0, long_key.start()) + 1

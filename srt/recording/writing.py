@@ -22,11 +22,7 @@ from srt.recording.schema import POSE_KEYS, SECTIONS, SEQUENCE_KEYS, section_of,
 
 
 def write_recording(
-    recording: Recording,
-    directory: str | os.PathLike[str],
-    *,
-    samples_format: str = "csv",
-    overwrite: bool = False,
+    recording: Recording, directory: str | os.PathLike[str], *, samples_format: str = "csv", overwrite: bool = False
 ) -> None:
     """Write a recording in SI units, samples exact to the last bit.
 

@@ -31,7 +31,6 @@ class Cell:
 
     Attributes
     ----------
-    text : str
     value : float or None
         Unrounded number of the text, SI, for programs that read the page.
     mark : str
@@ -54,7 +53,6 @@ class Table:
     rows : tuple of tuple of Cell
     alignment : str
         One letter per column: "l" or "r".
-    title : str
     note : str
         Legend.
     breaks : set of int

@@ -120,14 +120,6 @@ def clipping_levels(recording: Recording) -> ClippingLevels:
     several at the full scale of a converter with fewer beside them. Pulses are clipped where several axes or senses
     hold one extreme. Other coarse, and noise-free readings repeat at any value: clipping is then found by the stated
     range only.
-
-    Parameters
-    ----------
-    recording : Recording
-
-    Returns
-    -------
-    ClippingLevels
     """
     return recording.memo("clipping levels", lambda: _clipping_levels(recording))
 
@@ -290,7 +282,6 @@ def clipped_samples(recording: Recording, part: slice, levels: ClippingLevels | 
 
     Parameters
     ----------
-    recording : Recording
     part : slice
         Samples to look at.
     levels : ClippingLevels, optional

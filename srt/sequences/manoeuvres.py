@@ -98,7 +98,6 @@ def find_manoeuvre(recording: Recording, windows: Indices, start: int) -> Manoeu
 
     Parameters
     ----------
-    recording : Recording
     windows : ndarray of int, shape (W, 2)
     start : int
         Window before the turn; the turn ends at the next one.

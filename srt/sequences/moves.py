@@ -26,7 +26,6 @@ def recorded_moves(recording: Recording, labels: Iterable[SequenceLabel]) -> tup
 
     Parameters
     ----------
-    recording : Recording
     labels : iterable of SequenceLabel
         Sequences, and free turns that the user labelled; there is no move where one of these is.
 

@@ -43,10 +43,6 @@ LONGEST_INTERVAL_S: Final = 0.5
 def check_interval(recording: Recording) -> None:
     """Refuse an implausible sampling interval, which mostly means a wrong time unit.
 
-    Parameters
-    ----------
-    recording : Recording
-
     Raises
     ------
     DataError
@@ -163,7 +159,6 @@ def gap_inside(recording: Recording, part: slice) -> Indices:
 
     Parameters
     ----------
-    recording : Recording
     part : slice
         Samples of a sequence.
 

@@ -59,11 +59,8 @@ class PreparedRecording:
 
     Attributes
     ----------
-    recording : Recording
-    labels : tuple of SequenceLabel
     catalogue : tuple of RotationSequence or None
         Per sequence; None for a free turn.
-    windows : Windows
     start, end : ndarray of int, shape (K,)
         Window that each sequence starts and ends with; turns may share windows.
     voided : dict of str to str
@@ -318,10 +315,7 @@ class PreparedRecording:
                 interval = recording.interval_s
                 rows = rows / (interval if isinstance(interval, float) else interval[a:b])
             force[:, at : at + b - a] = rows
-            for is_end, flagged, w in (
-                (False, open_start[k], self.start[k]),
-                (True, open_end[k], self.end[k]),
-            ):
+            for is_end, flagged, w in ((False, open_start[k], self.start[k]), (True, open_end[k], self.end[k])):
                 if flagged and F is not None and weights is not None:
                     lo, hi = samples[w] - a + at
                     weight = averaging_weights(hi - lo, self.average)

@@ -26,10 +26,6 @@ class PreparedUnits(PreparedRecording):
     """Prepared recordings of units, whose readings and noise have a leading axis of units.
 
     Schedule, labels, windows, fixture and site are those of the first, and equal in all.
-
-    Attributes
-    ----------
-    units : tuple of PreparedRecording
     """
 
     units: tuple[PreparedRecording, ...] = field(default=(), kw_only=True)

@@ -20,13 +20,7 @@ from srt.exceptions import DataError, InputError
 from srt.model.table1 import AXES, SEQUENCES
 from srt.recording.recording import Recording, SequenceLabel
 from srt.result.diagnostics import RecognisedSequence, RecognisedSequences
-from srt.sequences.manoeuvres import (
-    QUARTER,
-    Manoeuvre,
-    faces,
-    find_manoeuvre,
-    leg_axis,
-)
+from srt.sequences.manoeuvres import QUARTER, Manoeuvre, faces, find_manoeuvre, leg_axis
 from srt.sequences.protocol_matching import with_protocol
 from srt.sequences.rest_detection import resolution_floor
 from srt.sequences.sequence_matching import ENOUGH_TURNS, QUARTER_TURN_WORDS, SequenceReading, promising_mappings
@@ -283,7 +277,6 @@ def leave_out(recording: Recording, names: SequenceOf[str]) -> tuple[Recording, 
 
     Parameters
     ----------
-    recording : Recording
     names : sequence of str
         Number of a turn or pose without an id, "22", or id, "1a", of which all runs are left out.
 

@@ -275,10 +275,6 @@ def still_runs(still: Mask, blocks: Blocks) -> list[tuple[int, int]]:
 def longest_rest(recording: Recording) -> tuple[int, int] | None:
     """Longest stationary window of a recording without rotations, such as a log on a shelf.
 
-    Parameters
-    ----------
-    recording : Recording
-
     Returns
     -------
     (int, int) or None
@@ -299,10 +295,6 @@ def longest_rest(recording: Recording) -> tuple[int, int] | None:
 
 def undisturbed_rest(recording: Recording) -> tuple[int, int]:
     """Longest part without knocks of the longest stationary window.
-
-    Parameters
-    ----------
-    recording : Recording
 
     Returns
     -------

@@ -9,15 +9,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from srt.model.table1 import AXES, SEQUENCES, axis_vector
-from srt.sequences.manoeuvres import (
-    QUARTER,
-    Manoeuvre,
-    face_vector,
-    faces,
-    quarter_turn,
-    quarters,
-    scales,
-)
+from srt.sequences.manoeuvres import QUARTER, Manoeuvre, face_vector, faces, quarter_turn, quarters, scales
 from srt.sequences.preparation import nominal_attitude
 
 if TYPE_CHECKING:

@@ -73,9 +73,6 @@ def to_the_sample(
 
     Parameters
     ----------
-    recording : Recording
-    blocks : Blocks
-    rest : Rest
     runs : sequence of (int, int)
         First block and one past the last.
 
@@ -129,7 +126,6 @@ def trimmed(recording: Recording, window: tuple[int, int], floor: Array) -> tupl
 
     Parameters
     ----------
-    recording : Recording
     window : (int, int)
         First sample and one past the last.
     floor : ndarray, shape (6,)
@@ -209,7 +205,6 @@ def split_at_jumps(recording: Recording, windows: SequenceOf[tuple[int, int]], f
 
     Parameters
     ----------
-    recording : Recording
     windows : sequence of (int, int)
         First sample and one past the last.
     floor : ndarray, shape (6,)
@@ -300,7 +295,6 @@ def best_join(recording: Recording, a: int, b: int) -> tuple[int, float]:
 
     Parameters
     ----------
-    recording : Recording
     a, b : int
         First sample to look at, and one past the last; at least three samples.
     """

@@ -52,7 +52,6 @@ def moved_windows(
 
     Parameters
     ----------
-    data : PreparedRecording
     gyro, accel : Triad
         Reading models at the estimate.
     rest_rate : ndarray, shape (W, 3), rad/s

@@ -63,7 +63,6 @@ class Vibration:
 
     Attributes
     ----------
-    frequency_hz : float
     gyro, accel : ndarray of complex, shape (W, 3), rad/s and m/s²
         Amplitude of the raw channels in every window, with the phase at the first sample.
     interval_s : float
@@ -131,7 +130,6 @@ def vibration(recording: Recording, samples: Indices, noise: Callable[[], NoiseM
 
     Parameters
     ----------
-    recording : Recording
     samples : ndarray of int, shape (W, 2)
         First sample of every window and one past the last.
     noise : callable

@@ -68,7 +68,6 @@ def average_windows(recording: Recording, samples: Indices, algorithm: Average) 
 
     Parameters
     ----------
-    recording : Recording
     samples : ndarray of int, shape (W, 2)
     algorithm : "linear" or "overlapping"
     """

@@ -83,10 +83,7 @@ class ErrorVariable:
 
 
 def preintegrated_factor(
-    keys: tuple[int, int, int, int, int],
-    readings: PreintegratedReadings,
-    variable: ErrorVariable,
-    gravity: Array,
+    keys: tuple[int, int, int, int, int], readings: PreintegratedReadings, variable: ErrorVariable, gravity: Array
 ) -> Any:
     """Make the factor.
 

@@ -63,12 +63,7 @@ class PreintegratedReadings:
 
 
 def preintegrate(
-    calibration: Calibration,
-    gyro: Array,
-    accel: Array,
-    dt: float,
-    *,
-    errors: SensorErrors | None = None,
+    calibration: Calibration, gyro: Array, accel: Array, dt: float, *, errors: SensorErrors | None = None
 ) -> PreintegratedReadings:
     """Sum uncorrected readings over one interval.
 

@@ -310,14 +310,8 @@ def test_truth_of_one_recording_only(recording, capfd):
         ("[]", "no truth of version 1"),
         ('{"format": "srt-truth", "version": 2}', "no truth of version 1"),
         ('{"format": "srt-truth", "version": 1, "parameters": {"gyro_scale_x": 0}}', "27 sensor errors"),
-        (
-            json.dumps({"format": "srt-truth", "version": 1, "parameters": dict.fromkeys(NAMES, "1")}),
-            "no number",
-        ),
-        (
-            json.dumps({"format": "srt-truth", "version": 1, "parameters": dict.fromkeys(NAMES, float("nan"))}),
-            "finite",
-        ),
+        (json.dumps({"format": "srt-truth", "version": 1, "parameters": dict.fromkeys(NAMES, "1")}), "no number"),
+        (json.dumps({"format": "srt-truth", "version": 1, "parameters": dict.fromkeys(NAMES, float("nan"))}), "finite"),
     ],
 )
 def test_a_wrong_truth_is_refused_first(tmp_path, capfd, text, fragment):
@@ -348,10 +342,7 @@ def test_an_estimator_of_others_is_found_by_its_name(recording, calibration, mon
 @pytest.mark.parametrize(
     ("source", "sentence"),
     [
-        (
-            "import no_such_package_of_theirs",
-            "cannot be loaded (ModuleNotFoundError: No module named 'no_such",
-        ),
+        ("import no_such_package_of_theirs", "cannot be loaded (ModuleNotFoundError: No module named 'no_such"),
         ("raise RuntimeError('no licence')", "cannot be loaded (RuntimeError: no licence): repair or uninstall"),
         ("other = 1", "cannot be loaded (AttributeError"),
         ("def estimate(recording): ...", "cannot be called with a recording, options and progress"),

@@ -193,10 +193,7 @@ def test_an_edited_calibration_needs_trust(lab, tmp_path, capfd):
     document["parameters"][0]["value"] = 0.5
     (tmp_path / "edited.json").write_text(json.dumps(document))
     line = [str(tmp_path / "edited.json"), "-o", str(tmp_path / "out")]
-    for command in (
-        ["export", line[0], "--to", "imucal"],
-        ["apply", line[0], "--c-header", str(tmp_path / "x.h")],
-    ):
+    for command in (["export", line[0], "--to", "imucal"], ["apply", line[0], "--c-header", str(tmp_path / "x.h")]):
         assert main(command) == 2
         assert "changed after it was written" in capfd.readouterr().err
         assert main([*command, "--trust"]) == 0

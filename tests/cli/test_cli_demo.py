@@ -31,11 +31,7 @@ def demo(tmp_path_factory):
 def test_it_writes_recording_result_and_plot(demo):
     assert sorted(p.name for p in demo.iterdir()) == ["calibration.json", "calibration.png", "recording"]
     assert (demo / "calibration.png").read_bytes().startswith(b"\x89PNG")
-    assert sorted(p.name for p in (demo / "recording").iterdir()) == [
-        "recording.toml",
-        "samples.npz",
-        "truth.json",
-    ]
+    assert sorted(p.name for p in (demo / "recording").iterdir()) == ["recording.toml", "samples.npz", "truth.json"]
 
 
 def test_its_errors_are_those_that_its_sigmas_promise(demo):

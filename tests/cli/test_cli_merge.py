@@ -39,10 +39,7 @@ def folders(tmp_path_factory):
         )
         recording = read_out(motion, truth, accuracy_trials.GRADES["navigation"], rng)
         recording = replace(
-            recording,
-            serial="SN-9",
-            date=f"2026-03-0{n + 1}",
-            temperature=np.full(len(recording.time), 20.0 + n),
+            recording, serial="SN-9", date=f"2026-03-0{n + 1}", temperature=np.full(len(recording.time), 20.0 + n)
         )
         srt.write_recording(recording, folder / name, samples_format="npz")
         paths.append(folder / name)

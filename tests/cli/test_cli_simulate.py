@@ -36,11 +36,7 @@ def test_recording_and_truth_are_the_simulators(scenario, tmp_path, capfd, sampl
     assert main(["simulate", str(scenario), "-o", str(folder), "--format", samples_format]) == 0
     out, err = capfd.readouterr()
     assert err == ""
-    assert sorted(p.name for p in folder.iterdir()) == [
-        "recording.toml",
-        f"samples.{samples_format}",
-        "truth.json",
-    ]
+    assert sorted(p.name for p in folder.iterdir()) == ["recording.toml", f"samples.{samples_format}", "truth.json"]
     expected = sims.simulate(sims.load_scenario(scenario))
     recording = srt.load_recording(folder)
     assert (recording.gyro == expected.recording.gyro).all()

@@ -8,7 +8,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from worse_than_stated import CASES, unit_of
+from worse_recordings import CASES, unit_of
 
 from srt.closed_form.fixture_accuracy import fixture_excess
 from srt.closed_form.formulas import SelectedFormulas

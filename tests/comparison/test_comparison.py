@@ -6,13 +6,12 @@ import json
 import subprocess
 import sys
 from dataclasses import dataclass, replace
-from itertools import combinations
 from types import SimpleNamespace
 
 import matplotlib as mpl
 import numpy as np
 import pytest
-from matplotlib.backends.backend_agg import FigureCanvasAgg
+from figure_texts import require_readable
 from scipy.stats import binom, chi2, norm
 
 import srt
@@ -363,25 +362,8 @@ def test_texts_of_the_figure_neither_overlap_nor_leave_it(pair, case):
     before = dict(mpl.rcParams)
     figure = comparison_figure(comparison, title=title)
     assert dict(mpl.rcParams) == before
-    canvas = FigureCanvasAgg(figure)
-    canvas.draw()
-    renderer = canvas.get_renderer()
-    texts = [figure._suptitle, *figure.legends[0].get_texts()]
-    for axes in figure.axes:
-        texts += [axes.yaxis.label, *axes.texts]
-        for axis in (axes.xaxis, axes.yaxis):
-            low, high = axis.get_view_interval()
-            ticks = axis.get_major_ticks()
-            texts += [t.label1 for t in ticks if low <= t.get_loc() <= high and t.label1.get_visible()]
-    boxes = [(t.get_text(), t.get_window_extent(renderer)) for t in texts if t.get_text() and t.get_visible()]
-    assert len(boxes) > 27 + len(GROUP_SLICES)
-    for (a, first), (b, second) in combinations(boxes, 2):
-        assert not first.overlaps(second), (a, b)
-    for text, box in boxes:
-        assert box.x0 >= 0.0, text
-        assert box.y0 >= 0.0, text
-        assert box.x1 <= figure.bbox.x1, text
-        assert box.y1 <= figure.bbox.y1, text
+    titles = [figure._suptitle, *figure.legends[0].get_texts()]
+    require_readable(figure, figure.axes, titles, 27 + len(GROUP_SLICES))
 
 
 def test_marks_of_the_figure_are_the_differences_in_sigmas_of_the_reference(pair):

@@ -239,7 +239,8 @@ def test_a_unit_that_kills_its_worker_stops_no_other(tmp_path):
     assert [unit.exit_code for unit in fleet.units] == [2, 1, 2, 2]
     assert fleet.units[1].message == "A worker died."
     assert fleet.units[3].message.startswith(f"There is no recording {tmp_path / 'd'}")
-    rows = list(csv.DictReader(io.StringIO(fleet.to_csv())))
+    fleet.save_csv(tmp_path / "fleet.csv")
+    rows = list(csv.DictReader(io.StringIO((tmp_path / "fleet.csv").read_bytes().decode())))
     assert [row["unit"] for row in rows] == list(names)
     assert tuple(rows[0]) == COLUMNS
     assert all(row["status"] == "failed" and row["value"] == "" for row in rows)
@@ -248,7 +249,8 @@ def test_a_unit_that_kills_its_worker_stops_no_other(tmp_path):
 @pytest.mark.parametrize("name", ["=1+1", "+1", "-1", "@SUM(1)", "\t=1"])
 def test_names_are_no_formulas_in_a_spreadsheet(tmp_path, name):
     fleet = calibrate_fleet({name: tmp_path / "none"})
-    (row,) = csv.DictReader(io.StringIO(fleet.to_csv()))
+    fleet.save_csv(tmp_path / "fleet.csv")
+    (row,) = csv.DictReader(io.StringIO((tmp_path / "fleet.csv").read_bytes().decode()))
     assert row["unit"] == "'" + name
     assert row["message"] == fleet.units[0].message
     assert fleet.to_dict()["units"][0]["name"] == name  # JSON is not opened by spreadsheets

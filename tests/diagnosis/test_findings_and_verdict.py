@@ -10,7 +10,7 @@ from foreign_motion import GRADES, drawn_errors, hand_turns
 from foreign_motion import recording as by_hand
 from scipy.signal import butter, lfilter, lfilter_zi
 from scipy.spatial.transform import Rotation
-from unstated_noise import on_the_fixture
+from worse_recordings import unstated_unit
 
 import srt
 from srt.exceptions import DataError
@@ -67,7 +67,7 @@ def bit_6_stuck(unit):
     ],
 )
 def test_wrong_samples_are_never_sound(fault, change):
-    unit, _ = on_the_fixture(0, "tactical")
+    unit, _ = unstated_unit(0, "fixture", "tactical")
     found = srt.calibrate(change(unit))
     assert found.diagnostics.faults[0].fault == fault
     assert found.judgement.word != SOUND
@@ -75,14 +75,14 @@ def test_wrong_samples_are_never_sound(fault, change):
 
 
 def test_interpolated_samples_of_a_sequence_that_is_left_out_are_not_in_the_result():
-    unit, _ = on_the_fixture(0, "tactical")
+    unit, _ = unstated_unit(0, "fixture", "tactical")
     found = srt.calibrate(interpolated(unit), without_turns=(unit.sequences[7].id,))
     assert "samples_interpolated" not in {fault.fault for fault in found.diagnostics.faults}
 
 
 def test_repeated_samples_are_the_cause_of_shifted_labels():
     """60 samples written twice, each with a stamp of its own: the labels lag by up to 1.2 s."""
-    unit, _ = on_the_fixture(0, "tactical")
+    unit, _ = unstated_unit(0, "fixture", "tactical")
     n = len(unit.time)
     rows = np.sort(np.append(np.arange(n), np.random.default_rng(SEED).choice(n, 60, replace=False)))
     time = unit.time[0] + unit.nominal_interval_s * np.arange(len(rows))
@@ -94,7 +94,7 @@ def test_repeated_samples_are_the_cause_of_shifted_labels():
 @pytest.mark.parametrize("places", [1, 30])
 def test_lost_samples_are_the_cause_of_shifted_labels(places):
     """60 samples of rotations lost without a gap in the stamps: the labels lag by up to 1.2 s."""
-    unit, _ = on_the_fixture(0, "tactical")
+    unit, _ = unstated_unit(0, "fixture", "tactical")
     turning = np.flatnonzero(np.linalg.norm(unit.gyro, axis=1) > 0.5)
     first = turning[(np.arange(places) + 1) * len(turning) // (places + 2)]
     # The recording goes on at rest, so that the last label stays within it.
@@ -108,7 +108,7 @@ def test_lost_samples_are_the_cause_of_shifted_labels(places):
 @pytest.mark.parametrize("grade", ["navigation", "tactical"])
 def test_a_low_pass_filter_does_not_shift_labels(grade):
     """At 0.8 Hz, rotations reach into the windows after them, and the noise is correlated as long."""
-    unit, _ = on_the_fixture(0, grade)
+    unit, _ = unstated_unit(0, "fixture", grade)
     b, a = butter(1, 0.8, fs=1.0 / unit.nominal_interval_s)
     readings = np.hstack([unit.gyro, unit.accel])
     readings = lfilter(b, a, readings, axis=0, zi=lfilter_zi(b, a)[:, None] * readings[:1])[0]
@@ -128,7 +128,7 @@ def turned_by_hand(seed):
 @pytest.mark.parametrize("labelled", [False, True])
 def test_an_axis_without_input_for_half_the_test_is_named(sensor, noisy, labelled):
     """Gravity rotates about it, or onto it, and its readings do not change."""
-    unit, _ = on_the_fixture(0, "consumer")
+    unit, _ = unstated_unit(0, "fixture", "consumer")
     readings = getattr(unit, sensor).copy()
     half = len(readings) // 2
     readings[half:, 1] = 0.0
@@ -141,7 +141,7 @@ def test_an_axis_without_input_for_half_the_test_is_named(sensor, noisy, labelle
 
 
 def test_a_gyro_of_one_polarity_is_named_without_labels():
-    unit, _ = on_the_fixture(0, "industrial")
+    unit, _ = unstated_unit(0, "fixture", "industrial")
     gyro = unit.gyro.copy()
     gyro[:, 1] = np.maximum(gyro[:, 1], 0.0)
     with pytest.raises(DataError, match="no negative reading") as refused:
@@ -179,7 +179,7 @@ def test_half_a_count_value_is_refused_by_the_result():
 @pytest.mark.parametrize(("sensor", "factor"), [("gyro", 1.01), ("accel", 1.05)])
 def test_equal_scale_errors_are_not_sound(sensor, factor):
     """Errors of 0.01 %, one sigma, do not make three axes 1 % off alike."""
-    unit, _ = on_the_fixture(0, "navigation")
+    unit, _ = unstated_unit(0, "fixture", "navigation")
     found = srt.calibrate(replace(unit, **{sensor: factor * getattr(unit, sensor)}))
     assert found.diagnostics.faults[0].fault == f"{sensor}_factor"
     assert found.judgement.word != SOUND
@@ -187,7 +187,7 @@ def test_equal_scale_errors_are_not_sound(sensor, factor):
 
 def test_time_stamps_of_a_file_are_no_sample_rate():
     """A factor of 1.3 on the gyros: with stamps, no sample rate is proposed; a stated one is."""
-    unit, _ = on_the_fixture(0, "consumer")
+    unit, _ = unstated_unit(0, "fixture", "consumer")
     off = replace(unit, gyro=1.3 * unit.gyro)
     for stated, proposed in ((None, False), (50.0, True)):
         first = srt.calibrate(replace(off, sample_rate_hz=stated)).diagnostics.faults[0]
@@ -228,7 +228,7 @@ def without_gravity(unit):
     ],
 )
 def test_readings_in_another_unit_or_without_gravity_are_named(fault, change, grade):
-    unit, _ = on_the_fixture(0, grade)
+    unit, _ = unstated_unit(0, "fixture", grade)
     with pytest.raises(DataError) as refused:
         srt.calibrate(change(unit))
     assert refused.value.fault == fault
@@ -236,7 +236,7 @@ def test_readings_in_another_unit_or_without_gravity_are_named(fault, change, gr
 
 def test_units_near_each_other_are_told_apart():
     """mg and cm/s², both declared as m/s², differ by 2 %, degrees and the interval of 50 Hz by 15 %."""
-    unit, _ = on_the_fixture(0, "tactical")
+    unit, _ = unstated_unit(0, "fixture", "tactical")
     for changed, fault in (
         (replace(unit, accel=unit.accel / 9.80665e-3), "accel_mg"),
         (replace(unit, gyro=np.radians(unit.gyro)), "gyro_radians"),

@@ -6,13 +6,13 @@ import json
 import subprocess
 import sys
 from dataclasses import replace
-from itertools import combinations
 
 import accuracy_trials
 import matplotlib as mpl
 import numpy as np
 import pytest
 import recorded_sets
+from figure_texts import require_readable
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from scipy.spatial.transform import Rotation
 
@@ -282,27 +282,7 @@ CASES = {
 @pytest.mark.parametrize("case", CASES)
 def test_texts_neither_overlap_nor_leave_the_figure(case, request):
     figure = inspection_figure(*map(request.getfixturevalue, CASES[case]), title="unit")
-    canvas = FigureCanvasAgg(figure)
-    canvas.draw()
-    renderer = canvas.get_renderer()
-    boxes = [(figure._suptitle.get_text(), figure._suptitle.get_window_extent(renderer))]
-    for axes in figure.axes:
-        texts = [axes._left_title, axes.xaxis.label, axes.yaxis.label, *axes.texts]
-        texts += [] if axes.get_legend() is None else axes.get_legend().get_texts()
-        for axis in (axes.xaxis, axes.yaxis):
-            low, high = axis.get_view_interval()
-            ticks = axis.get_major_ticks()
-            texts += [t.label1 for t in ticks if low <= t.get_loc() <= high and t.label1.get_visible()]
-        boxes += [(t.get_text(), t.get_window_extent(renderer)) for t in texts if t.get_text() and t.get_visible()]
-    boxes += [(t.get_text(), t.get_window_extent(renderer)) for t in figure.legends[0].get_texts()]
-    assert len(boxes) > 20, case
-    for (a, first), (b, second) in combinations(boxes, 2):
-        assert not first.overlaps(second), (case, a, b)
-    for text, box in boxes:
-        assert box.x0 >= 0.0, (case, text)
-        assert box.y0 >= 0.0, (case, text)
-        assert box.x1 <= figure.bbox.x1, (case, text)
-        assert box.y1 <= figure.bbox.y1, (case, text)
+    require_readable(figure, figure.axes, [figure._suptitle, *figure.legends[0].get_texts()], 20)
 
 
 def test_the_picture_shows_rests_sequences_and_slopes(rested, inspected_rests):

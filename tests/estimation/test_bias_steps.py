@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from worse_than_stated import CASES, unit_of
+from worse_recordings import CASES, unit_of
 
 import srt
 from srt.noise.bias_steps import LEAST_WINDOWS, step_shapes, within_span

@@ -6,7 +6,6 @@ size.
 """
 
 import math
-from dataclasses import replace
 from functools import partial
 
 import efficiency
@@ -99,11 +98,11 @@ def test_each_criterion_catches_its_fault(fault, what):
 
 def test_a_wrong_sequence_shows_in_its_innovations():
     units = made_up(400)
-    wrong = [replace(u, innovations=(*u.innovations[:6], 1.15 * u.innovations[6], *u.innovations[7:])) for u in units]
+    wrong = [u._replace(innovations=(*u.innovations[:6], 1.15 * u.innovations[6], *u.innovations[7:])) for u in units]
     assert not missed(innovation_criteria(units))
     assert any("sequence 4" in c.name for c in missed(innovation_criteria(wrong)))
 
 
 def test_limits_are_passed_by_no_more_than_their_standard_errors():
     limit = Criterion("", 1.0, 0.01, 0.9, 1.1)
-    assert [replace(limit, value=v).holds for v in (0.864, 0.866, 1.134, 1.136)] == [False, True, True, False]
+    assert [limit._replace(value=v).holds for v in (0.864, 0.866, 1.134, 1.136)] == [False, True, True, False]

@@ -7,7 +7,8 @@ import math
 import numpy as np
 import pytest
 from foreign_motion import GRADES
-from unstated_noise import STATEMENTS, outcome
+from honesty import STATEMENTS, unstated_noise
+from studies import pooled_nees
 
 import srt
 from sims.scenarios.scenario import load_scenario
@@ -25,18 +26,19 @@ UNITS = 2
 )
 def test_sigmas_are_true_and_the_units_own_noise_is_sound(kind, estimator, statement):
     """Mean NEES over four grades: the bounds and 3.5 standard errors of a chi-square."""
-    found = [outcome(seed, kind, grade, statement, estimator) for grade in GRADES for seed in range(UNITS)]
-    freedom = sum(row[1] for row in found)
-    mean = sum(row[0] for row in found) / freedom
-    error = 3.5 * math.sqrt(2.0 / freedom)
-    assert (0.60 if estimator == "closed-form" else LOW) * (1.0 - error) <= mean <= HIGH * (1.0 + error)
-    assert {row[2] for row in found} == {"sound"}
+    cells = [((kind, grade, statement), seed) for grade in GRADES for seed in range(UNITS)]
+    found = [unstated_noise(*cell, [estimator])[estimator] for cell in cells]
+    error = 3.5 * math.sqrt(2.0 / sum(score.freedom for score in found))
+    lowest = 0.60 if estimator == "closed-form" else LOW
+    assert lowest * (1.0 - error) <= pooled_nees(found) <= HIGH * (1.0 + error)
+    assert {score.word for score in found} == {"sound"}
 
 
 @pytest.mark.parametrize("seed", [3, 4])
 def test_the_units_own_instability_is_no_fault_of_one_turn(seed):
     """One turn deviates most, by flicker noise: an instability is more likely than a fault of that turn alone."""
-    assert outcome(seed, "hand", "navigation", STATEMENTS[1], "least-squares")[2] == "sound"
+    (score,) = unstated_noise(("hand", "navigation", STATEMENTS[1]), seed, ["least-squares"]).values()
+    assert score.word == "sound"
 
 
 @pytest.mark.parametrize("estimator", ["least-squares", "ekf", "graph"])

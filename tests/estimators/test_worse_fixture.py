@@ -6,8 +6,10 @@ import math
 from dataclasses import replace
 
 import pytest
+from honesty import largest, worse_than_stated
 from scipy.special import ndtri
-from worse_than_stated import CASES, outcome, unit_of
+from studies import pooled_nees
+from worse_recordings import CASES, unit_of
 
 import srt
 
@@ -19,7 +21,7 @@ ACCUSATIONS = ("contradicts", "move left out", "label", "wrong_angle")
 
 
 def of_units(case, estimator):
-    return [outcome(case, seed, estimator) for seed in range(UNITS)]
+    return [worse_than_stated((case,), seed, [estimator])[estimator] for seed in range(UNITS)]
 
 
 @pytest.mark.parametrize(
@@ -36,15 +38,14 @@ def of_units(case, estimator):
 def test_the_fixture_is_named_and_the_sigmas_are_true(case, estimator, causes):
     """Mean NEES: 3.5 standard errors of a chi-square."""
     found = of_units(case, estimator)
-    assert {row["word"] for row in found} == {"sound"}
-    seen = sum(row["seen"] for row in found)
+    assert {score.word for score in found} == {"sound"}
+    seen = sum(score.freedom for score in found)
     assert seen == UNITS * PARAMETERS
-    assert abs(sum(row["nees"] for row in found) / seen - 1.0) < 3.5 * math.sqrt(2.0 / seen)
-    assert max(row["worst"] for row in found) < WORST
-    for row in found:
-        named = set(row["named"].split(", "))
-        assert causes <= named
-        assert not any(what.startswith(ACCUSATIONS) for what in named)
+    assert abs(pooled_nees(found) - 1.0) < 3.5 * math.sqrt(2.0 / seen)
+    assert max(largest(score.z) for score in found) < WORST
+    for score in found:
+        assert causes <= set(score.faults)
+        assert not any(what.startswith(ACCUSATIONS) for what in score.faults)
 
 
 def test_both_figures_are_told():
@@ -72,9 +73,9 @@ def test_both_figures_are_told():
 )
 def test_values_from_the_fixture_are_as_accurate_as_it_is(case, estimator):
     """Parameters that these sequences do not show have the values and the accuracy found of the nominal angles."""
-    for row in of_units(case, estimator):
-        assert row["seen"] > 0
-        assert row["worst"] < WORST
+    for score in of_units(case, estimator):
+        assert score.freedom > 0
+        assert largest(score.z) < WORST
 
 
 def test_an_angle_within_what_the_fixture_shows_is_not_wrong():
@@ -97,21 +98,21 @@ def test_the_mount_has_the_alignment_that_was_found():
 
 def test_a_wobble_as_large_as_the_angles_is_doubtful_and_named():
     """No fixture wobbles by 1 mrad while its angles are right; the errors are those of the sigmas all the same."""
-    for row in of_units("axis wobble of 1 mrad, not stated", "least-squares"):
-        assert row["word"] == "doubtful"
-        assert row["named"] == "axis wobble"
-        assert row["worst"] < WORST
+    for score in of_units("axis wobble of 1 mrad, not stated", "least-squares"):
+        assert score.word == "doubtful"
+        assert score.faults == ("axis wobble",)
+        assert largest(score.z) < WORST
 
 
 @pytest.mark.parametrize("estimator", ["closed-form", "least-squares"])
 def test_a_fixture_as_stated_is_not_named(estimator):
-    for row in of_units("fixture, no drift", estimator):
-        assert row["word"] == "sound"
-        assert row["named"] == ""
+    for score in of_units("fixture, no drift", estimator):
+        assert score.word == "sound"
+        assert score.faults == ()
 
 
 def test_the_rotation_of_the_earth_is_no_error_of_the_rotations():
     """The Earth turns by a milliradian within a sequence; the stated accuracy is 0.1 mrad, and true."""
-    row = outcome("alignment of 1 mrad, 0.1 stated", 3, "least-squares")
-    assert "alignment" in row["named"]
-    assert "rotations" not in row["named"]
+    (score,) = worse_than_stated(("alignment of 1 mrad, 0.1 stated",), 3, ["least-squares"]).values()
+    assert "alignment" in score.faults
+    assert "rotations" not in score.faults

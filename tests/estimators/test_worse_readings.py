@@ -6,8 +6,10 @@ from __future__ import annotations
 import math
 
 import pytest
+from honesty import largest, worse_than_stated
 from scipy.special import ndtri
-from worse_than_stated import CASES, outcome, unit_of
+from studies import pooled_nees
+from worse_recordings import CASES, unit_of
 
 import srt
 
@@ -32,15 +34,14 @@ ACCUSATIONS = ("contradicts", "move left out")
 )
 def test_sigmas_are_true_and_nothing_innocent_is_accused(case, estimator, drift):
     """Mean NEES: at most 3.5 standard errors of a chi-square; largest error: family-wise 1 %."""
-    found = [outcome(case, seed, estimator) for seed in range(UNITS)]
-    seen = sum(row["seen"] for row in found)
-    assert sum(row["nees"] for row in found) / seen < 1.0 + 3.5 * math.sqrt(2.0 / seen)
-    assert max(row["worst"] for row in found) < -float(ndtri(0.005 / seen))
-    for row in found:
-        assert row["word"] == "sound"
-        named = row["named"].split(", ")
-        assert not any(what.startswith(ACCUSATIONS) for what in named)
-        assert any(what.startswith(drift) for what in named)
+    found = [worse_than_stated((case,), seed, [estimator])[estimator] for seed in range(UNITS)]
+    seen = sum(score.freedom for score in found)
+    assert pooled_nees(found) < 1.0 + 3.5 * math.sqrt(2.0 / seen)
+    assert max(largest(score.z) for score in found) < -float(ndtri(0.005 / seen))
+    for score in found:
+        assert score.word == "sound"
+        assert not any(what.startswith(ACCUSATIONS) for what in score.faults)
+        assert not drift or any(what.startswith(drift) for what in score.faults)
 
 
 @pytest.mark.parametrize(
@@ -86,11 +87,10 @@ def test_channels_whose_steps_are_not_dithered_are_named_and_no_g_sensitivity_is
 @pytest.mark.parametrize("estimator", ["closed-form", "least-squares"])
 def test_sigmas_of_readings_in_steps_are_true(case, estimator):
     """Mean NEES between 0.70 and 1.15, and 3.5 standard errors of a chi-square."""
-    found = [outcome(case, seed, estimator) for seed in range(UNITS)]
-    seen = sum(row["seen"] for row in found)
-    error = 3.5 * math.sqrt(2.0 / seen)
-    assert 0.70 * (1.0 - error) < sum(row["nees"] for row in found) / seen < 1.15 * (1.0 + error)
-    assert {row["word"] for row in found} == {"sound"}
+    found = [worse_than_stated((case,), seed, [estimator])[estimator] for seed in range(UNITS)]
+    error = 3.5 * math.sqrt(2.0 / sum(score.freedom for score in found))
+    assert 0.70 * (1.0 - error) < pooled_nees(found) < 1.15 * (1.0 + error)
+    assert {score.word for score in found} == {"sound"}
 
 
 @pytest.mark.parametrize(

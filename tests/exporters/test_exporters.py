@@ -11,19 +11,7 @@ import math
 
 import numpy as np
 import pytest
-from exporter_formulas import (
-    CASES,
-    EXACT,
-    FORMULAS,
-    SINGLE,
-    TARGETS,
-    U,
-    biases_of,
-    calibrated,
-    mm,
-    motion,
-    px4,
-)
+from exporter_formulas import CASES, EXACT, FORMULAS, SINGLE, TARGETS, U, biases_of, calibrated, mm, motion, px4
 
 import srt
 from srt import exporters
@@ -121,9 +109,7 @@ def test_the_reported_loss_is_the_actual_loss(target, frame, fit):
         found = FORMULAS[target](made.texts, readings.gyro, readings.accel, bias)
         row = rows[title]
         for (worst, rms), (said_max, said_rms) in zip(
-            map(lengths, found, expected),
-            ((row.gyro_max, row.gyro_rms), (row.accel_max, row.accel_rms)),
-            strict=True,
+            map(lengths, found, expected), ((row.gyro_max, row.gyro_rms), (row.accel_max, row.accel_rms)), strict=True
         ):
             # Half a unit of the last of twelve digits, and rounding where nothing is lost.
             np.testing.assert_allclose([said_max, said_rms], [worst, rms], rtol=1e-9, atol=EXACT)

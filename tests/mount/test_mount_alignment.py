@@ -436,10 +436,7 @@ class TestRefusals:
 
     @pytest.mark.parametrize(
         ("changes", "fragment"),
-        [
-            ({"level_sigma_rad": 0.0}, "must be positive"),
-            ({"axis_sigma_rad": math.nan}, "must be positive"),
-        ],
+        [({"level_sigma_rad": 0.0}, "must be positive"), ({"axis_sigma_rad": math.nan}, "must be positive")],
     )
     def test_sigmas_that_are_none(self, changes, fragment):
         with pytest.raises(InputError, match=fragment):

@@ -274,11 +274,7 @@ def test_targets_out_of_reach_name_the_limit():
 
 @pytest.mark.parametrize(
     ("change", "said"),
-    [
-        (lambda t: t * math.nan, "no target"),
-        (lambda t: -t, "not positive"),
-        (lambda t: t[:5], "shape"),
-    ],
+    [(lambda t: t * math.nan, "no target"), (lambda t: -t, "not positive"), (lambda t: t[:5], "shape")],
 )
 def test_targets_that_are_none(change, said):
     with pytest.raises(InputError, match=said):

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from itertools import combinations
 
 import numpy as np
 import pytest
-from matplotlib.backends.backend_agg import FigureCanvasAgg
+from figure_texts import require_readable
 
 from srt.planning.candidates import Candidate
 from srt.planning.conditions import Conditions
@@ -68,26 +67,7 @@ def pieces(line):
 @pytest.mark.parametrize("case", CASES)
 def test_texts_neither_overlap_nor_leave_the_picture(case):
     figure = plan_figure(CASES[case](), title="Rotation test of a unit on a fixture")
-    canvas = FigureCanvasAgg(figure)
-    canvas.draw()
-    renderer = canvas.get_renderer()
-    texts = [figure._suptitle]
-    for axes in figure.axes:
-        texts += [axes.xaxis.label, axes.yaxis.label, *axes.texts]
-        texts += [] if axes.get_legend() is None else axes.get_legend().get_texts()
-        for axis in (axes.xaxis, axes.yaxis):
-            low, high = axis.get_view_interval()
-            ticks = axis.get_major_ticks()
-            texts += [t.label1 for t in ticks if low <= t.get_loc() <= high and t.label1.get_visible()]
-    boxes = [(t.get_text(), t.get_window_extent(renderer)) for t in texts if t.get_text() and t.get_visible()]
-    assert len(boxes) > 25
-    for (a, first), (b, second) in combinations(boxes, 2):
-        assert not first.overlaps(second), (a, b)
-    for text, box in boxes:
-        assert box.x0 >= 0.0, text
-        assert box.y0 >= 0.0, text
-        assert box.x1 <= figure.bbox.x1, text
-        assert box.y1 <= figure.bbox.y1, text
+    require_readable(figure, figure.axes, [figure._suptitle], 25)
 
 
 def test_turns_on_slip_rings_are_drawn_whole_between_0_and_360_deg():

@@ -169,10 +169,7 @@ def test_a_file_cut_off_gives_one_sentence_or_what_is_there(request, tmp_path, w
     assert capfd.readouterr() == ("", "")
 
 
-@pytest.mark.parametrize(
-    ("package", "name"),
-    [("rosbags", "a.bag"), ("pyulog", "a.ulg"), ("pymavlink", "a.bin")],
-)
+@pytest.mark.parametrize(("package", "name"), [("rosbags", "a.bag"), ("pyulog", "a.ulg"), ("pymavlink", "a.bin")])
 def test_an_absent_library_is_named_with_its_extra(tmp_path, whole, monkeypatch, package, name):
     (tmp_path / name).write_bytes(whole[name][0])
     monkeypatch.setitem(sys.modules, package, None)

@@ -54,12 +54,7 @@ STAMPED = {
     "euroc": ("data.csv", "euroc", lambda p: write_stamped(p, EUROC), {}),
     "kalibr": ("imu0.csv", "kalibr", lambda p: write_stamped(p, KALIBR), {}),
     "parquet": ("a.parquet", "parquet", write_parquet, SI),
-    "npz of dates": (
-        "a.npz",
-        "npz",
-        lambda p: np.savez(p, **{**ARRAYS, "time": STAMPS.astype("datetime64[ns]")}),
-        SI,
-    ),
+    "npz of dates": ("a.npz", "npz", lambda p: np.savez(p, **{**ARRAYS, "time": STAMPS.astype("datetime64[ns]")}), SI),
 }
 
 

@@ -118,8 +118,7 @@ def test_every_number_has_an_upper_bound(section):
 
 
 @pytest.mark.parametrize(
-    ("key", "value"),
-    [("rotations", [["x", 1e300]]), ("rate_deg_s", ["x", 1e300]), ("rate_sigma_ppm", 1e300)],
+    ("key", "value"), [("rotations", [["x", 1e300]]), ("rate_deg_s", ["x", 1e300]), ("rate_sigma_ppm", 1e300)]
 )
 def test_every_number_of_a_sequence_has_an_upper_bound(key, value):
     with pytest.raises(InputError, match=rf"sequence\[1\].{key} is "):

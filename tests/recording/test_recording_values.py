@@ -53,10 +53,7 @@ def altered(column, row, value, n=1000):
         (altered("time", 500, 1.0), ["time", "sample 501", "goes back from 5 s"]),
         ({"sample_rate_hz": 0.0}, ["sample_rate_hz", "positive"]),
         ({"sample_rate_hz": math.nan}, ["sample_rate_hz", "nan"]),
-        (
-            {"time": np.ones(1), "gyro": np.zeros((1, 3)), "accel": np.zeros((1, 3))},
-            ["1 samples", "at least 2"],
-        ),
+        ({"time": np.ones(1), "gyro": np.zeros((1, 3)), "accel": np.zeros((1, 3))}, ["1 samples", "at least 2"]),
     ],
 )
 def test_bad_samples_are_refused_in_one_sentence(changes, fragments):

@@ -5,37 +5,19 @@ from __future__ import annotations
 import json
 import re
 from dataclasses import replace
-from functools import partial
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from certificate_cases import COMPONENTS, FACTORS, Reader, calibration, drawn, saved_calibration
+from certificate_cases import COMPONENTS, FACTORS, Reader, calibration, drawn
 
 import srt
-from srt.reports.certificate import (
-    html_page,
-    load_acceptance_limits,
-    make_certificate,
-)
+from srt.reports.certificate import html_page, load_acceptance_limits, make_certificate
 from srt.reports.certificate.figures import certificate_figures
 from srt.reports.certificate.parameter_changes import FALSE_ALARM, changes_since
 from srt.result.calibration import Residual
 from srt.result.provenance import Provenance, StatedSite
 from srt.sensor_errors import DISPLAY_FACTORS, INDEX, NAMES, SYMBOLS, SensorErrors
-
-
-@pytest.fixture
-def saved(tmp_path):
-    """Save a calibration and read it as a certificate does."""
-    return partial(saved_calibration, tmp_path)
-
-
-@pytest.fixture
-def plain_page(monkeypatch):
-    """Leave the pictures out, which take a hundred times as long as all else."""
-    monkeypatch.setattr(html_page, "certificate_figures", lambda certificate: ())
-    return html_page.html_page
 
 
 @pytest.mark.parametrize("held", [(), ("accel_bias_z", "gyro_asymmetry_x", "gyro_asymmetry_y")], ids=["all", "held"])

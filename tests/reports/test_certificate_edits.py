@@ -5,34 +5,15 @@ from __future__ import annotations
 import copy
 import json
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
-from certificate_cases import calibration, saved_calibration
+from certificate_cases import calibration
 
 import srt
-from srt.reports.certificate import (
-    calibration_file,
-    html_page,
-    make_certificate,
-)
+from srt.reports.certificate import calibration_file, make_certificate
 from srt.result.consistency import Consistency, LeaveOneOut
 from srt.result.json_file import json_text
-
-
-@pytest.fixture
-def saved(tmp_path):
-    """Save a calibration and read it as a certificate does."""
-    return partial(saved_calibration, tmp_path)
-
-
-@pytest.fixture
-def plain_page(monkeypatch):
-    """Leave the pictures out, which take a hundred times as long as all else."""
-    monkeypatch.setattr(html_page, "certificate_figures", lambda certificate: ())
-    return html_page.html_page
-
 
 # Files that were edited or cut
 

@@ -4,21 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from functools import partial
 
 import pytest
-from certificate_cases import calibration, saved_calibration
+from certificate_cases import calibration
 
 import srt
 from srt.reports.certificate import load_acceptance_limits, make_certificate
 from srt.reports.certificate.laboratory import NOT_STATED, load_laboratory
 from srt.reports.certificate.uncertainty import budget_table, coverage_probability
 from srt.sensor_errors import DISPLAY_FACTORS, GROUP_SLICES
-
-
-@pytest.fixture
-def saved(tmp_path):
-    return partial(saved_calibration, tmp_path)
 
 
 def written(folder, text, name="lab.toml"):

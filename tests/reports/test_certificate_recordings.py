@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 
 import accuracy_trials
 import numpy as np
 import pytest
-from certificate_cases import Reader, calibration, drawn, saved_calibration
+from certificate_cases import Reader, calibration, drawn
 
 import srt
 from sims.physics.free_motion import free_motion, random_attitude, random_turns
@@ -16,29 +15,10 @@ from sims.physics.imu import read_out
 from sims.physics.table_motion import table1_motion
 from srt.comparison.merge import merge_calibrations
 from srt.recording.recording import Fixture
-from srt.reports.certificate import (
-    html_page,
-    make_certificate,
-    pdf,
-    unit_description,
-)
+from srt.reports.certificate import html_page, make_certificate, pdf, unit_description
 from srt.reports.certificate.figures import certificate_figures
 from srt.reports.certificate.parameter_changes import changes_since
 from srt.reports.certificate.recording_history import check_recording, recording_history
-
-
-@pytest.fixture
-def saved(tmp_path):
-    """Save a calibration and read it as a certificate does."""
-    return partial(saved_calibration, tmp_path)
-
-
-@pytest.fixture
-def plain_page(monkeypatch):
-    """Leave the pictures out, which take a hundred times as long as all else."""
-    monkeypatch.setattr(html_page, "certificate_figures", lambda certificate: ())
-    return html_page.html_page
-
 
 # The recording
 

@@ -29,10 +29,7 @@ def readings(turn_rad: float, kind: str = "rate") -> Recording:
     accel = np.tile([0.0, 0.0, -9.8], (1600, 1))
     if kind == "increment":
         gyro, accel = gyro * DT, accel * DT
-    labels = (
-        SequenceLabel((0.0, 1.0), (2.0, 3.0), id="1"),
-        SequenceLabel((13.0, 14.0), (15.0, 16.0), id="2"),
-    )
+    labels = (SequenceLabel((0.0, 1.0), (2.0, 3.0), id="1"), SequenceLabel((13.0, 14.0), (15.0, 16.0), id="2"))
     return srt.Recording(time, gyro, accel, srt.Site(9.8), kind=kind, sequences=labels, fixture=Fixture(1e-3))
 
 

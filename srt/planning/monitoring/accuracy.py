@@ -33,7 +33,6 @@ class SequenceAccuracy:
 
     Attributes
     ----------
-    sequence : str
     sigma : ndarray, shape (27,), SI
         Infinite for parameters that are not observed yet.
     calibration : Calibration or None

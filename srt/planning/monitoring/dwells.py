@@ -59,7 +59,6 @@ class RestMotion:
         Start and end of the rest.
     time_s : float
         Start of the motion.
-    angle_rad : float
     """
 
     rest_s: tuple[float, float]

@@ -238,11 +238,7 @@ def impose(limits: ProcessLimits) -> bool:
         import resource
     except ImportError:
         return False
-    bounds = {
-        resource.RLIMIT_CPU: limits.seconds,
-        resource.RLIMIT_FSIZE: limits.memory,
-        resource.RLIMIT_CORE: 0,
-    }
+    bounds = {resource.RLIMIT_CPU: limits.seconds, resource.RLIMIT_FSIZE: limits.memory, resource.RLIMIT_CORE: 0}
     statm = Path("/proc/self/statm")
     if statm.exists():
         # The limit counts from zero, so that the memory in use has to be known.

@@ -228,23 +228,11 @@ def _read_published(path: Path, options: ImportOptions) -> ImportedSamples:
 _OWN_UNITS: Final = frozenset({"columns", "time_unit", "delimiter", "decimal_comma"})
 
 EUROC: Final = Importer(
-    "euroc",
-    "EuRoC CSV",
-    (),
-    None,
-    _header_has("timestamp", "w_RS_S_x", "a_RS_S_z"),
-    _read_published,
-    _OWN_UNITS,
+    "euroc", "EuRoC CSV", (), None, _header_has("timestamp", "w_RS_S_x", "a_RS_S_z"), _read_published, _OWN_UNITS
 )
 
 KALIBR: Final = Importer(
-    "kalibr",
-    "Kalibr CSV",
-    (),
-    None,
-    _header_has("timestamp", "omega_x", "alpha_z"),
-    _read_published,
-    _OWN_UNITS,
+    "kalibr", "Kalibr CSV", (), None, _header_has("timestamp", "omega_x", "alpha_z"), _read_published, _OWN_UNITS
 )
 
 IMU_TK: Final = Importer(

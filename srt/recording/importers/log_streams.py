@@ -9,13 +9,7 @@ import numpy as np
 
 from srt.exceptions import InputError, did_you_mean
 from srt.recording.import_options import option
-from srt.recording.imported_samples import (
-    ImportedSamples,
-    StatedUnits,
-    first_of_repeats,
-    join_streams,
-    samples_in_si,
-)
+from srt.recording.imported_samples import ImportedSamples, StatedUnits, first_of_repeats, join_streams, samples_in_si
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping

@@ -197,10 +197,7 @@ def _combined(log: _LogTopics, instance: int, notes: list[str]) -> tuple[Stream,
         return Stream(COMBINED, stamps[known], _US, np.hstack([gyro, accel])[known]), {}
     # A slower accelerometer repeats its reading, stamp and all, until it has a new one.
     accel_stamps, first = np.unique(stamps[known] + offset[known], return_index=True)
-    pair = (
-        Stream(COMBINED, stamps, _US, gyro),
-        Stream(COMBINED, accel_stamps, _US, accel[known][first]),
-    )
+    pair = (Stream(COMBINED, stamps, _US, gyro), Stream(COMBINED, accel_stamps, _US, accel[known][first]))
     return join(*pair, notes), {}
 
 

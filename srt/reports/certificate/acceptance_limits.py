@@ -86,12 +86,7 @@ def load_acceptance_limits(path: Path) -> AcceptanceLimits:
     InputError
         A file that cannot be read, an unknown key, a wrong unit, or a limit that is no positive number.
     """
-    try:
-        document = read_toml(path)
-    except OSError as error:
-        raise InputError(f"The limits {path} cannot be read: {error.strerror}.") from None
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"The limits {path} are not valid TOML: {clipped(str(error), 120)}.") from None
+    document = read_toml(path)
     unknown = [key for key in document if key not in (*SECTIONS, "decision")]
     if unknown:
         raise InputError(

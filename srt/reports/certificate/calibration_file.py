@@ -23,7 +23,6 @@ class CalibrationFile:
 
     Attributes
     ----------
-    calibration : Calibration
     name : str
         Name of the file, without its folder.
     sha256 : str

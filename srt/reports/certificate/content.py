@@ -66,11 +66,8 @@ class Certificate(Presented):
         Laboratory, customer, operator and conditions, as labels and texts, of those that are stated.
     missing : str
         Sentence on what the laboratory does not state; empty if it states all.
-    equipment : Table or None
-    references : Table
     description : tuple of (str, str)
         Unit, date, site, data and software, as labels and texts.
-    parameters : Table
     g_sensitivity : Table or None
         Gyro g-sensitivity with its sigma, if estimated.
     budget : Table or None
@@ -81,12 +78,10 @@ class Certificate(Presented):
         Fixed parameters and the reasons.
     residuals : Table or None
         By sequence.
-    residual_notes : tuple of str
     recordings : Table or None
         Recordings of a merged calibration.
     changes : Table or None
         Since an earlier calibration.
-    change_notes : tuple of str
     application : Application
         Formulas and numbers of the compensation.
     limitations : tuple of str
@@ -95,9 +90,6 @@ class Certificate(Presented):
         Warnings of the calibration.
     failed : tuple of str
         Parameters that do not meet their limits.
-    source : CalibrationFile
-    course : RecordingHistory or None
-    change : ParameterChanges or None
     """
 
     unit: str

@@ -58,7 +58,6 @@ class CertificateFigure:
     ----------
     name : str
         A word, for identifiers.
-    title : str
     caption : str
         Legend.
     size_in : (float, float)

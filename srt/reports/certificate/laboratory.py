@@ -64,7 +64,6 @@ class Laboratory:
     equipment : tuple of mapping of str to str
     references : mapping of str to str
         Origin of the reference values: traceability.
-    coverage_factor : float
     """
 
     texts: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
@@ -99,12 +98,7 @@ def load_laboratory(path: Path) -> Laboratory:
     InputError
         A file that cannot be read, an unknown section or key, or a value that is no text.
     """
-    try:
-        document = read_toml(path)
-    except OSError as error:
-        raise InputError(f"The laboratory {path} cannot be read: {error.strerror}.") from None
-    except ValueError as error:
-        raise InputError(f"The laboratory {path} is not valid TOML: {clipped(str(error), 120)}.") from None
+    document = read_toml(path)
     known = (*SECTIONS, "equipment", "references")
     for name in document:
         if name not in known:

@@ -27,7 +27,6 @@ class ParameterChanges:
 
     Attributes
     ----------
-    old : CalibrationFile
     difference, sigma : ndarray, shape (27,), SI
         Change and its combined sigma, ``sqrt(sigma_new² + sigma_old²)``; NaN where one of the two did not measure it.
     limit : float

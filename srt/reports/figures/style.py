@@ -32,36 +32,10 @@ if TYPE_CHECKING:
     from os import PathLike
 
 __all__ = [
-    "BLUE",
-    "DPI",
-    "FAINT",
-    "GREEN",
-    "GREY",
-    "INK",
-    "LARGE",
-    "MEDIUM",
-    "ORANGE",
-    "PURPLE",
-    "SKY",
-    "SMALL",
-    "SYMBOL",
-    "VERMILION",
-    "Axes",
-    "ConstrainedLayoutEngine",
-    "Figure",
-    "FuncFormatter",
-    "Line2D",
-    "LogLocator",
-    "MaxNLocator",
-    "MultipleLocator",
-    "NullLocator",
-    "Patch",
-    "SubFigure",
-    "estimator_styles",
-    "save_figure",
-    "style",
-    "symbol",
-]
+    "BLUE", "DPI", "FAINT", "GREEN", "GREY", "INK", "LARGE", "MEDIUM", "ORANGE", "PURPLE", "SKY", "SMALL", "SYMBOL",
+    "VERMILION", "Axes", "ConstrainedLayoutEngine", "Figure", "FuncFormatter", "Line2D", "LogLocator", "MaxNLocator",
+    "MultipleLocator", "NullLocator", "Patch", "SubFigure", "estimator_styles", "save_figure", "style", "symbol",
+]  # fmt: skip
 
 # Okabe and Ito's colours, which all types of colour vision distinguish; the markers differ too.
 BLUE: Final = "#0072B2"

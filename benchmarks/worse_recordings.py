@@ -1,35 +1,40 @@
-"""Recordings that are worse than what is stated of them, by a generator that shares nothing with the estimators.
+"""Recordings that are worse than what is stated of them, or of which no noise is stated, for ``honesty.py``.
 
-Each case is a fixture less accurate than stated, a unit whose biases move, or readings that no noise model covers. A
-cell is the mean NEES per observed parameter (1 if all sigmas are true), the largest error over its sigma, the verdicts,
-and what the result names: the drift it models and its warnings of sequences or moves that contradict.
+Each case is a fixture less accurate than stated, a unit whose biases move, or readings that no noise model covers. All
+come from ``foreign_fixture.py`` and ``foreign_motion.py``, which share nothing with the estimators.
 """
 
 from __future__ import annotations
 
-import argparse
 import math
-from collections import Counter
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from foreign_fixture import LATITUDE_DEG, on_fixture, table_1
-from foreign_motion import DEG, GRADES, GRAVITY_M_S2, drawn_errors, drift_course, hand_turns, recording
-from joblib import Parallel, delayed
+from foreign_motion import DEG, GRADES, GRAVITY_M_S2, Grade, drawn_errors, drift_course, hand_turns, recording
 
 import srt
-from srt.result.verdict import OF_FIXTURE, USABLE
-from srt.sensor_errors import NAMES
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-SEED = 20261128
+SEED, UNSTATED_SEED = 20261128, 20261127
 HZ = 50.0
 AT_REST_RAD_S = 0.1 * DEG
 HAND_RESTS_S = {"hand": 4.0, "long hand": 14.0}
 """Rest between 24 turns by hand; the longer ones make recordings of 500 s."""
+INSTABILITY = {
+    "navigation": (0.003 * DEG / 3600.0, 5e-6 * 9.81),
+    "tactical": (0.5 * DEG / 3600.0, 20e-6 * 9.81),
+    "industrial": (5.0 * DEG / 3600.0, 50e-6 * 9.81),
+    "consumer": (15.0 * DEG / 3600.0, 150e-6 * 9.81),
+}
+"""Allan floor of gyros and accelerometers, rad/s and m/s²."""
+STATEMENTS = ("nothing, none", "nothing, instability", "all, instability")
+"""Statement of the noise, and bias instability of the unit."""
+LONGEST_S = 6000.0
+"""Longest period of the bias instability."""
 
 
 class Case(NamedTuple):
@@ -146,108 +151,77 @@ CASES: dict[str, Case] = {
     ),
     "axis wobble of 1 mrad, not stated": Case("tactical", as_it_is, wobble_rad=1e-3),
     "fixture of 1 mrad, 0.1 stated, without 1, 1a, 4, 5, 6, 10, 11, 12": Case(
-        "tactical",
-        as_it_is,
-        stated_sigma_rad=1e-4,
+        "tactical", as_it_is, stated_sigma_rad=1e-4,
         recorded=("2", "2a", "3", "3a", "7", "8", "9", "13", "14", "15", "16", "17"),
     ),
     "fixture of 1 mrad, 0.1 stated, 2, 2a, 7, 8, 9 alone": Case(
         "tactical", as_it_is, stated_sigma_rad=1e-4, recorded=("2", "2a", "7", "8", "9")
     ),
-}
+}  # fmt: skip
 """Cases by name."""
 
 
-def unit_of(case: Case, seed: int) -> tuple[srt.Recording, dict[str, float]]:
-    """One recording of a case, and the errors of the unit."""
+Unit = tuple[srt.Recording, dict[str, float]]
+"""A recording, and the errors of its unit."""
+
+
+def on_stand(errors: dict[str, float], grade: Grade, rng, case: Case, noise: srt.ImuNoise) -> srt.Recording:
+    """Table 1 on the fixture of a case."""
+    accuracy = {"sigma_rad": case.true_sigma_rad, "alignment_rad": case.alignment_rad, "wobble_rad": case.wobble_rad}
+    motion = on_fixture(table_1(), rng, rest_s=10.0, rate_rad_s=60.0 * DEG, **accuracy)
+    samples = motion.sampled(errors, grade, rng, hz=HZ)
+    labels = tuple(
+        srt.SequenceLabel(tuple(row["start_static_s"]), tuple(row["end_static_s"]), id=row["id"])
+        for row in motion.labels(0.1)
+        if not case.recorded or row["id"] in case.recorded
+    )
+    site = srt.Site(GRAVITY_M_S2, latitude_rad=LATITUDE_DEG * DEG)
+    fixture = srt.Fixture(0.0, case.stated_sigma_rad, case.stated_sigma_rad)
+    read = samples["time"], samples["gyro"], samples["accel"]
+    return srt.Recording(*read, site, fixture=fixture, sequences=labels, noise=noise)
+
+
+def unit_of(case: Case, seed: int) -> Unit:
+    """One unit of a case."""
     rng = np.random.default_rng((SEED, seed))
     grade = GRADES[case.grade]
     errors = drawn_errors(grade, rng)
+    noise = srt.ImuNoise(grade.gyro_rad_per_sqrt_s, grade.accel_m_s2_sqrt_s, 0.0, 0.0, 0.0, 0.0)
     if case.motion in HAND_RESTS_S:
         turns = hand_turns(rng, shortest_s=1.0, count=24, rest_s=HAND_RESTS_S[case.motion])
-        unit = recording(turns, 5.0, errors, grade, rng)
+        unit = replace(recording(turns, 5.0, errors, grade, rng), noise=noise)
     else:
-        motion = on_fixture(
-            table_1(),
-            rng,
-            rest_s=10.0,
-            rate_rad_s=60.0 * DEG,
-            sigma_rad=case.true_sigma_rad,
-            alignment_rad=case.alignment_rad,
-            wobble_rad=case.wobble_rad,
-        )
-        samples = motion.sampled(errors, grade, rng, hz=HZ)
-        labels = tuple(
-            srt.SequenceLabel(tuple(row["start_static_s"]), tuple(row["end_static_s"]), id=row["id"])
-            for row in motion.labels(0.1)
-            if not case.recorded or row["id"] in case.recorded
-        )
-        site = srt.Site(GRAVITY_M_S2, latitude_rad=LATITUDE_DEG * DEG)
-        fixture = srt.Fixture(0.0, case.stated_sigma_rad, case.stated_sigma_rad)
-        unit = srt.Recording(
-            samples["time"], samples["gyro"], samples["accel"], site, fixture=fixture, sequences=labels
-        )
-    unit = replace(unit, noise=srt.ImuNoise(grade.gyro_rad_per_sqrt_s, grade.accel_m_s2_sqrt_s, 0.0, 0.0, 0.0, 0.0))
-    for sensor, noise in (("gyro", grade.gyro_rad_per_sqrt_s), ("accel", grade.accel_m_s2_sqrt_s)):
+        unit = on_stand(errors, grade, rng, case, noise)
+    for sensor, white in (("gyro", grade.gyro_rad_per_sqrt_s), ("accel", grade.accel_m_s2_sqrt_s)):
         for axis in "xyz":
-            errors[f"{sensor}_bias_{axis}"] += case.shift_sigmas * noise * math.sqrt(HZ)
+            errors[f"{sensor}_bias_{axis}"] += case.shift_sigmas * white * math.sqrt(HZ)
     unit = case.disturbed(unit, rng)
     return (unit if case.noise_stated else replace(unit, noise=srt.ImuNoise())), errors
 
 
-def outcome(name: str, seed: int, estimator: str) -> dict[str, Any]:
-    """NEES, number of observed parameters, largest error over sigma, verdict, and what is named."""
-    unit, errors = unit_of(CASES[name], seed)
-    try:
-        found = srt.calibrate(unit, estimator)
-    except srt.InputError as error:
-        return {"nees": math.nan, "seen": 0, "worst": math.nan, "word": "refused", "named": str(error)[:60]}
-    named = [f"{row.sensor} {row.form}" for row in found.diagnostics.drift or ()]
-    named += [f.fault for f in found.diagnostics.faults or ()]
-    if found.verdict is not None and found.verdict.contradicting is not None:
-        named.append(f"contradicts: {found.verdict.contradicting.sequence}")
-    added = found.verdict.added_noise if found.verdict is not None else None
-    named += [OF_FIXTURE[kind] for kind in added or () if kind in OF_FIXTURE]
-    named += ["move left out" for _ in found.provenance.voided]
-    named += ["moves contradict" for text in found.diagnostics.contradicted or () if "recorded moves" in text]
-    named += ["label" for warning in found.warnings if "check the label" in warning]
-    row = {"nees": math.nan, "seen": 0, "worst": math.nan, "word": found.status, "named": ", ".join(named)}
-    seen = found.observed & (found.sigma > 0.0)
-    if found.status not in USABLE or not seen.any():
-        return row
-    truth = np.array([errors.get(name, 0.0) for name in NAMES])
-    z = (found.errors.vector - truth)[seen] / found.sigma[seen]
-    P = found.covariance[np.ix_(seen, seen)] / np.outer(found.sigma[seen], found.sigma[seen])
-    return row | {
-        "nees": float(z @ np.linalg.solve(P, z)),
-        "seen": int(seen.sum()),
-        "worst": float(np.abs(z).max()),
-        "word": found.judgement.word,
-    }
+def flicker(floor: float, count: int, rng) -> np.ndarray:
+    """Flicker noise with an Allan floor, shape (count, 3): two-sided spectrum floor² / (4 ln 2 |f|)."""
+    n = max(count, int(LONGEST_S * HZ))
+    f = np.fft.rfftfreq(n, 1.0 / HZ)[1:]
+    size = floor * np.sqrt(n * HZ / (8.0 * math.log(2.0) * f))
+    part = size * (rng.standard_normal((3, len(f))) + 1j * rng.standard_normal((3, len(f))))
+    return np.fft.irfft(np.concatenate([np.zeros((3, 1)), part], axis=1), n)[:, :count].T
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--units", type=int, default=10, help="of each cell")
-    parser.add_argument("--cases", nargs="+", default=list(CASES), choices=list(CASES), metavar="CASE")
-    parser.add_argument("--estimators", nargs="+", default=["closed-form", "least-squares", "ekf", "graph"])
-    parser.add_argument("--jobs", type=int, default=2)
-    options = parser.parse_args()
-    print(f"{options.units} units a cell, seed {SEED}\n")
-    print("| case | estimator | NEES / n | largest error, sigma | verdicts | named |")
-    print("|---|---|---:|---:|---|---|", flush=True)
-    for name in options.cases:
-        for estimator in options.estimators:
-            if CASES[name].motion in HAND_RESTS_S and estimator == "closed-form":
-                continue
-            rows = Parallel(n_jobs=options.jobs)(delayed(outcome)(name, i, estimator) for i in range(options.units))
-            words = Counter(row["word"] for row in rows).most_common()
-            named = Counter(what for row in rows for what in sorted(set(row["named"].split(", ")))).most_common()
-            words, named = ("; ".join(f"{n} {what}" for what, n in part if what) for part in (words, named))
-            nees = np.nansum([row["nees"] for row in rows]) / max(sum(row["seen"] for row in rows), 1)
-            worst = np.nanmax([row["worst"] for row in rows] + [0.0])
-            print(f"| {name} | {estimator} | {nees:.2f} | {worst:.1f} | {words} | {named} |", flush=True)
-
-
-if __name__ == "__main__":
-    main()
+def unstated_unit(seed: int, motion: str, grade: str, statement: str = STATEMENTS[0]) -> Unit:
+    """One unit on a fixture of 1 mrad, or turned by hand, by a statement of its noise."""
+    rng = np.random.default_rng((UNSTATED_SEED, 2 if motion == "hand" else 1, seed))
+    white, floors = GRADES[grade], INSTABILITY[grade]
+    errors = drawn_errors(white, rng)
+    if motion == "hand":
+        unit = recording(hand_turns(rng, shortest_s=1.0), 5.0, errors, white, rng)
+    else:
+        unit = on_stand(errors, white, rng, Case(grade, as_it_is), srt.ImuNoise())
+    if statement != STATEMENTS[0]:
+        rng = np.random.default_rng((UNSTATED_SEED, 3, seed))
+        gyro, accel = (flicker(floor, len(unit.gyro), rng) for floor in floors)
+        unit = replace(unit, gyro=unit.gyro + gyro, accel=unit.accel + accel)
+    if statement == STATEMENTS[2]:
+        noise = srt.ImuNoise(white.gyro_rad_per_sqrt_s, white.accel_m_s2_sqrt_s, 0.0, 0.0, *floors)
+        unit = replace(unit, noise=noise)
+    return unit, errors
