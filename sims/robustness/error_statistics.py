@@ -127,9 +127,10 @@ def scores_by_level(trials: TrialTable, axis: AxisLevels) -> pd.DataFrame:
     Returns
     -------
     pandas.DataFrame
-        ``judged`` trials; ``right``: with all errors within :data:`NEAR_SIGMAS`; ``close``: with all errors whose size
-        the axis states within :data:`NEAR_SHARE` of that size, zero if it states none; medians over the estimates:
-        ``nees`` per degree of freedom, ``largest`` error over sigma; over the trials: ``seconds`` of CPU.
+        ``judged`` trials; of these, but for inconsistent results, ``right``: with all errors within
+        :data:`NEAR_SIGMAS`, and ``close``: with all errors whose size the axis states within :data:`NEAR_SHARE` of that
+        size, zero if it states none; medians over the estimates: ``nees`` per degree of freedom, ``largest`` error over
+        sigma; over the trials: ``seconds`` of CPU.
     """
     frame = trials.frame
     stated = AXES.get(axis.name)
@@ -139,12 +140,14 @@ def scores_by_level(trials: TrialTable, axis: AxisLevels) -> pd.DataFrame:
             for suffix in group.suffixes:
                 error = trials.table.column(f"error_{group.name}_{suffix}").to_numpy().astype(np.float64)
                 worst = np.fmax(worst, np.abs(error) * group.display_factor)
+    limit = NEAR_SHARE * axis.values * (1.0 if stated is None else stated.factor)
+    accepted = frame["outcome"] != "inconsistent"  # its sigmas cover any error
     columns = pd.DataFrame({
         "estimator": frame["estimator"],
         "level": axis.codes,
         "judged": trials.judged,
-        "right": frame["largest"] <= NEAR_SIGMAS,
-        "close": worst <= NEAR_SHARE * axis.values * (1.0 if stated is None else stated.factor),
+        "right": accepted & (frame["largest"] <= NEAR_SIGMAS),
+        "close": accepted & (worst <= limit),
         "nees": frame["nees"] / frame["observed"].where(frame["observed"] > 0),
         "largest": frame["largest"],
         "seconds": frame["calibrate_s"],

@@ -121,15 +121,15 @@ def test_errors_by_level_are_those_of_estimates_of_any_status():
     """Of ±1 %, an error of 101 ppm is more than 1 %, in a parameter whose size the axis states."""
     rows = [{"largest": 4.9}, {"largest": 5.1}, {"outcome": "not_converged"}, {"outcome": "refused"}]
     rows += [{"error_accel_scale_y": -101e-6, "nees": 54.0, "calibrate_s": 0.75}, {"outcome": "no_imu"}]
-    rows += [{"error_accel_misalignment_xy": 1.0}]
+    rows += [{"error_accel_misalignment_xy": 1.0}, {"outcome": "inconsistent"}]
     grid = {"scale_percent": [1.0, 2.0, 3.0]}
-    told = header(grid=grid, trials=7)
+    told = header(grid=grid, trials=8)
     other = [{"scale_percent": 2.0, "error_accel_scale_y": -101e-6, "point": 1}]
     found = summarise(table([row | {"scale_percent": 1.0} for row in rows] + other), told)
     shown = {t.title: t for t in tables.score_tables(found)}
     (right,), (close,) = (shown[f"Within {what}, by scale_percent"].rows for what in ("5 sigma", "1 % of the size"))
-    assert right == ("closed-form", "4 of 6", "1 of 1", "–")
-    assert close == ("closed-form", "4 of 6", "1 of 1", "–")
+    assert right == ("closed-form", "4 of 7", "1 of 1", "–")
+    assert close == ("closed-form", "4 of 7", "1 of 1", "–")
     assert shown["NEES/n, by scale_percent"].rows == (("closed-form", "1", "1", "–"),)
     assert shown["CPU time, s, by scale_percent"].head == ("estimator", "1", "2", "3")
     assert "**Within 5 sigma, by scale_percent**" in report.markdown_tables(found)
