@@ -263,6 +263,18 @@ SUBJECTS = (
         ),
     ),
     Subject(
+        "residuals in units of their noise",
+        "srt/estimation/white_residuals.py",
+        ("tests/estimation/test_white_residuals.py",),
+        (),
+        (
+            ("<= _DEPENDENT", "<= -1.0"),
+            ("left = own - Q @", "left = own + Q @"),
+            ("values > LEAST_PREDICTED_SHARE", "values > -1.0"),
+            ("white - self.basis @", "white + self.basis @"),
+        ),
+    ),
+    Subject(
         "accuracy of the rotations",
         "srt/estimation/rotation_accuracy.py",
         ("tests/estimation/test_rotation_accuracy.py",),

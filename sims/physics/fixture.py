@@ -214,8 +214,8 @@ class FixtureGeometry:
         m = self.body_from_inner
         return np.stack([m[i, 0] * x + m[i, 1] * y + m[i, 2] * z for i in range(3)], axis=-1)
 
-    def attitude(self, inner: float, outer: float, wobble: float = 0.0) -> Array:
-        """C_NED,B at the given fixture angles, shape (3, 3)."""
+    def attitude(self, inner: Array, outer: Array, wobble: Array | float = 0.0) -> Array:
+        """C_NED,B at fixture angles of shape (...), shape (..., 3, 3)."""
         # Row k of to_body(I) is axis k of the base in B; the stacked rows are C_base,B.
-        base_from_body = self.to_body(np.eye(3), np.array(inner), np.array(outer), wobble)
+        base_from_body = np.moveaxis(self.to_body(np.eye(3), np.asarray(inner), np.asarray(outer), wobble), 0, -2)
         return np.asarray(self.base_from_ned.T @ base_from_body)

@@ -161,6 +161,8 @@ class AngleProfile:
             ``after``; ``before`` in an episode without a rotation.
         """
         border = self.breaks_s[:-1]
+        if before == after:
+            return np.stack([np.full(len(border), before), np.zeros(len(border))]), before
         turning = np.any(self.coefficients[:, :, 1:], axis=(1, 2)) & (border < self.legs_end_s)
         spent = np.where(turning, np.diff(self.breaks_s), 0.0)
         if not turning.any():

@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 Moves = Literal["recorded", "skipped"]
 Window = tuple[float, float]
 """Start and end of a stationary window, s."""
+Pose = tuple[float, float, float]
+"""Inner and outer angle and wobble of the fixture, rad."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,8 +152,9 @@ class _Run:
         turning = self.geometry.turning_rate(inner, rate[..., INNER], rate[..., OUTER], wobble, wobble_rate)
         return np.concatenate([constant[0] + turning, constant[1]], axis=-1)
 
-    def attitude(self) -> Array:
-        return self.geometry.attitude(*self.angles, self.wobble)
+    def pose(self) -> Pose:
+        """Inner and outer angle and wobble, rad."""
+        return (*self.angles, self.wobble)
 
 
 def run_schedule(
@@ -207,7 +210,7 @@ def run_schedule(
         piece_starts,
         *total,
         windows=windows,
-        attitudes=np.array([attitudes for _, attitudes in executed]),
+        attitudes=geometry.attitude(*np.moveaxis(np.array([poses for _, poses in executed]), -1, 0)),
         labels=tuple(_label(s, *pair) for s, pair in zip(schedule.sequences, windows, strict=True)),
         site=site,
         fixture=stated_fixture or Fixture(heading_rad),
@@ -216,8 +219,8 @@ def run_schedule(
     )
 
 
-def _execute_sequence(run: _Run, draw: FixtureDraw, number: int) -> tuple[tuple[Window, Window], tuple[Array, Array]]:
-    """Run one sequence with the move to its start; return both windows (s), and C_NED,B at the end of each."""
+def _execute_sequence(run: _Run, draw: FixtureDraw, number: int) -> tuple[tuple[Window, Window], tuple[Pose, Pose]]:
+    """Run one sequence with the move to its start; return both windows (s), and the poses at the end of each."""
     schedule, clock = run.schedule, run.clock
     sequence = schedule.sequences[number]
     dwell, end_dwell = (max(1, round(length * clock.sample_rate_hz)) for length in schedule.window_lengths_s()[number])
@@ -232,7 +235,7 @@ def _execute_sequence(run: _Run, draw: FixtureDraw, number: int) -> tuple[tuple[
     else:
         _move(run, start, dwell, start_wobble)
     first = (clock.at(clock.now - dwell), clock.at(clock.now))
-    before = run.attitude()
+    before = run.pose()
 
     legs = sequence.fixture_legs()
     errors = draw.leg_errors(number, len(legs)).tolist()
@@ -240,7 +243,7 @@ def _execute_sequence(run: _Run, draw: FixtureDraw, number: int) -> tuple[tuple[
     turning = clock.samples(profile.legs_end_s + schedule.settle_s)
     run.execute(profile, turning + end_dwell, record=True, wobble=end_wobble)
     second = (clock.at(clock.now - end_dwell), clock.at(clock.now))
-    return (first, second), (before, run.attitude())
+    return (first, second), (before, run.pose())
 
 
 def _move(run: _Run, start: tuple[float, float], dwell: int, wobble: float) -> None:

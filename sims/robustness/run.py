@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
 LARGEST_BATCH: Final = 32
 """Largest number of trials of a batch: their recordings are in memory together."""
+OWN_MOTIONS: Final = 16
+"""The same for trials with a motion each, which is in memory, too."""
 _SHARES: Final = 16
 """Least number of batches of a campaign, so that the workers finish together and an interruption costs little."""
 
@@ -80,11 +82,12 @@ def run_campaign(
 def batch_size(campaign: Campaign) -> int:
     """Number of trials that a worker takes at a time.
 
-    More than one where units run through one motion, and all estimators calibrate them as arrays.
+    More than one where all estimators calibrate units as arrays.
     """
-    if campaign.trials_per_motion == 1 or not all(choice.name in TOGETHER for choice in campaign.estimators):
+    if not all(choice.name in TOGETHER for choice in campaign.estimators):
         return 1
-    return min(LARGEST_BATCH, max(1, campaign.size // _SHARES))
+    largest = OWN_MOTIONS if campaign.trials_per_motion == 1 else LARGEST_BATCH
+    return min(largest, max(1, campaign.size // _SHARES))
 
 
 def batched(tasks: Iterable[tuple[int, int]], size: int) -> Iterator[tuple[tuple[int, int], ...]]:

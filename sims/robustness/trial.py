@@ -12,11 +12,12 @@ import srt
 from sims.physics.imu import is_imu
 from sims.robustness.campaign import drawn_prior
 from sims.scenarios.simulation import simulate
-from srt.closed_form.estimator import estimate_units
+from srt.closed_form.estimator import UnitEstimate, estimate_units
 from srt.constants import STANDARD_GRAVITY_M_S2
 from srt.estimation.registry import automatic_estimator
 from srt.exceptions import SrtError
 from srt.model.platform_steps import many_recordings
+from srt.result.calibration import Calibration
 from srt.result.verdict import USABLE
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES
 
@@ -27,10 +28,10 @@ if TYPE_CHECKING:
     from sims.scenarios.simulation import Simulation
     from srt.estimation.options import Options
     from srt.recording.recording import Recording
-    from srt.result.calibration import Calibration
     from srt.sensor_errors import SensorErrors
 
     Row = dict[str, Any]
+    Found = Calibration | UnitEstimate
 
 OUTCOMES: Final = {
     "converged": "the estimator reports convergence, and its result equals the one reached from the true errors",
@@ -180,21 +181,17 @@ def scores(
 
 def _calibrated(
     recordings: Sequence[Recording], name: str, options: Sequence[Options]
-) -> list[tuple[Calibration | Exception, float]]:
+) -> list[tuple[Found | Exception, float]]:
     """Calibration of each recording, or what is raised instead, and its CPU time, s; closed forms as arrays."""
     began = time.thread_time()
-    if (
-        len(recordings) > 1
-        and name in ("auto", *TOGETHER)
-        and all(automatic_estimator(r) in TOGETHER for r in recordings)
-    ):
+    if name in ("auto", *TOGETHER) and all(automatic_estimator(r) in TOGETHER for r in recordings):
         results = estimate_units(recordings, options)
-        spent = (time.thread_time() - began) / len(results)
+        spent = (time.thread_time() - began) / max(len(results), 1)
         return [(found, spent) for found in results]
-    out: list[tuple[Calibration | Exception, float]] = []
+    out: list[tuple[Found | Exception, float]] = []
     for recording, chosen in zip(recordings, options, strict=True):
         began = time.thread_time()
-        found: Calibration | Exception
+        found: Found | Exception
         try:
             found = srt.calibrate(recording, name, options=chosen, checks=False)
         except Exception as error:  # a defect is an outcome: the other trials continue
@@ -203,12 +200,13 @@ def _calibrated(
     return out
 
 
-def _score(choice: EstimatorChoice, found: Calibration | Exception, truth: SensorErrors, spent: float) -> Row:
+def _score(choice: EstimatorChoice, found: Found | Exception, truth: SensorErrors, spent: float) -> Row:
     """Columns of one result before it is compared with the fixed point."""
     if isinstance(found, SrtError):
         return _without_result(choice, "refused", str(found), spent)
     if isinstance(found, Exception):
         return _without_result(choice, "crashed", f"{type(found).__name__}: {found}", spent)
+    innovations = (found.diagnostics.filter or ()) if isinstance(found, Calibration) else ()
     return {
         "estimator": choice.label,
         "status": found.status,
@@ -217,7 +215,7 @@ def _score(choice: EstimatorChoice, found: Calibration | Exception, truth: Senso
         "playbacks": len(found.corrections),
         "calibrate_s": spent,
         # Normalised innovations of a filter, over their degrees of freedom, in the order of time
-        "nis": [row.nis / row.degrees_of_freedom for row in found.diagnostics.filter or ()],
+        "nis": [row.nis / row.degrees_of_freedom for row in innovations],
         **errors_of(found, truth),
     }
 
@@ -226,7 +224,7 @@ def _without_result(choice: EstimatorChoice, outcome: str, message: str, spent: 
     return {"estimator": choice.label, "outcome": outcome, "message": message, "calibrate_s": spent}
 
 
-def errors_of(found: Calibration, truth: SensorErrors) -> Row:
+def errors_of(found: Found, truth: SensorErrors) -> Row:
     """Errors, sigmas and NEES of the observed parameters; NaN for the others."""
     seen = found.observed
     difference = np.where(seen, found.errors.vector - truth.vector, np.nan)
@@ -242,7 +240,7 @@ def errors_of(found: Calibration, truth: SensorErrors) -> Row:
     return row
 
 
-def is_unique(found: Calibration, truth: SensorErrors) -> bool:
+def is_unique(found: Found, truth: SensorErrors) -> bool:
     """True if a converged result is so close to the true errors that an iteration from there ends at the same one.
 
     A parameter that is not observed keeps its start value, which differs between the two.
@@ -251,7 +249,7 @@ def is_unique(found: Calibration, truth: SensorErrors) -> bool:
     return found.estimator in _NEWTON and bool(found.observed.all() and np.all(difference < UNIQUE_WITHIN))
 
 
-def distance(found: Calibration, reference: Calibration) -> float:
+def distance(found: Found, reference: Found) -> float:
     """Largest difference of two results over their tolerance, max(1e-8, 0.01 sigma), of the parameters both observe."""
     seen = found.observed & reference.observed
     if not seen.any():

@@ -6,7 +6,7 @@ and they show a drift or step of the biases of a triad. ``least-squares`` models
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -14,10 +14,10 @@ import numpy as np
 from srt.closed_form.fixture_accuracy import fixture_excess
 from srt.closed_form.formulas import SelectedFormulas
 from srt.closed_form.iteration import iterate, iterate_units
-from srt.closed_form.leave_one_out import contradictions, second_order_variance, sequence_diagnostics
+from srt.closed_form.leave_one_out import sequence_diagnostics
 from srt.closed_form.measurement_covariance import accel_drift, covariance, disturbances, effect
 from srt.estimation import g_sensitivity_report
-from srt.estimation.calibration_builder import build_calibration
+from srt.estimation.calibration_builder import build_calibration, reported_covariance, usable_status
 from srt.estimation.drift_model import DriftEstimate, DriftSearch, change, gyro_statistics, most_likely, possible_sigma
 from srt.estimation.error_sources import NO_ERRORS, as_found
 from srt.estimation.fixed_parameters import fixed_sigma, fixed_values, reason_on_request, value_of_fixed
@@ -28,7 +28,6 @@ from srt.estimation.goodness_of_fit import (
     contradicting_group,
     is_misfit,
     one_group_explains,
-    residual_statistics,
 )
 from srt.estimation.initial_estimates import initial_estimate
 from srt.estimation.rest_rate_scatter import gyro_instability
@@ -40,7 +39,7 @@ from srt.noise.drift_forms import LINEAR, drift_test, likelihood_gain, variance_
 from srt.result.calibration import Residual
 from srt.result.diagnostics import Diagnostics
 from srt.result.verdict import MISFIT_PROBABILITY
-from srt.sensor_errors import NAMES, SensorErrors
+from srt.sensor_errors import N_PARAMETERS, NAMES, SensorErrors
 from srt.sequences.checked_preparation import prepare_checked
 from srt.sequences.moves import recorded_moves
 from srt.sequences.prepared_units import alike, together
@@ -48,8 +47,9 @@ from srt.sequences.prepared_units import alike, together
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from srt.closed_form.iteration import Solution
+    from srt.closed_form.solution import Solution
     from srt.estimation.drift_model import DriftTerm, Sensor
+    from srt.estimation.error_sources import UnmodelledErrors
     from srt.estimation.options import Options
     from srt.estimation.registry import Progress
     from srt.noise.drift_forms import Statistics
@@ -59,6 +59,8 @@ if TYPE_CHECKING:
     from srt.sequences.preparation import PreparedRecording
     from srt.types import Array, Mask
 
+ESTIMATOR: Final = "closed-form"
+"""Name of the estimator in results."""
 _SOLVED_EXACTLY: Final = 1e-6
 """Residual sigma over measurement sigma below which a component is solved exactly and its residual sigma is zero."""
 
@@ -75,7 +77,31 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
     return unit.calibration(unit.solution(progress), progress)
 
 
-def estimate_units(recordings: Sequence[Recording], options: Sequence[Options]) -> list[Calibration | Exception]:
+@dataclass(frozen=True, slots=True, eq=False)
+class UnitEstimate:
+    """Estimate of one of many units: what its calibration states, without the report on the measurements.
+
+    Attributes
+    ----------
+    estimator, status, message, errors, covariance, corrections, observed
+        As those of :class:`srt.result.calibration.Calibration`.
+    """
+
+    estimator: str
+    status: str
+    message: str
+    errors: SensorErrors
+    covariance: Array
+    corrections: tuple[float, ...]
+    observed: Mask
+
+    @property
+    def sigma(self) -> Array:
+        """1-sigma of every parameter, shape (27,); NaN for fixed parameters."""
+        return np.where(self.observed, np.sqrt(np.maximum(np.diag(self.covariance), 0.0)), np.nan)
+
+
+def estimate_units(recordings: Sequence[Recording], options: Sequence[Options]) -> list[UnitEstimate | Exception]:
     """Calibrate units, with those of one schedule as arrays; results are those of :func:`estimate` to rounding.
 
     Parameters
@@ -86,10 +112,10 @@ def estimate_units(recordings: Sequence[Recording], options: Sequence[Options]) 
 
     Returns
     -------
-    list of Calibration or Exception
-        Of each unit: its calibration, or what :func:`estimate` raises for it.
+    list of UnitEstimate or Exception
+        Of each unit: what its calibration states, or what :func:`estimate` raises for it.
     """
-    out: list[Calibration | Exception | None] = [None] * len(recordings)
+    out: list[UnitEstimate | Exception | None] = [None] * len(recordings)
     groups: list[list[tuple[int, _Unit]]] = []
     for number, (recording, chosen) in enumerate(zip(recordings, options, strict=True)):
         try:
@@ -105,7 +131,7 @@ def estimate_units(recordings: Sequence[Recording], options: Sequence[Options]) 
     for group in groups:
         for (number, unit), solution in zip(group, _solutions([unit for _, unit in group]), strict=True):
             try:
-                out[number] = solution if isinstance(solution, Exception) else unit.calibration(solution)
+                out[number] = solution if isinstance(solution, Exception) else unit.estimate(solution)
             except Exception as error:
                 out[number] = error
     return [found for found in out if found is not None]
@@ -175,11 +201,22 @@ class _Unit:
 
     def calibration(self, solution: Solution, progress: Progress | None = None) -> Calibration:
         """Calibration of the solution, or of one with other noise or g-sensitivity if the residuals show them."""
-        recording, options, data, formulas, uncertain = (
-            self.recording, self.options, self.data, self.formulas, self.uncertain,
-        )  # fmt: skip
+        return self._final(solution, progress).calibration()
+
+    def estimate(self, solution: Solution) -> UnitEstimate:
+        """What the calibration of the solution states; the calibration is built where the measurements disagree."""
+        final = self._final(solution)
+        found = final.undisputed()
+        if found is not None:
+            return found
+        built = final.calibration()
+        stated = {f.name: getattr(built, f.name) for f in fields(UnitEstimate)}
+        return UnitEstimate(**stated)
+
+    def _final(self, solution: Solution, progress: Progress | None = None) -> _FinalSolution:
+        options, data, formulas, uncertain = self.options, self.data, self.formulas, self.uncertain
         used = options
-        if options.gyro_bias == "auto" and _shows_g_sensitivity(data, solution, formulas.fixed):
+        if options.gyro_bias == "auto" and _shows_g_sensitivity(data, solution):
             used = replace(options, gyro_bias=G_SENSITIVE)
             solution = iterate(data, used, formulas, *self.first, progress, fixed_sigma=uncertain)
         data, solution = _with_instability(data, used, formulas, solution, uncertain)
@@ -188,25 +225,65 @@ class _Unit:
             data = as_found(data, excess)
             uncertain = fixed_sigma(data, options)
             solution = iterate(data, used, formulas, solution.errors, solution.U, fixed_sigma=uncertain)
-        fixed = {name: reason_on_request(name, uncertain, data) for name in options.fixed_names}
+        return _FinalSolution(self, stated, data, uncertain, solution, excess)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _FinalSolution:
+    """Solution of a unit with all noise that its residuals show: data as ``stated``, and with excess of the fixture."""
+
+    unit: _Unit
+    stated: PreparedRecording
+    data: PreparedRecording
+    uncertain: Array
+    solution: Solution
+    excess: UnmodelledErrors
+
+    def fixed(self) -> dict[str, str]:
+        """Fixed parameters with the reason."""
+        data, options, formulas = self.data, self.unit.options, self.unit.formulas
+        fixed = {name: reason_on_request(name, self.uncertain, data) for name in options.fixed_names}
         for name in formulas.missing:
             absent = [s for s in closed_form.sequences_needed(name) if s not in data.ids]
-            value = value_of_fixed(name, uncertain, data, options)
+            value = value_of_fixed(name, self.uncertain, data, options)
             fixed[name] = f"sequence {', '.join(absent)} is missing or void; {value}"
+        return fixed
+
+    def undisputed(self) -> UnitEstimate | None:
+        """Estimate if the residuals show nothing but the noise, or it did not converge; else None."""
+        solution, by_unseen = self.solution, np.zeros((N_PARAMETERS, N_PARAMETERS))
+        status, message, observed = solution.status, solution.message, ~self.unit.formulas.fixed
+        if status == "converged":
+            fit = _fit(solution)
+            if is_misfit(*fit) or contradicting_group(solution.sequence_tests, *fit) is not None:
+                return None
+            by_unseen = _drift(self.data, solution)[2]
+            status, message = usable_status(message, (*self.unit.options.fixed_names, *self.unit.formulas.missing))
+        if status == "outside_model":
+            observed = np.zeros(N_PARAMETERS, dtype=np.bool_)
+        total = np.asarray(sum(solution.covariance.values())) + by_unseen
+        covariance = reported_covariance(self.stated, total, observed)
+        if not (np.isfinite(covariance).all() and np.isfinite(solution.errors.vector).all()):
+            return None
+        return UnitEstimate(ESTIMATOR, status, message, solution.errors, covariance, solution.corrections, observed)
+
+    def calibration(self) -> Calibration:
+        unit, data, fixed = self.unit, self.data, self.fixed()
+        recording, options = unit.recording, unit.options
         unused = [s.title for s in recording.sequences if s.id not in SEQUENCES]
         warnings = (f"Not of Table 1 and not used by the closed form: {', '.join(unused)}.",) if unused else ()
-        result = _result(data, options, formulas, solution, np.array([name in fixed for name in NAMES]))
-        result = replace(result, unmodelled=excess)
+        result = _result(data, options, unit.formulas, self.solution, np.array([name in fixed for name in NAMES]))
+        result = replace(result, unmodelled=self.excess)
         if not options.ignore_moves:
-            moves = len(recorded_moves(recording, self.labels))
+            moves = len(recorded_moves(recording, unit.labels))
             result = replace(result, diagnostics=replace(result.diagnostics, unused_moves=moves))
-        return build_calibration("closed-form", stated, options, result, fixed, warnings=warnings)
+        return build_calibration(ESTIMATOR, self.stated, options, result, fixed, warnings=warnings)
 
 
-def _shows_g_sensitivity(data: PreparedRecording, solution: Solution, fixed: Mask) -> bool:
+def _shows_g_sensitivity(data: PreparedRecording, solution: Solution) -> bool:
     """True if the residuals exceed the noise, and the rest rates show a g-sensitivity of the gyros."""
     m = solution.measurements
-    if solution.status != "converged" or not is_misfit(*_chi_square(solution, fixed)):
+    if solution.status != "converged" or not is_misfit(*solution.chi_square):
         return False
     return g_sensitivity_report.significant_g_sensitivity(data, m.force, m.rest_rate, m.integrated) is not None
 
@@ -218,9 +295,9 @@ def _with_instability(
     if solution.status != "converged" or formulas.fixed.all():
         return data, solution
     noise, m, sizes, gain = data.noise, solution.measurements, dict[str, Any](), 0.0
-    before = _chi_square(solution, formulas.fixed)
+    before = solution.chi_square
     if np.any(noise.accel_limit > noise.accel_flicker):
-        _, seen = _by_instability(data, solution, formulas.fixed)
+        _, seen = _by_instability(data, solution)
         component = variance_component(seen)
         shown = component.p_value < MISFIT_PROBABILITY or noise.accel_flicker.any()
         if shown or is_misfit(*before):
@@ -230,55 +307,46 @@ def _with_instability(
         of_gyros = gyro_instability(data, m.gyro.inverse, m.rest_rate, m.integrated, (), m.window_sequence)
         if of_gyros is not None:
             sizes["gyro_instability"], gain = of_gyros[0], gain + of_gyros[1]
-    if not sizes or _drift(data, solution, formulas.fixed)[0]:
+    if not sizes or _drift(data, solution)[0]:
         return data, solution
-    if one_group_explains(_tests(data, solution, formulas.fixed), *before, against=gain, wholly=True):
+    if one_group_explains(solution.sequence_tests, *before, against=gain, wholly=True):
         return data, solution
     other = replace(data, **sizes)
     found = iterate(other, options, formulas, solution.errors, solution.U, fixed_sigma=uncertain)
-    fit = _chi_square(found, formulas.fixed)
-    tests = _tests(other, found, formulas.fixed)
-    if found.status != "converged" or is_misfit(*fit) or contradicting_group(tests, *fit) is not None:
+    fit = found.chi_square
+    if found.status != "converged" or is_misfit(*fit) or contradicting_group(found.sequence_tests, *fit) is not None:
         return data, solution
     corrections = (*solution.corrections, *found.corrections)
     return other, replace(found, corrections=corrections, message=f"Converged after {len(corrections)} iterations.")
 
 
-def _tests(data: PreparedRecording, solution: Solution, fixed: Mask) -> list[tuple[float, int]]:
-    """Chi-square of each sequence as predicted from the others, and its degrees of freedom."""
-    return [(test.chi_square, test.degrees_of_freedom) for test in contradictions(data, solution, fixed)]
-
-
-def _by_instability(data: PreparedRecording, solution: Solution, fixed: Mask) -> tuple[Array, Statistics]:
+def _by_instability(data: PreparedRecording, solution: Solution) -> tuple[Array, Statistics]:
     """Effect of an accelerometer instability of 1 m/s² on the measurements, and its statistics in the residuals."""
-    m = solution.measurements
-    by_instability = effect(solution.projection, accel_drift(m, np.ones(3), data.window_drift))
-    return by_instability, residual_statistics(m.z, m.H[:, ~fixed], solution.measurement_covariance, by_instability)[0]
+    drift = accel_drift(solution.measurements, np.ones(3), data.window_drift)
+    by_instability = effect(solution.projection, drift)
+    return by_instability, solution.white.statistics(by_instability)
 
 
-def _chi_square(
-    solution: Solution, fixed: Mask, rows: slice = slice(None), *, extra: Array | float = 0.0
-) -> tuple[float, int]:
-    """Chi-square of residuals and its degrees of freedom, with ``extra`` variance of the measurements."""
-    m, R = solution.measurements, solution.measurement_covariance
-    return chi_square(m.z[rows], m.H[rows, ~fixed], (R + np.diag(np.full(len(R), extra)))[rows, rows])
+def _fit(solution: Solution) -> tuple[float, int]:
+    """Chi-square and degrees of freedom, with the squares of the fixture's errors in the noise if they explain it."""
+    fit = solution.chi_square
+    if is_misfit(*fit) and not is_misfit(*(with_squares := solution.white_with_squares.test)):
+        return with_squares
+    return fit
 
 
 def _result(
     data: PreparedRecording, options: Options, formulas: SelectedFormulas, solution: Solution, fixed: Mask
 ) -> SolverResult:
     """Solver result of a solution whose ``fixed`` parameters are not estimated."""
-    statistic, freedom = _chi_square(solution, fixed)
-    if is_misfit(statistic, freedom):
-        squares = second_order_variance(data, len(solution.measurements.z))
-        with_squares = _chi_square(solution, fixed, extra=squares)[0]
-        statistic = statistic if is_misfit(with_squares, freedom) else with_squares
+    m, R, forces = solution.measurements, solution.measurement_covariance, slice(2 * data.K, -3)
+    statistic, freedom = _fit(solution)
     covariance = dict(solution.covariance)
     followed, notes = _g_sensitivity(data, solution, automatic=options.gyro_bias != G_SENSITIVE)
     drift: tuple[DriftEstimate, ...] = ()
     search = DriftSearch()
     if solution.status == "converged" and not fixed.all():
-        drift, search, possible = _drift(data, solution, fixed)
+        drift, search, possible = _drift(data, solution)
         covariance["accel_bias_instability"] = covariance["accel_bias_instability"] + possible
     return SolverResult(
         errors=solution.errors,
@@ -291,11 +359,11 @@ def _result(
         chi_square=statistic,
         degrees_of_freedom=freedom,
         sensor_noise_fit=(statistic, freedom),
-        force_fit=_chi_square(solution, fixed, slice(2 * data.K, -3)),
+        force_fit=chi_square(m.z[forces], m.H[forces, ~fixed], R[forces, forces]),
         integrated=solution.integrated,
         wander=solution.wander,
         bias_by_sequence=solution.bias_by_sequence,
-        end_attitude=solution.measurements.integrals.C_end,
+        end_attitude=m.integrals.C_end,
         diagnostics=Diagnostics(
             g_sensitivity=followed,
             possible_accel_drift_sigma_m_s2=search.possible or None,
@@ -307,20 +375,17 @@ def _result(
     )
 
 
-def _drift(
-    data: PreparedRecording, solution: Solution, fixed: Mask
-) -> tuple[tuple[DriftEstimate, ...], DriftSearch, Array]:
+def _drift(data: PreparedRecording, solution: Solution) -> tuple[tuple[DriftEstimate, ...], DriftSearch, Array]:
     """Significant drift of each triad; a possible one of the accelerometers, and the covariance by what is not seen.
 
     A linear drift of each triad is tested, and steps where it is likely.
     """
-    m, R, course = solution.measurements, solution.measurement_covariance, data.drift_shapes[LINEAR].windows
+    m, white, course = solution.measurements, solution.white, data.drift_shapes[LINEAR].windows
 
     def statistics(sensor: Sensor, course: Array) -> Statistics:
         if sensor == "gyro":
             return gyro_statistics(data, m.gyro.inverse, m.rest_rate, m.integrated, (), {"": course})[""]
-        drift = effect(solution.projection, accel_drift(m, np.ones(3), course))
-        return residual_statistics(m.z, m.H[:, ~fixed], R, drift)[0]
+        return white.statistics(effect(solution.projection, accel_drift(m, np.ones(3), course)))
 
     def by_window(sensor: Sensor) -> Statistics:
         return statistics(sensor, np.eye(len(course)))
@@ -342,7 +407,7 @@ def _drift(
     root = possible * solution.gain @ effect(solution.projection, accel_drift(m, np.ones(3), course))
     by_unseen = root @ root.T
     if data.noise.accel_unseen.any():
-        by_instability, seen = _by_instability(data, solution, fixed)
+        by_instability, seen = _by_instability(data, solution)
         root = data.noise.expected_accel_instability(seen)[1] * solution.gain @ by_instability
         by_unseen = by_unseen + root @ root.T
     return found, DriftSearch(possible=possible), by_unseen

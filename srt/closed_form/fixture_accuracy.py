@@ -13,13 +13,14 @@ import numpy as np
 
 from srt.closed_form.measurement_covariance import base_axes, fixture_axes
 from srt.estimation.error_sources import LARGEST_FIXTURE_RAD, NO_ERRORS, UnmodelledErrors, alignment_sigma, start_sigma
-from srt.estimation.goodness_of_fit import chi_square, contradicting_group, is_misfit, one_group_explains
+from srt.estimation.goodness_of_fit import contradicting_group, is_misfit, one_group_explains
+from srt.estimation.white_residuals import PredictedGroups, WhiteResiduals
 from srt.model.measurement_model import force_error_jacobian
 from srt.noise.variance_components import RestrictedLikelihood
 from srt.result.verdict import MISFIT_PROBABILITY
 
 if TYPE_CHECKING:
-    from srt.closed_form.iteration import Solution
+    from srt.closed_form.solution import Solution
     from srt.sequences.preparation import PreparedRecording
     from srt.types import Array
 
@@ -66,12 +67,13 @@ def fixture_excess(data: PreparedRecording, solution: Solution) -> UnmodelledErr
     R += by_errors @ total @ by_errors.T
     z = tilt(up[..., None])[:, 0]
 
+    starts = np.arange(2 * data.K).reshape(-1, 2)
+
     def tests(R: Array) -> tuple[list[tuple[float, int]], float, int]:
         """Chi-square of every sequence against the others, that of all, and their degrees of freedom."""
-        statistic, freedom = chi_square(z, mounting, R)
-        rest = (np.flatnonzero(np.arange(2 * data.K) // 2 != k) for k in range(data.K))
-        others = [chi_square(z[at], mounting[at], R[np.ix_(at, at)]) for at in rest]
-        return [(statistic - less, freedom - left) for less, left in others], statistic, freedom
+        white = WhiteResiduals.of(z, mounting, R)
+        found = PredictedGroups.of(white, R, starts)
+        return list(zip(found.chi_square.tolist(), found.freedom.tolist(), strict=True)), *white.test
 
     found = tests(R)
     if not is_misfit(*found[1:]) or one_group_explains(*found) or np.abs(z).max() > _GROSS * LARGEST_FIXTURE_RAD:

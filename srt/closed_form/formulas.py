@@ -76,7 +76,8 @@ class SelectedFormulas:
 
     def __init__(self, data: PreparedRecording, options: Options) -> None:
         self._without: dict[int, SelectedFormulas] = {}
-        self._select(data, options, data.ids, averaged_components(data))
+        averaged = data.of_schedule("averaged components", lambda: averaged_components(data))
+        self._select(data, options, data.ids, averaged)
 
     def _select(self, data: PreparedRecording, options: Options, ids: Collection[str], averaged: Array) -> None:
         fixed = options.fixed_names

@@ -12,7 +12,7 @@ correction δ = G z. Two steps are available:
 from __future__ import annotations
 
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -25,6 +25,7 @@ from srt.closed_form.measurement_covariance import (
     projection,
     through,
 )
+from srt.closed_form.solution import Solution, residuals_of_units
 from srt.estimation.convergence import CONVERGED_CORRECTION, CONVERGED_SIGMAS, MAX_STEP, PARAMETER_UNITS
 from srt.estimation.error_sources import earth_rate_sigma
 from srt.estimation.g_sensitivity import LEAST_SCATTER
@@ -53,53 +54,6 @@ _NEAR: Final = 1e-3
 
 _COVARIANCES: Final = 16
 """Units whose covariances are computed together: with more, they no longer fit into a processor's cache."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Solution:
-    """Result of the iteration.
-
-    Attributes
-    ----------
-    errors : SensorErrors
-    U : ndarray, shape (3, 3)
-    covariance : dict of str to ndarray, shape (27, 27)
-        By source of error.
-    measurement_covariance, residual_covariance : ndarray, shape (n_z, n_z)
-        Covariance of z, and of the residuals after the estimate.
-    gain : ndarray, shape (27, n_z)
-    projection : dict of str to ndarray
-        Effect of errors of rotations and windows on z; see :mod:`srt.closed_form.measurement_covariance`.
-    measurements : SrtMeasurements
-        Measurements of the last iteration.
-    corrections : tuple of float
-        Largest correction of each iteration (accelerometer biases in g).
-    status, message : str
-    integrated : tuple of int
-        Windows that moved; their attitude was integrated.
-    wander : ndarray, shape (3,), rad/s
-        1-sigma of a sequence's gyro bias about the mean of the test, as used, before compensation (sensor axes).
-    bias_by_sequence : ndarray, shape (K, 3), rad/s
-        Bias of each sequence less the common one, as used.
-    g_sensitivity : ndarray, shape (3, 3), rad/s per m/s²
-        Γ as used (rows: gyro axes before compensation; columns: axes of B); zero if it is not estimated.
-    """
-
-    errors: SensorErrors
-    U: Array
-    covariance: dict[str, Array]
-    measurement_covariance: Array
-    residual_covariance: Array
-    gain: Array
-    projection: dict[str, Array]
-    measurements: SrtMeasurements
-    corrections: tuple[float, ...]
-    status: str
-    message: str
-    integrated: tuple[int, ...]
-    wander: Array
-    bias_by_sequence: Array
-    g_sensitivity: Array
 
 
 class _Iteration:
@@ -371,6 +325,7 @@ class _Iteration:
             by_source["gyro_bias_instability"][:, bias, bias] += self.wander**2
         left = np.eye(measurements.z.shape[1]) - measurements.H @ gain
         residual = left @ total @ np.swapaxes(left, -1, -2)
+        of_units = residuals_of_units(self.data, self.formulas.kept, measurements.z, measurements.H, total)
         for u, number in enumerate(self.number.tolist()):
             corrections = self.corrections[u].tolist()
             last = corrections[-1] if corrections else np.inf
@@ -390,6 +345,8 @@ class _Iteration:
                 wander=self.wander[u],
                 bias_by_sequence=self.offset[u],
                 g_sensitivity=self.g_sensitivity[u],
+                of_units=of_units[u][0],
+                row=of_units[u][1],
             )
 
 

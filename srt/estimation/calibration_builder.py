@@ -22,7 +22,7 @@ from srt.result.verdict import LARGEST_RATIO, OF_FIXTURE, USABLE, p_value_text
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Collection, Mapping
 
     from srt.estimation.options import Options
     from srt.estimation.solver_result import SolverResult
@@ -56,15 +56,10 @@ def build_calibration(
     if result.status == "outside_model":
         fixed = dict.fromkeys(NAMES, "the iteration ended where the model does not hold")
     observed = np.array([name not in fixed for name in NAMES])
-    mask = np.outer(observed, observed)
     inflation = _birge_ratio(result)
     drifted = _drifted_bias(data, result)
     total = drifted + (sum(result.covariance.values()) if result.total is None else result.total)
-    clock = clock_effect(data)
-    # An error of the time scale is common to all measurements: the residuals do not show it, so the Birge ratio does
-    # not include it.
-    covariance = np.where(mask, total * inflation**2 + np.outer(clock, clock), 0.0)
-    covariance = 0.5 * (covariance + covariance.T)
+    covariance = reported_covariance(data, total, observed, inflation)
     chi_square, freedom = result.chi_square, result.degrees_of_freedom
     free = data.recording.fixture is None
     turned = ExecutedRotations(data, result, np.sqrt(np.diag(covariance)))
@@ -84,12 +79,12 @@ def build_calibration(
         covariance=covariance,
         corrections=result.corrections,
         held={name: fixed[name] for name in NAMES if name in fixed},
-        contributions=_contributions(result, drifted, clock, observed, inflation),
+        contributions=_contributions(result, drifted, clock_effect(data), observed, inflation),
         U=None if data.nominal is None else result.U,
         U_sigma_rad=_mounting_sigma(data, result),
         residuals=result.residuals,
         site=stated_site(data.recording),
-        noise=_noise(data, result, mask, inflation),
+        noise=_noise(data, result, np.outer(observed, observed), inflation),
         alignment=stated_alignment(data.recording),
         temperature=_temperature(data),
         provenance=_provenance(data, options),
@@ -104,6 +99,22 @@ def build_calibration(
         verdict=evidence,
         warnings=(*contradicted, *warnings, *_warnings(data, result, observed, turned)),
     )
+
+
+def reported_covariance(data: PreparedRecording, total: Array, observed: Mask, inflation: float = 1.0) -> Array:
+    """Covariance (27, 27) of the observed parameters as results state it: with inflated sigmas, and the clock's error.
+
+    An error of the time scale is common to all measurements: the residuals do not show it, so the Birge ratio does not
+    include it.
+    """
+    clock = clock_effect(data)
+    covariance = np.where(np.outer(observed, observed), total * inflation**2 + np.outer(clock, clock), 0.0)
+    return np.asarray(0.5 * (covariance + covariance.T))
+
+
+def usable_status(message: str, fixed: Collection[str]) -> tuple[str, str]:
+    """Status and message of a converged result that nothing contradicts."""
+    return ("partial", f"{message} Fixed, not observed: {', '.join(fixed)}.") if fixed else ("converged", message)
 
 
 def _not_shown(data: PreparedRecording, options: Options, fixed: Mapping[str, str]) -> tuple[str, ...] | None:
@@ -211,9 +222,7 @@ def _status(
             f"a wrong minimum, {'a parameter fixed at a wrong value, ' if fixed else ''}noise stated far too small, or "
             "a unit that the sensor model does not describe."
         )
-    if fixed:
-        return "partial", f"{result.message} Fixed, not observed: {', '.join(fixed)}."
-    return result.status, result.message
+    return usable_status(result.message, fixed)
 
 
 def _unmodelled_drift(result: SolverResult) -> str:

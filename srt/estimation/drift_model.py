@@ -11,16 +11,18 @@ import numpy as np
 
 from srt.constants import DEG_PER_H, MICRO_G
 from srt.estimation.error_sources import earth_rate_sigma, raw_rate_variance
-from srt.estimation.goodness_of_fit import residual_statistics
+from srt.estimation.white_residuals import WhiteResiduals
 from srt.noise.bias_steps import LARGEST_SHARE, STEP, within_span
 from srt.noise.drift_forms import (
     FALSE_ALARM,
     LINEAR,
     WALK,
+    common_course_statistics,
     drift_test,
     form_or_scatter,
     likelihood_gain,
     of_courses,
+    residual_statistics,
     variance_component,
 )
 from srt.result.diagnostics import Drift
@@ -281,18 +283,40 @@ def gyro_statistics(
     """
     used = np.flatnonzero(~integrated)
     doubt = earth_rate_sigma(data.recording)
-    noise = np.diag((raw_rate_variance(data.noise, data.windows.duration_s) @ (slope**2).T + doubt**2).ravel())
+    variance = (raw_rate_variance(data.noise, data.windows.duration_s) @ (slope**2).T + doubt**2).ravel()
+    noise: Array | None = None
     if data.noise.gyro_flicker is not None:
         own = data.noise.gyro_flicker * slope
-        noise = noise + np.kron(data.drift.window_covariance, own @ own.T)
+        noise = np.asarray(np.kron(data.drift.window_covariance, own @ own.T))
     modelled = [(term, data.drift_shape(*term[:2]).windows) for term in present if term.sensor == "gyro"]
     for term, course in modelled:
         if term.form == WALK:
             own = term.sigma * slope
-            noise = noise + np.kron(course @ course.T, own @ own.T)
+            walk = np.asarray(np.kron(course @ course.T, own @ own.T), dtype=np.float64)
+            noise = walk if noise is None else np.asarray(noise + walk)
     rows = (3 * used[:, None] + np.arange(3)).ravel()
     taken = [course for term, course in modelled if term.form != WALK]
     parts = [np.concatenate([np.ones((len(rest), 1)), *taken], axis=1), *courses.values()]
-    H, *effects = (np.kron(part[used], np.eye(3)) for part in parts)
-    found = residual_statistics(rest[used].ravel(), H, noise[np.ix_(rows, rows)], *effects)
+    own = variance.reshape(-1, 3)
+    if noise is None and not taken and len(used) == len(rest) and np.all(own == own[0]):
+        return {name: _of_all_windows(data, rest, own[0], course) for name, course in courses.items()}
+    z, (H, *effects) = rest[used].ravel(), (np.kron(part[used], np.eye(3)) for part in parts)
+    if noise is None:
+        scale = 1.0 / np.sqrt(variance[rows])
+        found = residual_statistics(z * scale, *(part * scale[:, None] for part in (H, *effects)))
+    else:
+        white = WhiteResiduals.of(z, H, (noise + np.diag(variance))[np.ix_(rows, rows)])
+        found = [white.statistics(part) for part in effects]
     return dict(zip(courses, found, strict=True))
+
+
+def _of_all_windows(data: PreparedRecording, rest: Array, variance: Array, course: Array) -> Statistics:
+    """Statistics where the rates of all windows have the same noise: the schedule determines the eigenvectors."""
+
+    def centred() -> tuple[Array, tuple[Array, Array]]:
+        left = course - course.mean(axis=0)
+        values, vectors = np.linalg.eigh(left.T @ left)
+        return left, (values, vectors)
+
+    left, eigen = data.of_schedule(("course", course.tobytes()), centred)
+    return common_course_statistics(rest, variance, left, eigen)

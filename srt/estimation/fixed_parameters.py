@@ -58,6 +58,11 @@ def fixed_sigma(data: PreparedRecording, options: Options) -> Array:
     """
     if isinstance(options.start, SensorErrors):
         return np.zeros(N_PARAMETERS)
+    key = ("sigma of fixed parameters", options.start, options.fixed_names)
+    return data.of_schedule(key, lambda: _fixed_sigma(data, options))
+
+
+def _fixed_sigma(data: PreparedRecording, options: Options) -> Array:
     fixture = data.recording.fixture
     sigma = admission_sigma() if fixture is None else prior_sigma()
     if options.start == "auto" and fixture is not None and data.nominal is not None:
@@ -76,6 +81,7 @@ def fixed_sigma(data: PreparedRecording, options: Options) -> Array:
     axes = POSE_FRAME if data.posed.all() and data.nominal is None else ()
     exact = [INDEX[name] for name in options.fixed_names if "asymmetry" in name or name in axes]
     sigma[exact] = 0.0
+    sigma.flags.writeable = False  # all units of the schedule have it in common
     return sigma
 
 
@@ -106,6 +112,10 @@ def determined_by_fixture(data: PreparedRecording) -> Mask:
     The standard deviations of its least-squares fits, for errors of the fixture's alignment and rotations, are below
     those of an observed parameter. All are False without nominal attitudes.
     """
+    return data.of_schedule("determined by the fixture", lambda: _determined_by_fixture(data))
+
+
+def _determined_by_fixture(data: PreparedRecording) -> Mask:
     out = np.zeros(N_PARAMETERS, dtype=np.bool_)
     fixture, nominal = data.recording.fixture, data.nominal
     if fixture is None or nominal is None:

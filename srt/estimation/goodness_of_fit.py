@@ -6,17 +6,15 @@ import math
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from scipy.linalg import solve_triangular
 from scipy.special import chdtrc, chdtri, fdtrc
 
-from srt.noise import drift_forms
+from srt.estimation.white_residuals import WhiteResiduals
 from srt.noise.drift_forms import likelihood_gain
 from srt.result.verdict import MISFIT_PROBABILITY
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from srt.noise.drift_forms import Statistics
     from srt.types import Array
 
 
@@ -33,45 +31,17 @@ _APART: Final = 0.25
 """Share of its variance that an estimate gains in a direction in which it is compared with the efficient one."""
 
 
-def residual_statistics(z: Array, H: Array, R: Array, *effects: Array) -> list[Statistics]:
-    """Statistics of the residuals of measurements, for coefficients with given effects.
-
-    Parameters
-    ----------
-    z : ndarray, shape (n,)
-    H : ndarray, shape (n, p)
-        Derivative with respect to the estimated parameters.
-    R : ndarray, shape (n, n)
-        Covariance of z.
-    *effects : ndarray, shape (n, q)
-        Derivative with respect to the coefficients of a set.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        If R is not positive definite, as far outside the model.
-    """
-    with np.errstate(all="ignore"):
-        scale = 1.0 / np.sqrt(np.diag(R))
-        L = np.linalg.cholesky(R * np.outer(scale, scale))
-    parts = (z[:, None], H, *effects)
-    white = solve_triangular(L, np.concatenate(parts, axis=1) * scale[:, None], lower=True)
-    own, slope, *others = np.split(white, np.cumsum([part.shape[1] for part in parts])[:-1], axis=1)
-    return drift_forms.residual_statistics(own[:, 0], slope, *others)
-
-
 def chi_square(z: Array, H: Array, R: Array) -> tuple[float, int]:
     """Smallest weighted square sum of residuals over all values of the parameters, and its degrees of freedom.
 
-    Parameters are those of :func:`residual_statistics`.
+    Parameters are those of :meth:`WhiteResiduals.of`, for a single unit.
     """
     if not H.shape[1]:
         return 0.0, 0
     try:
-        (found,) = residual_statistics(z, H, R, np.zeros((len(z), 0)))
+        return WhiteResiduals.of(z, H, R).test
     except np.linalg.LinAlgError:
         return 0.0, 0  # the status reports that failure
-    return found.chi_square, found.freedom
 
 
 def chi_square_probability(statistic: float, freedom: int) -> float | None:

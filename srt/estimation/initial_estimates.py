@@ -91,13 +91,14 @@ def estimate_from_fixture(data: PreparedRecording, stream: GyroStream) -> tuple[
     rest = data.windows.gyro_mean
     turned, angles = [], []
     pooled = _pooled_bias(data)
+    earth_rates = data.of_schedule("mean Earth rate of rotations", lambda: _mean_earth_rates(data))
     for k, sequence in enumerate(data.catalogue):
         if sequence is None or not sequence.rotations:
             continue
         if pooled is None or len(sequence.rotations) > 1:
             bias = 0.5 * (rest[data.start[k]] + rest[data.end[k]])
         else:
-            bias = pooled + _mean_earth_rate(data, k, sequence)
+            bias = pooled + earth_rates[k]
         legs = rotation_angles(stream, k, sequence, bias)
         if legs is not None:
             turned.append(legs)
@@ -142,28 +143,36 @@ def _pooled_bias(data: PreparedRecording) -> Array | None:
     fixture = recording.fixture
     if data.nominal is None or recording.site.latitude_rad is None or fixture is None or fixture.heading_rad is None:
         return None
-    attitude = np.zeros((len(data.windows.duration_s), 3, 3))
-    for k, sequence in enumerate(data.catalogue):
-        if sequence is not None:
-            attitude[data.start[k]] = data.nominal[k]
-            attitude[data.end[k]] = data.nominal[k] @ end_attitude(sequence)
-    rest = data.windows.gyro_mean - np.einsum("wba,b->wa", attitude, data.earth_rate_base())
+    rest = data.windows.gyro_mean - data.of_schedule("Earth rate at rest", lambda: _earth_rate_at_rest(data))
     T = data.windows.duration_s[:, None]
     bias = np.sum(T * rest, axis=0) / T.sum()
     scatter = np.sqrt(np.mean(T * (rest - bias) ** 2, axis=0))
     return np.asarray(bias) if np.all(scatter < _ONE_BIAS * data.noise.gyro_white) else None
 
 
-def _mean_earth_rate(data: PreparedRecording, k: int, sequence: RotationSequence) -> Array:
-    """Mean Earth rate in T during the rotation of a sequence about one axis, shape (3,), rad/s."""
-    if data.nominal is None:
-        return np.zeros(3)
-    earth = data.nominal[k].T @ data.earth_rate_base()
-    axis, angle = sequence.axes[0], float(sequence.angles_rad[0])
-    along = axis * (axis @ earth)
-    # Mean of R(axis, φ)ᵀ ω over φ from 0 to the angle.
-    across = np.sin(angle) / angle * (earth - along) - (1.0 - np.cos(angle)) / angle * np.cross(axis, earth)
-    return np.asarray(along + across)
+def _earth_rate_at_rest(data: PreparedRecording) -> Array:
+    """Earth rate in T in every window, by the nominal attitudes, shape (W, 3), rad/s."""
+    attitude = np.zeros((len(data.windows.duration_s), 3, 3))
+    for k, sequence in enumerate(data.catalogue):
+        if sequence is not None and data.nominal is not None:
+            attitude[data.start[k]] = data.nominal[k]
+            attitude[data.end[k]] = data.nominal[k] @ end_attitude(sequence)
+    return np.asarray(np.einsum("wba,b->wa", attitude, data.earth_rate_base()))
+
+
+def _mean_earth_rates(data: PreparedRecording) -> Array:
+    """Mean Earth rate in T during each rotation about one axis, shape (K, 3), rad/s; zero for other sequences."""
+    out = np.zeros((data.K, 3))
+    for k, sequence in enumerate(data.catalogue):
+        if data.nominal is None or sequence is None or len(sequence.rotations) != 1:
+            continue
+        earth = data.nominal[k].T @ data.earth_rate_base()
+        axis, angle = sequence.axes[0], float(sequence.angles_rad[0])
+        along = axis * (axis @ earth)
+        # Mean of R(axis, φ)ᵀ ω over φ from 0 to the angle.
+        across = np.sin(angle) / angle * (earth - along) - (1.0 - np.cos(angle)) / angle * np.cross(axis, earth)
+        out[k] = along + across
+    return out
 
 
 def rotation_angles(stream: GyroStream, k: int, sequence: RotationSequence, bias: Array) -> Array | None:

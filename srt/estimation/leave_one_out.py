@@ -3,9 +3,8 @@
 The computation is linear algebra at the solution, with measurements z, covariance R and Jacobian H; no estimation is
 repeated.
 
-*Consistency test.* With ``M = R⁻¹ − R⁻¹ H (Hᵀ R⁻¹ H)⁻¹ Hᵀ R⁻¹``, chi-square of all residuals is ``zᵀ M z``. Without the
-rows D of a sequence it is smaller by ``(M z)_Dᵀ (M_DD)⁻¹ (M z)_D``: the squared difference between D and its prediction
-by the other sequences, in units of sigma. Only D determines the directions in which M_DD vanishes.
+*Consistency test.* Chi-square of the measurements of a sequence against their prediction by the other sequences, see
+:mod:`srt.estimation.white_residuals`.
 
 *Estimate without a sequence.* The information N' and gradient g' of the other sequences give the change ``N'⁻¹ g'`` of
 every parameter and its variance. A parameter is *lost* if its sigma grows a hundredfold, or so much that an estimator
@@ -25,6 +24,7 @@ from scipy.linalg import solve_triangular
 
 from srt.estimation.goodness_of_fit import chi_square_probability, contradicting_group
 from srt.estimation.observability import observed_limit
+from srt.estimation.white_residuals import PredictedGroups, WhiteResiduals
 from srt.model.prior import prior_sigma
 from srt.result.consistency import (
     Consistency,
@@ -47,10 +47,6 @@ _LOST: Final = 100.0
 """Growth of a sigma above which a parameter counts as lost without a sequence."""
 _INDEPENDENT: Final = 1e-10
 """Eigenvalue of the remaining information, over the largest, below which a direction is not determined."""
-LEAST_PREDICTED_SHARE: Final = 1.0 / _LOST**2
-"""Share of a measurement's variance in the residual, below which the others do not check this measurement: their
-prediction is then less accurate by a factor of 100."""
-
 _LEAST_COMPONENT: Final = 0.05
 """Component of a direction, over the largest, from which a parameter takes part in it."""
 _LEAST_SHARE: Final = 0.05
@@ -136,34 +132,37 @@ def consistency_tests(z: Array, H: Array, R: Array, groups: Sequence[Indices]) -
         If R is not positive definite.
     """
     estimated = np.flatnonzero(H.any(axis=0))
-    scale = 1.0 / np.sqrt(np.diag(R))
-    L = np.linalg.cholesky(R * np.outer(scale, scale))
-    whitener = solve_triangular(L, np.diag(scale), lower=True)
-    X = whitener @ H[:, estimated]
-    size = np.linalg.norm(X, axis=0)
-    Q, triangle = np.linalg.qr(X / size)
-    sigma = np.linalg.norm(solve_triangular(triangle, np.eye(len(size))), axis=1) / size
-    left = whitener - Q @ (Q.T @ whitener)  # M is the square of this projector, which is idempotent
-    Mz = left.T @ (left @ z)
+    return tests_of_groups(WhiteResiduals.of(z, H[:, estimated], R), R, groups, estimated)
+
+
+def tests_of_groups(
+    white: WhiteResiduals, R: Array, groups: Sequence[Indices], estimated: Indices
+) -> list[ConsistencyTest]:
+    """:func:`consistency_tests` of residuals for the ``estimated`` parameters, with the covariance R of z."""
     out: list[ConsistencyTest | None] = [None] * len(groups)
+    triangle, size = white.triangle, white.length
+    sigma = np.linalg.norm(solve_triangular(triangle, np.eye(len(size))), axis=1) / size
     # Groups of equal size share one call for the eigenvalues: single calls would be mostly overhead.
-    for count in {len(D) for D in groups}:
-        which = [i for i, D in enumerate(groups) if len(D) == count]
-        at = np.stack([groups[i] for i in which])
-        own = np.linalg.cholesky(R[at[:, :, None], at[:, None, :]])
-        columns = np.swapaxes(left.T[at], 1, 2) @ own
-        values, vectors = np.linalg.eigh(np.swapaxes(columns, 1, 2) @ columns)
-        u = np.einsum("gdi,gd->gi", own @ vectors, Mz[at])
-        seen = values > LEAST_PREDICTED_SHARE
-        statistics = np.sum(np.where(seen, u**2 / np.where(seen, values, 1.0), 0.0), axis=1)
-        for i, D, root, V, there, statistic in zip(which, at, own, vectors, seen, statistics, strict=True):
-            determined = np.zeros(N_PARAMETERS, dtype=np.bool_)
-            if not there.all():
+    for which, rows in by_size(groups):
+        found = PredictedGroups.of(white, R, rows)
+        for g, i in enumerate(which):
+            unseen, determined = ~found.predicted[g], np.zeros(N_PARAMETERS, dtype=np.bool_)
+            if unseen.any():
                 # M E_D u = 0 means E_D u = H c: only this group determines the combination c.
-                c = solve_triangular(triangle, Q.T @ (whitener[:, D] @ root @ V[:, ~there])) / size[:, None]
+                own = white.whitener[:, rows[g]] @ found.directions[g][:, unseen]
+                c = solve_triangular(triangle, white.basis.T @ own) / size[:, None]
                 determined[estimated] = participating(c / sigma[:, None])
-            out[i] = ConsistencyTest(float(statistic), int(there.sum()), int((~there).sum()), determined)
+            statistic, freedom = float(found.chi_square[g]), int(found.freedom[g])
+            out[i] = ConsistencyTest(statistic, freedom, int(unseen.sum()), determined)
     return [c for c in out if c is not None]
+
+
+def by_size(groups: Sequence[Indices]) -> list[tuple[list[int], Indices]]:
+    """Numbers of the groups of each size, and their rows, shape (groups, size)."""
+    numbers: dict[int, list[int]] = {}
+    for i, D in enumerate(groups):
+        numbers.setdefault(len(D), []).append(i)
+    return [(which, np.stack([groups[i] for i in which])) for which in numbers.values()]
 
 
 def participating(directions: Array) -> Mask:

@@ -70,10 +70,11 @@ def gyro_instability(
     owner : ndarray of int, shape (W,)
         Sequence of each window.
     """
-    # A root of the same covariance with a column a window: that of the drift has one for each part of each rotation.
-    root = np.asarray(np.linalg.qr(data.drift.windows.T, mode="r")).T
-    courses = {"instability": root, "sequences": np.eye(data.K)[owner]}
+    courses = {"instability": data.window_drift, "sequences": np.eye(data.K)[owner]}
     found = gyro_statistics(data, slope, rest, integrated, present, courses)
+    # The likelihood ratio is at most what the best coefficients explain, and these no more than all residuals.
+    if found["instability"].chi_square < chdtri(1, 2.0 * MISFIT_PROBABILITY):
+        return None
     flicker = variance_component(found["instability"])
     if flicker.p_value > MISFIT_PROBABILITY or flicker.ratio < variance_component(found["sequences"]).ratio:
         return None

@@ -11,13 +11,13 @@ from scipy.special import chdtri
 from srt.estimation.error_sources import EXCESSES, LARGEST_FIXTURE_RAD, UnmodelledErrors, shared_edges
 from srt.estimation.goodness_of_fit import SUSPECT_PROBABILITY, chi_square_probability
 from srt.estimation.leave_one_out import (
-    LEAST_PREDICTED_SHARE,
     ConsistencyTest,
     LeaveOneOutEstimate,
     SequenceDiagnostics,
     leave_one_out_estimate,
     participating,
 )
+from srt.estimation.white_residuals import LEAST_PREDICTED_SHARE
 from srt.noise.variance_components import RestrictedLikelihood
 from srt.result.calibration import Residual
 from srt.result.consistency import SequenceTest

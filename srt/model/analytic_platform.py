@@ -80,19 +80,15 @@ def integrate_attitude(
     shape, earth_rate = earth_rate.shape[:-1], earth_rate.reshape(-1, 3)
     offset = np.zeros((K, 3)) if bias_offset is None else bias_offset.reshape(-1, 3)
     steps = steps_of(stream, gyro, offset, sample_noise_rad)
-    chain, units = steps.chain, gyro.bias.size // 3
-    sums = _ErrorSums(stream, units, with_noise=with_noise)
+    chain = steps.chain
+    sums = _ErrorSums(stream, gyro.bias.size // 3, with_noise=with_noise)
     attitude = np.empty((3, 3, n if stream.F is not None else 0))
-    # A block has whole units, or samples of one unit.
-    whole = max(BLOCK * units // max(n, 1), 1) * n // units
-    for first in range(0, n, max(whole, 1)):
-        end = min(first + whole, n)
-        for a in range(first, end, BLOCK):
-            b = min(a + BLOCK, end)
-            theta, X, C_mid = steps.block(a, b)
-            if stream.F is not None:
-                attitude[:, :, a:b] = C_mid
-            sums.add(theta, X, a)
+    for a in range(0, n, BLOCK):
+        b = min(a + BLOCK, n)
+        theta, X, C_mid = steps.block(a, b)
+        if stream.F is not None:
+            attitude[:, :, a:b] = C_mid
+        sums.add(theta, X, a)
     to_start = np.swapaxes(_matrices(chain.edges[:, :K]), 1, 2)
     if stream.F is not None:
         attitude = _at_start(stream, attitude, to_start, earth_rate)
@@ -103,17 +99,18 @@ class _ErrorSums:
     """Sums over the samples of each sequence that become the :class:`RotationIntegrals`, in the stream's frame."""
 
     def __init__(self, stream: GyroStream, units: int, *, with_noise: bool) -> None:
-        K = (len(stream.starts) - 1) // units
-        # The samples of one unit follow those of another, as many of each.
-        self._stream, self._starts, self._rotation = stream, stream.starts[: K + 1], stream.rotation[:K]
+        K = len(stream.starts) - 1
+        self._stream = stream
         self._columns = 7 if stream.velocity is None else 10
-        self._sums = np.zeros((units, K, 9, self._columns + (9 if with_noise else 0)))
-        self._parts = _PartSums(self._starts, self._rotation, units) if with_noise else None
-        self._angle = np.zeros((units, K, 3))
+        self._sums = np.zeros((K, 9, self._columns + (9 if with_noise else 0)))
+        self._parts = _PartSums(stream, K // units) if with_noise else None
+        self._angle = np.zeros((K, 3))
+        begun, ended = (np.bincount(at, minlength=int(stream.starts[-1]) + 1) for at in stream.rotation.T)
+        self._turning = np.cumsum(begun - ended)[:-1] > 0
 
     def add(self, theta: Array, X: Array, a: int) -> None:
-        """Add a block of m samples from number ``a`` on: Δθ (3, m) and Ĉ D (3, 3, m), of units or a part of one."""
-        stream, (first, a_in_unit), m = self._stream, divmod(a, int(self._starts[-1])), theta.shape[1]
+        """Add a block of m samples from number ``a`` on: Δθ (3, m) and Ĉ D (3, 3, m)."""
+        stream, m = self._stream, theta.shape[1]
         b = a + m
         flat = X.reshape(9, m)
         V = np.empty((self._sums.shape[-1], m))
@@ -126,21 +123,20 @@ class _ErrorSums:
         F = None if stream.F is None else stream.F[a:b]
         if F is not None:
             V[: self._columns] *= F
-        each = min(int(self._starts[-1]), m)
-        units = slice(first, first + m // each)
         if self._parts is not None:
             # All products of two elements of Ĉ D in one multiplication; those of the same column are needed.
             weighted = np.multiply(flat, V[6], out=V[self._columns :])
-            self._parts.add(weighted.reshape(9, -1, each), units, a_in_unit)
+            self._parts.add(weighted, a)
             if F is not None:
                 weighted *= F
-        by_unit, weights, angles = (x.reshape(len(x), -1, each).swapaxes(0, 1) for x in (flat, V, theta))
-        within = np.clip(self._starts - a_in_unit, 0, each).tolist()
-        turning = np.clip(self._rotation - a_in_unit, 0, each).tolist()
-        for k, ((s, e), (begin, end)) in enumerate(zip(pairwise(within), turning, strict=True)):
+        first, last = np.searchsorted(stream.starts, (a, b), side="right").tolist()
+        within = np.clip(stream.starts[first - 1 : last + 1] - a, 0, m)
+        turned = np.where(self._turning[a:b], theta, 0.0)
+        rows = np.flatnonzero(within[1:] > within[:-1])
+        self._angle[rows + first - 1] += np.add.reduceat(turned, within[rows], axis=1).T
+        for k, (s, e) in enumerate(pairwise(within.tolist()), first - 1):
             if e > s:
-                self._sums[units, k] += by_unit[..., s:e] @ weights[..., s:e].swapaxes(1, 2)
-                self._angle[units, k] += angles[..., begin:end].sum(axis=-1)
+                self._sums[k] += flat[:, s:e] @ V[:, s:e].T
 
     def integrals(
         self, edges: rotations.Quaternions, to_start: Array, earth_rate: Array, gyro: Triad
@@ -197,20 +193,23 @@ class _ErrorSums:
 
 
 class _PartSums:
-    """Sums of a 3x3 quantity over the parts of all rotations, shape (9, units, K P)."""
+    """Sums of a 3x3 quantity over the parts of all rotations of the stream, shape (9, K P).
 
-    def __init__(self, starts: Indices, rotation: Indices, units: int) -> None:
-        inner = equal_parts(rotation, parts_per_rotation(len(rotation)))[:, 1:-1]
-        begins = np.concatenate([starts[:-1, None], inner], axis=1).ravel()
-        self._edges = np.append(begins, starts[-1])
-        self.sums = np.zeros((9, units, len(begins)))
+    A rotation is divided as its recording of so many ``rotations`` asks for.
+    """
 
-    def add(self, values: Array, units: slice, first: int) -> None:
-        """Add samples of units, (9, units, m), from number ``first`` of each unit on."""
+    def __init__(self, stream: GyroStream, rotations: int) -> None:
+        inner = equal_parts(stream.rotation, parts_per_rotation(rotations))[:, 1:-1]
+        begins = np.concatenate([stream.starts[:-1, None], inner], axis=1).ravel()
+        self._edges = np.append(begins, stream.starts[-1])
+        self.sums = np.zeros((9, len(begins)))
+
+    def add(self, values: Array, first: int) -> None:
+        """Add samples, (9, m), from number ``first`` on."""
         edges = np.clip(self._edges - first, 0, values.shape[-1])
         some = np.flatnonzero(edges[1:] > edges[:-1])  # a part of a very short rotation may hold no sample
         if some.size:
-            self.sums[:, units, some] += np.add.reduceat(values[..., : edges[-1]], edges[some], axis=-1)
+            self.sums[:, some] += np.add.reduceat(values[:, : edges[-1]], edges[some], axis=-1)
 
 
 def _by_unit(matrices: Array, right: Array) -> Array:

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -209,7 +210,7 @@ def _shape(values: Array, intervals: Intervals) -> DriftShape:
     return DriftShape(values[:W], values[W : -2 * W].reshape(*intervals.parts, n), values[-2 * W :].reshape(W, 2, n))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Statistics:
     """Information that the whitened residuals of a model contain on additional coefficients, which it lacks.
 
@@ -223,12 +224,23 @@ class Statistics:
         rᵀ r.
     freedom : int
         Degrees of freedom of the residuals.
+    known : (ndarray, ndarray), optional
+        :attr:`eigen`, where it is known.
     """
 
     gradient: Array
     information: Array
     chi_square: float
     freedom: int
+    known: tuple[Array, Array] | None = None
+
+    @cached_property
+    def eigen(self) -> tuple[Array, Array]:
+        """Eigenvalues of the information, and its eigenvectors as columns."""
+        if self.known is not None:
+            return self.known
+        values, vectors = np.linalg.eigh(self.information)
+        return values, vectors
 
     def likelihood_ratio(self, variances: Array) -> Array:
         """Twice the logarithm of the restricted likelihood ratio of common variances (n,) of the coefficients.
@@ -237,7 +249,7 @@ class Statistics:
         ``Σ [v g² / (1 + v λ) − log(1 + v λ)]``. A negative variance v takes noise away that the weights include:
         v λ > −1, but where weights and effects are two models of the same noise.
         """
-        values, vectors = np.linalg.eigh(self.information)
+        values, vectors = self.eigen
         v = variances[:, None]
         changed = np.maximum(v * np.maximum(values, 0.0), _LEAST_CHANGE)
         return np.asarray(np.sum(v * (vectors.T @ self.gradient) ** 2 / (1.0 + changed) - np.log1p(changed), axis=1))
@@ -272,12 +284,40 @@ def residual_statistics(z: Array, H: Array, *effects: Array) -> list[Statistics]
         Derivative with respect to the coefficients of a set.
     """
     norm = np.linalg.norm(H, axis=0)
-    Q, T = np.linalg.qr(H[:, norm > 0.0] / norm[norm > 0.0])
-    Q = Q[:, np.abs(np.diag(T)) > 1e-10]
+    unit = H[:, norm > 0.0] / norm[norm > 0.0]
+    Q, T = np.linalg.qr(unit)
+    dependent = np.flatnonzero(np.abs(np.diag(T)) <= 1e-10)
+    if dependent.size:  # the columns of Q after an arbitrary one lack its direction
+        Q = np.linalg.qr(np.delete(unit, dependent, axis=1))[0]
     r = z - Q @ (Q.T @ z)
     chi_square, freedom = float(r @ r), len(z) - Q.shape[1]
     left = (Z - Q @ (Q.T @ Z) for Z in effects)
     return [Statistics(Z.T @ r, Z.T @ Z, chi_square, freedom) for Z in left]
+
+
+def common_course_statistics(z: Array, variance: Array, course: Array, eigen: tuple[Array, Array]) -> Statistics:
+    """Statistics of courses of the biases of three channels, each of whose readings have one variance and a mean.
+
+    Parameters
+    ----------
+    z : ndarray, shape (W, 3)
+    variance : ndarray, shape (3,)
+    course : ndarray, shape (W, n)
+        Courses, with a mean of zero.
+    eigen : (ndarray, ndarray), shape (n,) and (n, n)
+        Eigenvalues of ``courseᵀ course``, ascending, and its eigenvectors.
+    """
+    r, n, channels = z - z.mean(axis=0), course.shape[1], np.arange(3)
+    information, vectors = np.zeros((2, n, 3, n, 3))
+    information[:, channels, :, channels] = (course.T @ course) / variance[:, None, None]
+    vectors[:, channels, :, channels] = eigen[1]
+    return Statistics(
+        ((course.T @ r) / variance).ravel(),
+        information.reshape(3 * n, 3 * n),
+        float(np.sum(r**2 / variance)),
+        r.size - 3,
+        ((eigen[0][:, None] / variance).ravel(), vectors.reshape(3 * n, 3 * n)),
+    )
 
 
 def drift_test(found: Statistics) -> DriftTest | None:
@@ -287,11 +327,11 @@ def drift_test(found: Statistics) -> DriftTest | None:
     does not depend on the scale of the noise. The decrease must also be significant by itself: residuals far below the
     stated noise, as in a noise-free recording, are systematic and would pass the F test alone.
     """
-    values, vectors = np.linalg.eigh(found.information)
-    seen = values > _SEEN * values[-1]
+    values, vectors = found.eigen
+    seen = values > _SEEN * values.max()
     q, along = int(seen.sum()), vectors[:, seen].T @ found.gradient
     freedom = found.freedom - q
-    if values[-1] <= 0.0 or freedom < 1:
+    if values.max() <= 0.0 or freedom < 1:
         return None
     explained = float(np.sum(along**2 / values[seen]))
     left = max(found.chi_square - explained, _LEAST_CHI_SQUARE)
@@ -341,8 +381,12 @@ class VarianceComponent(NamedTuple):
 
 def of_courses(found: Statistics, courses: Array) -> Statistics:
     """Statistics of coefficients of n courses (W, n), from those of independent errors of W windows with 3 channels."""
-    along = np.kron(courses, np.eye(3))
-    return Statistics(along.T @ found.gradient, along.T @ found.information @ along, found.chi_square, found.freedom)
+    W, n = courses.shape
+    gradient = courses.T @ found.gradient.reshape(W, 3)
+    # Of channel b of window x and channel a of course n, and then of both courses.
+    half = (courses.T @ found.information.reshape(W, -1)).reshape(3 * n, W, 3)
+    information = np.swapaxes(np.swapaxes(half, 1, 2) @ courses, 1, 2).reshape(3 * n, 3 * n)
+    return Statistics(gradient.ravel(), information, found.chi_square, found.freedom)
 
 
 def form_or_scatter(found: Statistics, course: Array, scatter: float, *, walk: bool = False) -> float:
@@ -395,7 +439,7 @@ def form_or_scatter(found: Statistics, course: Array, scatter: float, *, walk: b
 
 def variance_component(found: Statistics) -> VarianceComponent:
     """Estimate the common variance of coefficients, and test it."""
-    largest = float(np.linalg.norm(found.information, 2)) if found.information.size else 0.0
+    largest = float(found.eigen[0].max()) if found.information.size else 0.0
     if not largest > 0.0:
         return VarianceComponent(0.0, 1.0, 0.0)
     # From a hundredth of the sigma of the best-known coefficient to a million times that sigma, then a parabola.

@@ -18,6 +18,7 @@ from srt.constants import STANDARD_GRAVITY_M_S2
 from srt.noise.instability_at_rest import instability_at_rest
 from srt.noise.random_walk import random_walk
 from srt.noise.variance_components import expected_variance
+from srt.recording.recording import by_length
 
 if TYPE_CHECKING:
     from srt.noise.drift_forms import Statistics
@@ -40,6 +41,8 @@ OFF_GRID: Final = 0.1
 """Distance of a reading from the grid of steps, in steps, that rounding of stored digits leaves."""
 _FEWEST_READINGS: Final = 10
 """Distinct readings from which a grid is no coincidence."""
+_FEW: Final = 300
+"""Readings that show first whether they lie on a grid."""
 _BISECTIONS: Final = 40
 """Bisections of the noise below the steps, which the scatter of the readings shows."""
 _FAR_STEPS: Final = 4
@@ -269,16 +272,20 @@ def _step_error(recording: Recording, windows: Indices, sensor: str, step: Array
     pulse = getattr(recording.noise, f"{sensor}_quantization")
     if pulse or (pulse is None and recording.kind == "increment"):
         return none  # the error of pulse counts is that of the integral at the edges
-    variance = np.mean([np.var(table[a:b], axis=0) for a, b in windows.tolist()], axis=0)
-    variance = variance / scale**2
-    coarse = (step > 0.0) & (variance < (step / _DITHERED) ** 2 + step**2 / 12.0)
+    coarse = step > 0.0
+    every = table[:: max(1, len(table) // _MAX_SAMPLES_FOR_RESOLUTION)] / scale
+    # Distinct readings without a grid, as in simulations without noise, are not rounded: the first ones tell mostly.
+    for part in (every[:_FEW], every):
+        steps = (part - every[0]) / np.where(coarse, step, np.inf)
+        coarse &= np.all(np.abs(steps - np.round(steps)) < OFF_GRID, axis=0)
+        if not coarse.any():
+            return none
+    each = np.concatenate([np.var(readings, axis=1) for _, readings in by_length(table, windows)])
+    variance = each.mean(axis=0) / scale**2
+    coarse &= variance < (step / _DITHERED) ** 2 + step**2 / 12.0
     if pulse is None:
         coarse &= edge < _PULSES * step * dt / math.sqrt(12.0)
-    if coarse.any():  # distinct readings without a grid, as in simulations without noise, are not rounded
-        every = table[:: max(1, len(table) // _MAX_SAMPLES_FOR_RESOLUTION)] / scale
-        steps = (every - every[0]) / np.where(coarse, step, np.inf)
-        coarse &= np.all(np.abs(steps - np.round(steps)) < OFF_GRID, axis=0)
-        coarse &= np.array([len(np.unique(own)) for own in np.round(steps).T]) >= _FEWEST_READINGS
+    coarse &= np.array([len(np.unique(own)) for own in np.round(steps).T]) >= _FEWEST_READINGS
     if not coarse.any():
         return none
     first = table[windows[:, 0]] / scale  # the grid of the readings may lie off zero

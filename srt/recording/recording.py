@@ -25,7 +25,7 @@ from srt.recording.sequence_label import SequenceLabel
 from srt.recording.timing import SampleTiming, sample_timing
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Hashable, Sequence
+    from collections.abc import Callable, Hashable, Iterator, Sequence
 
     from srt.recording.applied import AppliedCorrection
     from srt.recording.protocol import Protocol
@@ -52,6 +52,8 @@ Rotary tables on air bearings, the best, are specified to less than one second o
 more. A navigation-grade unit would gain little with one second, and zero would be wrong (docs/design/joint.md).
 """
 
+_WINDOWS: Final = "windows of the labels"
+"""Name of their indices among the derived values."""
 WINDOW_TOLERANCE: Final = 1e-6
 """Tolerance of window limits for the rounding of stamps, in intervals."""
 
@@ -259,6 +261,8 @@ class Recording(Presented):
         object.__setattr__(self, "sequences", tuple(self.sequences))
         for label in self.sequences:
             require_type("The field sequences of a recording", _FIELDS["sequences"][0], label, SequenceLabel)
+        limits = [own for label in self.sequences for own in (label.start_static_s, label.end_static_s)]
+        self._memo[_WINDOWS] = dict(zip(limits, self._windows(limits), strict=True))
         self._check_overlap([self._checked_rotation(label) for label in self.sequences])
 
     def _check_overlap(self, rotations: Sequence[tuple[int, int]]) -> None:
@@ -357,13 +361,39 @@ class Recording(Presented):
         slice
             Slice of the samples; empty if there are none.
         """
+        of_labels: dict[tuple[float, float], slice] = self.memo(_WINDOWS, dict)
+        return of_labels.get((a, b)) or self._windows([(a, b)])[0]
+
+    def _windows(self, limits: Sequence[tuple[float, float]]) -> list[slice]:
         edge = (0.5 + WINDOW_TOLERANCE) * self.nominal_interval_s
-        start, stop = np.searchsorted(self.time, (a + edge, b + edge), side="right")
-        return slice(int(start), max(int(start), int(stop)))
+        found = np.searchsorted(self.time, np.reshape(limits, (-1, 2)) + edge, side="right")
+        return [slice(start, max(start, stop)) for start, stop in found.tolist()]
 
     def with_sequences(self, sequences: tuple[SequenceLabel, ...]) -> Recording:
         """Recording of the same samples with other labels."""
         return replace(self, sequences=sequences)
+
+
+def by_length(values: Array, windows: Indices) -> Iterator[tuple[Indices, Array]]:
+    """Samples of windows, those of one length together.
+
+    Parameters
+    ----------
+    values : ndarray, shape (n, ...)
+    windows : ndarray of int, shape (W, 2)
+        First sample and one past the last.
+
+    Yields
+    ------
+    which : ndarray of int, shape (w,)
+        Numbers of the windows.
+    ndarray, shape (w, samples, ...)
+        Their samples.
+    """
+    lengths = windows[:, 1] - windows[:, 0]
+    for n in np.unique(lengths).tolist():
+        which = np.flatnonzero(lengths == n)
+        yield which, values[windows[which, :1] + np.arange(n)]
 
 
 def require_bounded(recording: Recording) -> None:

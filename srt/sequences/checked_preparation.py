@@ -57,7 +57,7 @@ def _prepare_checked(
     voided: dict[str, str] = {}
     whole = []
     for label in labels:
-        gaps = gap_inside(recording, _part(recording, label))
+        gaps = gap_inside(recording, _part(recording, label)) if recording.gaps.size else recording.gaps
         if gaps.size:
             voided[label.title] = f"samples are missing before {recording.time[int(gaps[0])]:.6g} s"
         else:
@@ -70,6 +70,8 @@ def _prepare_checked(
     _check_rates(data)
     levels = clipping_levels(recording)
     parts = {**{s: s.title for s in whole}, **{s: move_title(s) for s in moves}}
+    if not clipped_samples(recording, slice(None), levels):
+        parts = {}
     clipped = {label: clipped_samples(recording, _part(recording, label), levels) for label in parts}
     voided |= {parts[label]: str(channels[0]) for label, channels in clipped.items() if channels}
     if any(clipped.values()):

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache, cached_property
-from typing import TYPE_CHECKING
+from functools import cache, cached_property, lru_cache
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -22,12 +22,21 @@ from srt.sequences.vibration import Vibration, rectified, vibration
 from srt.sequences.window_means import Windows, average_windows, averaging_weights
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Hashable, Mapping, Sequence
 
     from srt.model.sensor_model import Triad
     from srt.recording.recording import Recording, SequenceLabel
     from srt.sequences.window_means import Average
     from srt.types import Array, Indices, Mask
+
+
+Derived = TypeVar("Derived")
+
+
+@lru_cache(maxsize=8)
+def _values_of_schedule(_schedule: Hashable) -> dict[Hashable, Any]:
+    """Values that units of one schedule have in common, by name; of the last schedules."""
+    return {}
 
 
 def sequence_of_label(label: SequenceLabel) -> RotationSequence | None:
@@ -217,25 +226,43 @@ class PreparedRecording:
         rate, force = (rectified(t.compensate(mean), line.amplitude(sensor, t)) for sensor, t, mean in means)
         return rate, force
 
+    def of_schedule(self, name: Hashable, make: Callable[[], Derived]) -> Derived:
+        """Value that times, labels, windows, site and fixture determine: computed once for all units of a schedule."""
+        if name not in self._shared:
+            self._shared[name] = make()
+        value: Derived = self._shared[name]
+        return value
+
     @cached_property
+    def _shared(self) -> dict[Hashable, Any]:
+        own = self.recording
+        if own.temperature is not None:  # drift may follow it
+            return {}
+        return _values_of_schedule(
+            (self.labels, self.windows.samples.tobytes(), own.time.tobytes(), own.site, own.fixture)
+        )
+
+    @property
     def drift(self) -> DriftDraws:
         """Unit draws of the drift that bias instability brings into windows and rotations."""
-        return drift_draws(self.windows.samples, self.rotation, self.recording.time)
+        own = self.windows.samples, self.rotation, self.recording.time
+        return self.of_schedule("drift", lambda: drift_draws(*own))
 
-    @cached_property
+    @property
     def window_drift(self) -> Array:
         """Unit draws of the drift of the windows alone, shape (W, W)."""
-        return window_draws(self.windows.samples, self.recording.time)
+        own = self.windows.samples, self.recording.time
+        return self.of_schedule("drift of windows", lambda: window_draws(*own))
 
-    @cached_property
+    @property
     def drift_shapes(self) -> dict[str, DriftShape]:
         """Shapes of a bias drift within the recording, by form."""
-        return drift_shapes(self._drift_intervals)
+        return self.of_schedule("drift shapes", lambda: drift_shapes(self._drift_intervals))
 
-    @cached_property
+    @property
     def step_shapes(self) -> dict[str, DriftShape]:
         """Shapes of a step of the biases, by form: one for every place of the step."""
-        return step_shapes(self._drift_intervals)
+        return self.of_schedule("step shapes", lambda: step_shapes(self._drift_intervals))
 
     def drift_shape(self, sensor: str, form: str) -> DriftShape:
         """Shape of a form of drift, or of a step, as it acts on a sensor."""

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 class PreparedUnits(PreparedRecording):
     """Prepared recordings of units, whose readings and noise have a leading axis of units.
 
-    Schedule, labels, windows, fixture and site are those of the first, and equal in all.
+    Schedule, labels, windows, fixture and site are those of the first; they are alike in all (:func:`alike`).
     """
 
     units: tuple[PreparedRecording, ...] = field(default=(), kw_only=True)
@@ -99,11 +99,31 @@ def _joined(units: Sequence[PreparedRecording]) -> PreparedUnits:
 
 
 def alike(first: PreparedRecording, unit: PreparedRecording) -> bool:
-    """True if two units went through one schedule on one fixture."""
+    """True if two units went through one schedule on one fixture.
+
+    The rotations may differ in length, as in runs of one schedule that are executed one after another, unless an
+    instability of the biases makes the times matter.
+    """
     a, b = first.recording, unit.recording
+    if (a.site, a.fixture, a.kind, a.noise) != (b.site, b.fixture, b.kind, b.noise):
+        return False
+    if _untimed(first) != _untimed(unit) or not all(
+        np.array_equal(getattr(first, name), getattr(unit, name)) for name in ("start", "end")
+    ):
+        return False
+    if np.array_equal(first.windows.samples, unit.windows.samples) and first.labels == unit.labels:
+        return np.array_equal(a.interval_s, b.interval_s)
     return (
-        first.labels == unit.labels
-        and (a.site, a.fixture, a.kind, a.noise) == (b.site, b.fixture, b.kind, b.noise)
-        and np.array_equal(first.windows.samples, unit.windows.samples)
-        and np.array_equal(a.interval_s, b.interval_s)
+        isinstance(a.interval_s, float)
+        and a.interval_s == b.interval_s
+        and np.array_equal(first.windows.duration_s, unit.windows.duration_s)
+        and not any(own.noise.gyro_flicker is not None or own.noise.accel_flicker.any() for own in (first, unit))
     )
+
+
+def _untimed(unit: PreparedRecording) -> list[tuple[object, ...]]:
+    """Labels without their times."""
+    return [
+        (own.id, own.down, own.along_outer, own.rotations, own.pose, own.rate, own.rate_sigma, own.number)
+        for own in unit.labels
+    ]

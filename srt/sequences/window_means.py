@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
+from srt.recording.recording import by_length
+
 if TYPE_CHECKING:
     from srt.recording.recording import Recording
     from srt.types import Array, Indices
@@ -76,21 +78,22 @@ def average_windows(recording: Recording, samples: Indices, algorithm: Average) 
     gyro, accel, halves = np.empty((W, 3)), np.empty((W, 3)), np.empty((2, W, 2, 3))
     rates = recording.kind == "rate"
     interval = recording.interval_s
-    by_length: dict[int, _Weights] = {}
-    for w, (a, b) in enumerate(samples.tolist()):
-        n = b - a
-        if not isinstance(interval, float):
-            own = _weights(interval[a:b], algorithm, rates=rates)
+    tables = zip(by_length(recording.gyro, samples), by_length(recording.accel, samples), strict=True)
+    for (which, gyros), (_, forces) in tables:
+        n = gyros.shape[1]
+        if isinstance(interval, float):
+            each = [(slice(None), _weights(np.full(n, interval), algorithm, rates=rates))]
         else:
-            if n not in by_length:
-                by_length[n] = _weights(np.full(n, interval), algorithm, rates=rates)
-            own = by_length[n]
-        duration[w], white[w], edge[w] = own.duration, own.white, own.edge
-        accel[w] = own.mean @ recording.accel[a:b]
-        for h, (lo, hi) in enumerate(((a, a + n // 2), (a + n // 2, b))):
-            halves[0, w, h] = own.halves[h] @ recording.gyro[lo:hi]
-            halves[1, w, h] = own.halves[h] @ recording.accel[lo:hi]
-        gyro[w] = own.shares @ halves[0, w]
+            steps = (interval[a:b] for a, b in samples[which].tolist())
+            each = [(slice(w, w + 1), _weights(own, algorithm, rates=rates)) for w, own in enumerate(steps)]
+        for part, own in each:
+            w = which[part]
+            duration[w], white[w], edge[w] = own.duration, own.white, own.edge
+            accel[w] = own.mean @ forces[part]
+            for h, half in enumerate((slice(None, n // 2), slice(n // 2, None))):
+                halves[0, w, h] = own.halves[h] @ gyros[part, half]
+                halves[1, w, h] = own.halves[h] @ forces[part, half]
+            gyro[w] = own.shares @ halves[0, w]
     return Windows(samples, duration, gyro, halves[0], halves[1], accel, white, edge)
 
 

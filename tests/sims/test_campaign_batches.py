@@ -10,7 +10,7 @@ from small_campaign import TIMES, numbers, same, small_campaign
 import srt
 from sims import simulate
 from sims.robustness import run
-from sims.robustness.run import LARGEST_BATCH, batch_size, run_campaign
+from sims.robustness.run import LARGEST_BATCH, OWN_MOTIONS, batch_size, run_campaign
 from sims.robustness.trial import run_batch, run_trial
 from srt.closed_form import estimator, iteration
 from srt.closed_form.estimator import estimate_units
@@ -64,6 +64,67 @@ def test_units_with_noise_agree_with_single_runs_to_a_billionth_of_sigma(tmp_pat
         np.testing.assert_allclose(found.sigma, alone.sigma, rtol=1e-9)
 
 
+def assert_as_alone(recording, found):
+    alone = srt.calibrate(recording, "closed-form", checks=False)
+    assert (found.status, found.message, found.corrections == ()) == (alone.status, alone.message, False)
+    np.testing.assert_array_equal(found.observed, alone.observed)
+    off = (found.errors.vector - alone.errors.vector)[alone.observed]
+    assert np.abs(off / alone.sigma[alone.observed]).max(initial=0.0) < 1e-9
+    np.testing.assert_allclose(found.sigma, alone.sigma, rtol=1e-9)
+    return alone.status
+
+
+def test_disputed_results_are_those_of_single_runs(tmp_path):
+    """A wrong label, g-sensitivity, noise above the stated one, a change of scale, and a sequence that lacks."""
+    campaign = small_campaign(tmp_path, trials="12" + ONE_MOTION)
+    campaign.scenario["recording"] |= {"noise": True, "state_noise": True}
+    recordings = [simulate(campaign.unit(0, k)[0]).recording for k in range(10)]
+    rng = np.random.default_rng(20261126)
+    first, second = recordings[1].sequences[:2]
+    swapped = (replace(first, id=second.id), replace(second, id=first.id), *recordings[1].sequences[2:])
+    recordings[1] = recordings[1].with_sequences(swapped)
+    noise = 1e-3 * rng.standard_normal(recordings[3].accel.shape)
+    recordings[3] = replace(recordings[3], accel=recordings[3].accel + noise)
+    recordings[5] = replace(recordings[5], gyro=recordings[5].gyro + 1e-5 * recordings[5].accel[:, [1, 2, 0]])
+    factor = np.where(recordings[7].time < recordings[7].sequences[4].end_static_s[0] - 0.2, 1.0, 1.002)
+    recordings[7] = replace(recordings[7], gyro=recordings[7].gyro * factor[:, None])
+    recordings[8] = recordings[8].with_sequences(recordings[8].sequences[3:])
+    found = estimate_units(recordings, [Options()] * len(recordings))
+    statuses = {assert_as_alone(*pair) for pair in zip(recordings, found, strict=True)}
+    assert {"converged", "partial", "inconsistent"} <= statuses
+
+
+def test_units_with_a_motion_each_are_iterated_together(tmp_path, monkeypatch):
+    """The errors of the fixture change the number of samples of the rotations."""
+    campaign = small_campaign(tmp_path, trials=6)
+    campaign.scenario["fixture"] |= {"rotation_sigma_mrad": 20.0, "stated_rotation_sigma_mrad": 20.0}
+    recordings = [simulate(campaign.unit(1, k)[0]).recording for k in range(6)]
+    assert len({len(recording.time) for recording in recordings}) > 1
+    sizes = []
+
+    def counted(data, options, formulas, start, *rest, **stated):
+        sizes.append(len(start))
+        return iterate_units(data, options, formulas, start, *rest, **stated)
+
+    monkeypatch.setattr(estimator, "iterate_units", counted)
+    found = estimate_units(recordings, [Options()] * 6)
+    assert sizes == [6]
+    for recording, own in zip(recordings, found, strict=True):
+        alone = srt.calibrate(recording, "closed-form", checks=False)
+        assert (own.status, own.message) == (alone.status, alone.message)
+        np.testing.assert_allclose(own.errors.vector, alone.errors.vector, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(own.sigma, alone.sigma, rtol=1e-7)
+
+
+def test_units_whose_biases_wander_are_together_in_one_motion_only(tmp_path):
+    """The times of the windows matter then."""
+    campaign = small_campaign(tmp_path, trials=2)
+    campaign.scenario["recording"]["noise"] = True
+    recordings = [simulate(campaign.unit(1, k)[0]).recording for k in range(2)]
+    for pair in zip(recordings, estimate_units(recordings, [Options()] * 2), strict=True):
+        assert_as_alone(*pair)
+
+
 def test_a_unit_that_cannot_be_calibrated_leaves_the_others(tmp_path):
     """The error that a single run raises stands in its place."""
     campaign = small_campaign(tmp_path, trials="3" + ONE_MOTION)
@@ -113,7 +174,7 @@ def test_a_campaign_runs_in_batches(tmp_path, monkeypatch):
     assert batch_size(replace(campaign, trials=10_000)) == LARGEST_BATCH
     least_squares = replace(campaign.estimators[0], name="least-squares")
     assert batch_size(replace(campaign, trials=10_000, estimators=(least_squares,))) == 1
-    assert batch_size(replace(campaign, trials=10_000, trials_per_motion=1)) == 1
+    assert batch_size(replace(campaign, trials=10_000, trials_per_motion=1)) == OWN_MOTIONS
     sizes = []
 
     def counted(campaign, tasks):

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from small_campaign import TIMES, numbers, small_campaign
 
-import srt
+from sims.robustness import trial
 from sims.robustness.run import run_campaign
 from sims.robustness.trial import SAMPLED, UNIQUE_WITHIN, run_trial, score
 from sims.scenarios.simulation import _kept_motion, simulate
+from srt.closed_form.estimator import estimate_units
 from srt.sensor_errors import GROUP_SLICES, SensorErrors
 
 
@@ -66,14 +67,13 @@ def test_the_fixed_point_is_computed_where_the_result_may_be_another(small, monk
         }
     found = [run_trial(campaign, (0, SAMPLED + k))[0]["distance"] for k in (0, 1)]
     assert [distance is None for distance in found] == [False, True]
-    real = srt.calibrate
 
-    def wrong(recording, name, *, options, checks):
-        found = real(recording, name, options=options, checks=checks)
+    def wrong(recordings, options):
+        (found,) = estimate_units(recordings, options)
         vector = found.errors.vector.copy()
-        vector[GROUP_SLICES["accel_bias"].start] += 1.1 * UNIQUE_WITHIN * 9.80665 * (options.start == "auto")
-        return replace(found, errors=SensorErrors(vector))
+        vector[GROUP_SLICES["accel_bias"].start] += 1.1 * UNIQUE_WITHIN * 9.80665 * (options[0].start == "auto")
+        return [replace(found, errors=SensorErrors(vector))]
 
-    monkeypatch.setattr("srt.calibrate", wrong)
+    monkeypatch.setattr(trial, "estimate_units", wrong)
     (row,) = run_trial(campaign, (0, SAMPLED + 1))
     assert row["outcome"] == "wrong_minimum"

@@ -20,12 +20,14 @@ from small_campaign import SMALL, TIMES, numbers, same, small_campaign
 import srt
 from sims.physics.imu import accel_matrix, gyro_matrix, is_imu
 from sims.physics.sequences import TABLE_1
+from sims.robustness import trial
 from sims.robustness.campaign import AXES, drawn_prior, load_campaign
 from sims.robustness.result_folder import ResultFolder, schema
 from sims.robustness.run import run_campaign
 from sims.robustness.trial import OUTCOMES, run_trial, score
 from sims.scenarios.scenario import load_scenario
 from sims.scenarios.simulation import simulate
+from srt.closed_form.estimator import estimate_units
 from srt.comparison.parallel import Engine, _ended_managers_are_silent
 from srt.constants import DEG
 from srt.exceptions import DataError, InputError
@@ -172,17 +174,16 @@ def test_impossible_units_are_counted_and_not_calibrated(small):
 def test_a_wrong_minimum_is_called_one(small, monkeypatch):
     """An estimator that says converged where it stopped, and not where an iteration from the truth does."""
     campaign = small()
-    real = srt.calibrate
 
-    def careless(recording, name, *, options, checks):
-        found = real(recording, name, options=options, checks=checks)
-        if options.start != "auto":
-            return found
+    def careless(recordings, options):
+        (found,) = estimate_units(recordings, options)
+        if options[0].start != "auto":
+            return [found]
         wrong = found.errors.vector.copy()
         wrong[0] += 2e-8 + 0.02 * found.sigma[0]
-        return replace(found, errors=SensorErrors(wrong))
+        return [replace(found, errors=SensorErrors(wrong))]
 
-    monkeypatch.setattr("srt.calibrate", careless)
+    monkeypatch.setattr(trial, "estimate_units", careless)
     (row,) = run_trial(campaign, (0, 0))
     assert row["outcome"] == "wrong_minimum"
     assert row["distance"] > 1.0
@@ -193,8 +194,9 @@ def test_an_error_is_an_outcome(small, monkeypatch):
         raise DataError("No.")
 
     monkeypatch.setattr("srt.calibrate", refuse)
-    (row,) = run_trial(small(), (0, 0))
-    assert (row["outcome"], row["message"]) == ("refused", "No.")
+    monkeypatch.setattr(trial, "estimate_units", lambda recordings, _: [DataError("No.")] * len(recordings))
+    for row in run_trial(small(extra='[[estimator]]\nname = "least-squares"\n'), (0, 0)):
+        assert (row["outcome"], row["message"]) == ("refused", "No.")
 
 
 def test_a_defect_is_a_failure_of_its_trial_alone(small, monkeypatch):

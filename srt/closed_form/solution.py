@@ -1,0 +1,175 @@
+"""Solutions of the closed form, with the residuals and tests of the units that were iterated together."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from srt.estimation.leave_one_out import by_size
+from srt.estimation.white_residuals import PredictedGroups, WhiteResiduals
+
+if TYPE_CHECKING:
+    from srt.estimation.srt_measurements import SrtMeasurements
+    from srt.sensor_errors import SensorErrors
+    from srt.sequences.preparation import PreparedRecording
+    from srt.types import Array, Counts, Indices
+
+
+class UnitsResiduals:
+    """Residuals and tests of units that were iterated together, computed for all when one is asked for.
+
+    Parameters
+    ----------
+    data : PreparedRecording
+    kept : ndarray of int
+        Estimated parameters.
+    z, H, R : ndarray, shape (units, n), (units, n, 27) and (units, n, n)
+        Measurements, their derivative and their covariance.
+    """
+
+    def __init__(self, data: PreparedRecording, kept: Indices, z: Array, H: Array, R: Array) -> None:
+        self._z, self._H, self._R = z, H[..., kept], R
+        self._squares = second_order_variance(data, z.shape[-1])
+        self._groups = [rows_of_sequence(data, k)[0] for k in range(data.K)]
+
+    @cached_property
+    def white(self) -> WhiteResiduals:
+        """Residuals in units of their noise."""
+        return WhiteResiduals.of(self._z, self._H, self._R)
+
+    @cached_property
+    def with_squares(self) -> WhiteResiduals:
+        """Residuals with :func:`second_order_variance` in the noise."""
+        return WhiteResiduals.of(self._z, self._H, self._R + np.diag(self._squares))
+
+    @cached_property
+    def sequence_tests(self) -> tuple[Array, Counts]:
+        """Chi-square of each sequence as predicted from the others, and its degrees of freedom, (units, K)."""
+        R, shape = self._R + np.diag(self._squares), (len(self._z), len(self._groups))
+        chi_square, freedom = np.zeros(shape), np.zeros(shape, dtype=np.int64)
+        for which, rows in by_size(self._groups):
+            found = PredictedGroups.of(self.with_squares, R, rows)
+            chi_square[:, which], freedom[:, which] = found.chi_square, found.freedom
+        return chi_square, freedom
+
+
+def residuals_of_units(
+    data: PreparedRecording, kept: Indices, z: Array, H: Array, R: Array
+) -> list[tuple[UnitsResiduals, int]]:
+    """Residuals that contain each unit, and its number in them; each by itself where a covariance is singular."""
+    found = UnitsResiduals(data, kept, z, H, R)
+    try:
+        _ = found.white
+    except np.linalg.LinAlgError:
+        if len(z) > 1:
+            each = (slice(u, u + 1) for u in range(len(z)))
+            return [part for own in each for part in residuals_of_units(data, kept, z[own], H[own], R[own])]
+    return [(found, u) for u in range(len(z))]
+
+
+def second_order_variance(data: PreparedRecording, rows: int) -> Array:
+    """Variance of the neglected squares of the fixture's errors in each of the measurements, (m/s²)².
+
+    The measurement covariance has their first order. With 1 mrad, squares tilt gravity by 1 µrad: nothing beside the
+    noise of most gyros, but beyond the covariance of a sequence that the others predict almost exactly. The magnitude
+    of specific force does not depend on a tilt.
+    """
+    out = np.zeros(rows)
+    fixture = data.recording.fixture
+    if fixture is not None:
+        square = 0.5 * (fixture.alignment_sigma_rad**2 + fixture.rotation_sigma_rad**2)
+        out[: 2 * data.K] = (data.recording.site.gravity_m_s2 * square) ** 2
+    return out
+
+
+def rows_of_sequence(data: PreparedRecording, k: int) -> tuple[Indices, Indices]:
+    """Rows of z that belong to sequence k alone, and its windows that no other sequence uses."""
+    used = np.bincount(np.concatenate([data.start, data.end]), minlength=len(data.windows.duration_s))
+    own = np.array([w for w in (int(data.start[k]), int(data.end[k])) if used[w] == 1], dtype=np.intp)
+    return np.concatenate([[2 * k, 2 * k + 1], 2 * data.K + own]).astype(np.intp), own
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solution:
+    """Result of the iteration.
+
+    Attributes
+    ----------
+    errors : SensorErrors
+    U : ndarray, shape (3, 3)
+    covariance : dict of str to ndarray, shape (27, 27)
+        By source of error.
+    measurement_covariance, residual_covariance : ndarray, shape (n_z, n_z)
+        Covariance of z, and of the residuals after the estimate.
+    gain : ndarray, shape (27, n_z)
+    projection : dict of str to ndarray
+        Effect of errors of rotations and windows on z; see :mod:`srt.closed_form.measurement_covariance`.
+    measurements : SrtMeasurements
+        Measurements of the last iteration.
+    corrections : tuple of float
+        Largest correction of each iteration (accelerometer biases in g).
+    status, message : str
+    integrated : tuple of int
+        Windows that moved; their attitude was integrated.
+    wander : ndarray, shape (3,), rad/s
+        1-sigma of a sequence's gyro bias about the mean of the test, as used, before compensation (sensor axes).
+    bias_by_sequence : ndarray, shape (K, 3), rad/s
+        Bias of each sequence less the common one, as used.
+    g_sensitivity : ndarray, shape (3, 3), rad/s per m/s²
+        Γ as used (rows: gyro axes before compensation; columns: axes of B); zero if it is not estimated.
+    of_units : UnitsResiduals
+        Residuals and tests of the units that were iterated together.
+    row : int
+        Number of this unit among them.
+    """
+
+    errors: SensorErrors
+    U: Array
+    covariance: dict[str, Array]
+    measurement_covariance: Array
+    residual_covariance: Array
+    gain: Array
+    projection: dict[str, Array]
+    measurements: SrtMeasurements
+    corrections: tuple[float, ...]
+    status: str
+    message: str
+    integrated: tuple[int, ...]
+    wander: Array
+    bias_by_sequence: Array
+    g_sensitivity: Array
+    of_units: UnitsResiduals
+    row: int
+
+    @property
+    def white(self) -> WhiteResiduals:
+        """Residuals in units of their noise.
+
+        Raises
+        ------
+        numpy.linalg.LinAlgError
+            If the covariance is not positive definite, as far outside the model.
+        """
+        return self.of_units.white.of_unit(self.row)
+
+    @property
+    def white_with_squares(self) -> WhiteResiduals:
+        """Residuals with the neglected squares of the fixture's errors in the noise; raises as :attr:`white`."""
+        return self.of_units.with_squares.of_unit(self.row)
+
+    @property
+    def chi_square(self) -> tuple[float, int]:
+        """Chi-square of the residuals and its degrees of freedom; zero where the covariance is singular."""
+        try:
+            return self.white.test
+        except np.linalg.LinAlgError:
+            return 0.0, 0  # the status reports that failure
+
+    @property
+    def sequence_tests(self) -> list[tuple[float, int]]:
+        """Chi-square of each sequence as predicted from the others, and its degrees of freedom; as :attr:`white`."""
+        chi_square, freedom = self.of_units.sequence_tests
+        return list(zip(chi_square[self.row].tolist(), freedom[self.row].tolist(), strict=True))
