@@ -36,7 +36,10 @@ _OF_OTHERS: Final = 0.5
 _SAME_G: Final = 0.02
 """Largest change of a dead accelerometer's reading from one window to the next, g: noise and drift."""
 _OTHERS: Final = 0.1
-"""Largest error of the other two accelerometers: they leave less than √0.2 g = 0.45 g to an axis without input."""
+"""Largest error of the other two accelerometers."""
+_MISSING: Final = 0.8
+"""Change of gravity on a dead accelerometer that these must show, g. An axis keeps its reading in a rotation about it;
+errors of 0.1 g of both others then change what they leave of gravity by up to 0.69 g."""
 _SCALES: Final = 10.0
 """Largest ratio between the count values of the axes of one triad."""
 _EARTH: Final = 1.02 * EARTH_RATE_RAD_S / STANDARD_GRAVITY_M_S2
@@ -128,7 +131,7 @@ def _dead_accel(evidence: Evidence) -> tuple[int, int, int] | None:
         one_polarity = np.ptp(off) > MOVED and min(-float(off.min()), float(off.max())) < 2.0 * _SAME_G
         if (
             last - first > _FEWEST_DEAD
-            and np.ptp(left[inside]) > MOVED
+            and np.ptp(left[inside]) > _MISSING
             and np.ptp(force[inside, axis]) < 2.0 * _SAME_G
             and np.all(np.abs(reach[others] - 1.0) < _OTHERS)
         ):

@@ -46,6 +46,7 @@ def case(seed, number, *, slow=True):
         case(20262800, 1879),  # creep: a window of 5 s among those of 30 and 90 s
         case(7, 72, slow=False),  # short window: rests of a protocol in which sequences are recognised by chance
         case(7, 19),
+        case(20261126, 916, slow=False),  # dead accelerometer: a turn about its axis, with biases of 0.1 g
         case(20261126, 15, slow=False),  # dead gyro: ten turns of a rate table with scale errors
         case(20262301, 823, slow=False),  # a bit stuck: poses alone, in few places of the range
     ],
