@@ -70,7 +70,7 @@ class WhiteResiduals:
             scale = 1.0 / np.sqrt(np.einsum("...ii->...i", R))
             L = np.linalg.cholesky(R * (scale[..., :, None] * scale[..., None, :]))
         # Rows of the lower triangles are columns of upper ones, as LAPACK stores them.
-        inverse = np.stack([dtrtri(own.T)[0].T for own in L.reshape(-1, *L.shape[-2:])]).reshape(L.shape)
+        inverse = np.array([dtrtri(L[u].T)[0].T for u in np.ndindex(L.shape[:-2]) if L.size]).reshape(L.shape)
         whitener = inverse * scale[..., None, :]
         white = whitener @ np.concatenate([z[..., None], H], axis=-1)
         own, slope = white[..., :1], white[..., 1:]

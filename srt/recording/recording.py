@@ -261,8 +261,9 @@ class Recording(Presented):
         object.__setattr__(self, "sequences", tuple(self.sequences))
         for label in self.sequences:
             require_type("The field sequences of a recording", _FIELDS["sequences"][0], label, SequenceLabel)
-        limits = [own for label in self.sequences for own in (label.start_static_s, label.end_static_s)]
-        self._memo[_WINDOWS] = dict(zip(limits, self._windows(limits), strict=True))
+        if self.sequences:
+            limits = [own for label in self.sequences for own in (label.start_static_s, label.end_static_s)]
+            self._memo[_WINDOWS] = dict(zip(limits, self._windows(limits), strict=True))
         self._check_overlap([self._checked_rotation(label) for label in self.sequences])
 
     def _check_overlap(self, rotations: Sequence[tuple[int, int]]) -> None:

@@ -204,6 +204,7 @@ def test_biases_of_sequences_carry_errors_of_rates_into_rotations():
 def test_drift_against_the_samples(sensor, monkeypatch):
     """Covariance of the drift from steps of the bias in all windows and in three parts of every rotation."""
     monkeypatch.setattr(analytic_platform, "_PARTS", (2, 3))
+    monkeypatch.setattr("srt.sequences.preparation._values_of_schedule", lambda _: {})
     recording = read_out(motion(), PERFECT, QUIET, np.random.default_rng(3))
     data, measurements = processed(recording)
     table, floor = (

@@ -219,6 +219,7 @@ def test_drift_columns_against_drift_in_the_samples(motions, variant, size, monk
     the problem's residual is minus what its unknown takes off.
     """
     monkeypatch.setattr(analytic_platform, "_PARTS", (2, 2))
+    monkeypatch.setattr("srt.sequences.preparation._values_of_schedule", lambda _: {})
     monkeypatch.setattr(markov_drift, "CARRIED_S", 0.0)  # every process has a state: no approximation is left
     case = make(motions, VARIANTS[variant], size)
     joint, system = case.joint, case.system
