@@ -4,7 +4,7 @@ The computation is linear algebra at the solution, with measurements z, covarian
 repeated.
 
 *Consistency test.* Chi-square of the measurements of a sequence against their prediction by the other sequences, see
-:mod:`srt.estimation.white_residuals`.
+``srt.estimation.white_residuals``.
 
 *Estimate without a sequence.* The information N' and gradient g' of the other sequences give the change ``N'⁻¹ g'`` of
 every parameter and its variance. A parameter is *lost* if its sigma grows a hundredfold, or so much that an estimator
