@@ -204,7 +204,7 @@ class _Unit:
         return self._final(solution, progress).calibration()
 
     def estimate(self, solution: Solution) -> UnitEstimate:
-        """What the calibration of the solution states; the calibration is built where the measurements disagree."""
+        """Statement of the calibration of a solution; the calibration is built where the measurements disagree."""
         final = self._final(solution)
         found = final.undisputed()
         if found is not None:
