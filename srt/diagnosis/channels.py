@@ -11,7 +11,7 @@ from scipy.special import gammainc
 from srt.constants import EARTH_RATE_RAD_S, STANDARD_GRAVITY_M_S2
 from srt.diagnosis.evidence import SAMPLES
 from srt.diagnosis.findings import Fault, by_sensor
-from srt.diagnosis.repeated_samples import BY_CHANCE, repeated_runs, single_repeats
+from srt.diagnosis.repeated_samples import BY_CHANCE, PULSES, repeated_runs, single_repeats
 from srt.diagnosis.rotation_readings import ROUNDING
 from srt.diagnosis.sensor_synchronisation import sample_twice
 from srt.model.table1 import AXES
@@ -67,13 +67,29 @@ def dead_channels(evidence: Evidence) -> Iterator[Finding]:
             yield fault.found(
                 channel=", ".join(f"{sensor}_{AXES[axis]}" for axis in dead), value=float(table[0, dead[0]]), when=""
             )
-        elif (part := _DEAD_PARTS[sensor](evidence)) is not None:
+        elif (part := _constant_part(evidence, sensor) or _DEAD_PARTS[sensor](evidence)) is not None:
             axis, first, last = part
             yield fault.found(
                 channel=f"{sensor}_{AXES[axis]}",
                 value=float(np.median(table[first:last, axis])) * evidence.per_rate,
                 when=f" from {evidence.recording.time[first]:.6g} s to {evidence.recording.time[last - 1]:.6g} s",
             )
+
+
+def _constant_part(evidence: Evidence, sensor: str) -> tuple[int, int, int] | None:
+    """Axis with one reading through a whole rotation, far longer than elsewhere, and its first and last sample."""
+    if evidence.manoeuvres is None:
+        return None
+    begin, end = evidence.manoeuvres.spans.T
+    for axis, name in enumerate(AXES):
+        same = evidence.repeats[3 + CHANNELS.index(f"{sensor}_{name}")]
+        edges = np.flatnonzero(np.pad(~same, 1, constant_values=True))
+        runs = np.diff(edges)
+        k = int(np.argmax(runs))
+        first, last = edges[k : k + 2].tolist()
+        if np.any((begin >= first) & (end <= last)) and runs[k] > PULSES * np.delete(runs, k).max(initial=1):
+            return axis, first, last
+    return None
 
 
 def _dead_gyro(evidence: Evidence) -> tuple[int, int, int] | None:

@@ -27,7 +27,7 @@ _LONGER: Final = 2.0
 readings a whole rotation is one run, and a rotation of 360° lasts twice as long as one of 180°."""
 _BESIDE: Final = 100
 """Fewest samples on each side of a run in which repeats are counted; for a long run, three times its length."""
-_PULSES: Final = 8.0
+PULSES: Final = 8.0
 """Smallest ratio of a run to the longest run next to it for a finding: where a changing rate passes a whole number of
 pulses per sample, sound readings repeat for up to five times as long as before and after."""
 _SUPPORT: Final = 3
@@ -81,7 +81,7 @@ def repeated_runs(evidence: Evidence) -> list[tuple[int, int] | None]:
         if (
             (best is None or n > best[1])
             and n * math.log(frequency) < math.log(BY_CHANCE / total)
-            and n > _PULSES * count[row, beside].max(initial=0)
+            and n > PULSES * count[row, beside].max(initial=0)
             and (row == 0 or np.mean(same[other, first : first + n]) < _FROZEN)
             and not _at_extreme(evidence.columns[_channels(row)], first)
             and not (row > 2 and _goes_on(evidence, row - 3, (a, first, first + n, b + 1)))
