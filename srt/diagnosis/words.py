@@ -61,7 +61,11 @@ WRAPPED: Final = by_sensor(
 
 
 def words_of_one_polarity(evidence: Evidence) -> Iterator[Finding]:
-    """Find channels that often read zero, and never a sign that some labelled rotation or pose requires."""
+    """Find channels that often read zero, and never one of the signs.
+
+    Some labelled rotation or pose requires that sign, or the resolution is fine and no other axis reads zero, as behind
+    a dead band or without noise.
+    """
     turned, poses = evidence.labelled_inputs
     missed, read = evidence.missed_rotations
     turned = np.concatenate([turned, np.where(unread(missed, read), missed, read)])
@@ -71,22 +75,28 @@ def words_of_one_polarity(evidence: Evidence) -> Iterator[Finding]:
         if sensor in evidence.wrapped_readings:
             continue  # signed words that are read as unsigned ones have no negative values either
         both = np.any(inputs > MOVED, axis=0) & np.any(inputs < -MOVED, axis=0)
-        for axis in np.flatnonzero(both & (some == 0.0).any(axis=0)).tolist():
-            column, share = table[:, axis], float(np.mean(table[:, axis] == 0.0))
+        zeros = np.mean(table == 0.0, axis=0) if (some == 0.0).any() else np.zeros(3)
+        often = zeros >= _ONE_POLARITY
+        for axis in np.flatnonzero(often).tolist():
+            column = table[:, axis]
             low, high = float(column.min()), float(column.max())
-            if share >= _ONE_POLARITY and low * high == 0.0 and low != high:
+            if low * high != 0.0 or low == high:
+                continue
+            size = np.abs(column[column != 0.0])
+            if both[axis] or not (np.count_nonzero(often) > 1 or _on_grid(size, float(size.min()))):
                 missing = "negative" if low == 0.0 else "positive"
                 channel = f"{sensor}_{AXES[axis]}"
-                yield ONE_POLARITY[sensor].found(channel=channel, missing=missing, share=100.0 * share)
+                yield ONE_POLARITY[sensor].found(channel=channel, missing=missing, share=100.0 * zeros[axis])
                 return
 
 
 ONE_POLARITY: Final = by_sensor(
     "one_polarity",
     "[A gyro|An accelerometer] reads values of only one sign",
-    "zeros, and no reading of a sign that some [rotation of gravity|labelled pose] requires",
-    "{channel} has no {missing} reading, and reads zero in {share:.3g} % of the samples, but the sequences require "
-    "both signs: {missing} values are cut off (by an unsigned word, or a unipolar converter); read signed words.",
+    "zeros, and no reading of a sign that some [rotation of gravity|labelled pose] requires; or zeros on one axis "
+    "alone, of fine resolution",
+    "{channel} has no {missing} reading, and reads zero in {share:.3g} % of the samples, but its input has both "
+    "signs: {missing} values are cut off (by an unsigned word, or a unipolar converter); read signed words.",
     "exit 1",
     words_of_one_polarity,
 )
@@ -183,9 +193,11 @@ def dead_bands(evidence: Evidence) -> Iterator[Finding]:
             if sensor == "gyro" and data is not None:
                 at_rest = np.abs(np.concatenate([table[a:b, axis] for a, b in data.windows.samples.tolist()]))
             shown = at_rest[at_rest > 0.0]
-            # If readings at rest lie between pulses in some window, they come as near to zero as can be.
+            # If readings at rest lie between pulses in some window, they come as near to zero as can be, in few sizes;
+            # a band that is subtracted leaves all sizes.
+            sizes = len(np.unique(shown))
             resting = len(shown) < (1.0 - _MOSTLY) * len(at_rest)
-            resting &= len(shown) == 0 or float(np.median(shown)) < _NEAR_BAND * threshold
+            resting &= sizes >= _MOSTLY * len(shown) or float(np.median(shown)) < _NEAR_BAND * threshold
             # If most readings are multiples of the threshold, it is the quantization step.
             passing = np.count_nonzero(near < 2.0 * threshold) >= _MANY
             if not (passing or resting) or _on_grid(size, threshold):
@@ -194,8 +206,8 @@ def dead_bands(evidence: Evidence) -> Iterator[Finding]:
             common = float(values[np.argmax(counts >= _FREQUENT * counts.max())])
             grid = max(float(step[axis]), (pulse or 0.0) / evidence.dt, common if _on_grid(near, common) else 0.0)
             if threshold > _BAND_STEPS * grid:
-                sizes = {name.format("threshold"): threshold / unit, name.format("step"): grid / unit}
-                yield DEAD_BAND[sensor].found(channel=f"{sensor}_{AXES[axis]}", count=int(zeros[axis]), **sizes)
+                levels = {name.format("threshold"): threshold / unit, name.format("step"): grid / unit}
+                yield DEAD_BAND[sensor].found(channel=f"{sensor}_{AXES[axis]}", count=int(zeros[axis]), **levels)
                 break
 
 

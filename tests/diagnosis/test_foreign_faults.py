@@ -5,6 +5,8 @@ import functools
 import pytest
 from fault_outcomes import OUTCOMES, Units, all_kinds, outcome_of
 from fault_severities import halvings
+from fault_verdicts import trial
+from foreign_faults import KINDS
 from injected_faults.injection import Case
 
 from srt.diagnosis.staged_diagnosis import diagnose
@@ -85,6 +87,29 @@ def test_named_first(kind, grade, rung):
 )
 def test_named_first_at_a_severity(kind, grade, severity):
     assert outcome_of(all_kinds()[kind], units(), grade, 1, severity).outcome == OUTCOMES[0]
+
+
+@pytest.mark.parametrize(
+    ("kind", "size", "number"),
+    [
+        ("gravity removed", 1.4, 9),  # increments; refused without a cause before any window is found
+        ("gravity removed", 0.96, 48),  # a wrong angle
+        ("gravity removed", 0.75, 148),  # g
+        ("gyros high-passed", 3.7, 115),  # one window of stillness
+        ("gyros high-passed", 13.4, 139),  # creep
+        ("gyros high-passed", 4.1, 165),
+        ("gyro wire broken", 0.21, 81),  # a wrong angle
+        ("accel wire broken", 0.31, 108),  # a noisy window
+        ("accel wire broken", 0.36, 185),  # missing sequences
+        ("gyro of one polarity", 1.0, 44),  # a missing sequence
+        ("gyro of one polarity", 1.0, 160),  # a flipped axis
+        ("accel of one polarity", 1.0, 153),
+        ("dead band subtracted", 2.12, 46),  # spikes
+    ],
+)
+def test_drawn_fault_is_first(kind, size, number):
+    recording = trial(KINDS[kind], size, (20261144, number), faulty=True).recording()
+    assert diagnose(recording, calibrating=False).first.fault in KINDS[kind].causes.split()
 
 
 @pytest.mark.parametrize("kind", ["sensors askew in their housing", "gyro scale drifts"])
