@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.diagnosis.rotation_readings import rates_factor
+from srt.diagnosis.false_alarms import limit
+from srt.diagnosis.rotation_readings import MAD, rates_factor
 
 if TYPE_CHECKING:
     from srt.recording.recording import Recording
@@ -22,6 +23,8 @@ relative to the range: noise, and the readings missing next to a jump."""
 _SYMMETRY: Final = 0.02
 """Largest distance of the middle of the range from zero, relative to the range: the range of signed words is
 symmetric."""
+_BESIDE: Final = 20
+"""Number of samples on each side of a jump with which it is compared."""
 _FLIPS: Final = 5
 """Fewest jumps per window, as noise about zero makes them if the sign is misread."""
 _STAYS: Final = 5
@@ -68,9 +71,13 @@ def _jumps(column: Array, recording: Recording, data: PreparedRecording | None, 
         wraps = a != 0.0 and abs(high + low) <= _SYMMETRY * size
         if wraps:
             # The reading continues at its slope after the jump. A spike deviates by 1.5 times its size from the slope.
+            jump = np.abs(step[1:-1] - 0.5 * (step[:-2] + step[2:]))
             inner = large[(large > 1) & (large < len(step))]
-            jump = np.abs(step[inner - 1] - 0.5 * (step[inner - 2] + step[inner]))
-            jumps = inner[np.abs(jump - size) < _EDGE * size]
+            inner = inner[np.abs(jump[inner - 2] - size) < _EDGE * size]
+            # Vibration that reaches the extremes jumps everywhere.
+            beside = np.clip(inner[:, None] - 2 + np.arange(-_BESIDE, _BESIDE + 1), 0, len(jump) - 1)
+            usual: Array = limit("normal", tests=len(column), both_sides=True) * MAD * np.median(jump[beside], axis=1)
+            jumps = inner[size > usual]
         else:
             apart = np.abs(column[large[:, None] + np.array([-1, 0])][:, :, None] - np.array([a, b]))
             jumps = large[np.all(apart.min(axis=2) < _EDGE * size, axis=1)]

@@ -41,6 +41,15 @@ def case(grade):
     return Case(grade, SEED)
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_vibration_in_flight_does_not_wrap(seed):
+    """A level log that vibrates by 4 m/s²: readings jump between their extremes, and to a lesser extent everywhere."""
+    rng, n = np.random.default_rng((SEED, seed)), 10_000
+    force = rng.normal([0.0, 0.0, 9.8], 4.0, (n, 3))
+    flight = Recording(0.01 * np.arange(n), rng.normal(0.0, 0.05, (n, 3)), force, Site(9.8))
+    assert not [finding for finding in examine(flight) if finding.fault.endswith("wrapped")]
+
+
 @pytest.mark.parametrize("grade", GRADES)
 def test_a_sound_recording_raises_nothing(grade):
     assert examine(case(grade).recording) == ()
