@@ -9,11 +9,14 @@ accelerometers does not change K.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from itertools import product
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
+from srt.diagnosis.false_alarms import limit
 from srt.diagnosis.rotation_readings import cross, rates_factor
 
 if TYPE_CHECKING:
@@ -39,6 +42,16 @@ _UNEXPLAINED_BY_AXIS: Final = 0.2
 """Largest share of the power that the gyros leave of df, and that a missing rotation about one axis leaves, too."""
 _FEWEST_BLOCKS: Final = 50
 """Fewest blocks for a fit of K: with 50 blocks, its nine coefficients explain 6 % of pure noise."""
+
+_UPRIGHT: Final = 0.2
+"""Largest share of gravity on the other axes of an axis that is upright."""
+_SAME: Final = 0.01
+"""Largest difference of readings at one limit: noise."""
+_NEAR_TOP: Final = 0.05
+"""Largest distance of a rate from the largest one where a limit acts, and smallest effect of a limit: time offsets and
+lever arms make less."""
+_FEWEST_HELD: Final = 10
+"""Fewest blocks at a limit, one second."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,9 +91,61 @@ def recognised_manoeuvres(recording: Recording, found: Recognition) -> Manoeuvre
     return ManoeuvreReadings(rate, force, spans, between)
 
 
-def _blocks(recording: Recording, turns: ManoeuvreReadings) -> Iterator[tuple[int, Array, Array, Array]]:
-    """Number of each manoeuvre, and raw angle, mean specific force and its change from block to block, (n, 3) each."""
-    size = max(1, round(_BLOCK_S / recording.nominal_interval_s))
+class Limit(NamedTuple):
+    """Limit below whose noise the readings of an axis stay, and the samples of blocks at the limit."""
+
+    axis: int
+    value: float
+    at: Indices
+
+
+def force_limit(recording: Recording, turns: ManoeuvreReadings) -> Limit | None:
+    """Limit of the specific force below gravity: an upright axis keeps its reading while the others show that it tilts.
+
+    Within 1 % of its largest reading, an axis that measures gravity is upright to 0.14 rad.
+    """
+    at, _, force, _ = map(np.concatenate, zip(*(row[1:] for row in _blocks(recording, turns)), strict=True))
+    for axis, sign in product(range(3), (1.0, -1.0)):
+        others = np.delete(np.arange(3), axis)
+        best = turns.force[np.argmax(sign * turns.force[:, axis])] / rates_factor(recording)
+        top = sign * float(best[axis])
+        tilted = np.linalg.norm(force[:, others], axis=1) > 2.0 * _UPRIGHT * top
+        held = at[tilted & (np.abs(sign * force[:, axis] - top) < _SAME * top)]
+        if np.linalg.norm(best[others]) < _UPRIGHT * top and len(held) >= _FEWEST_HELD:
+            return Limit(axis, top * rates_factor(recording), held)
+    return None
+
+
+def rate_limit(recording: Recording, turns: ManoeuvreReadings) -> Limit | None:
+    """Limit of the rate: near the largest readings gravity rotates faster than the gyros read, but not at lower ones.
+
+    Statistic: difference of the two ratios over its standard deviation from the scatter. Distribution: normal.
+    """
+    at, angle, force, change = map(np.concatenate, zip(*(row[1:] for row in _blocks(recording, turns)), strict=True))
+    size, expected = np.abs(angle).max(axis=1), cross(force, angle)
+    top = float(size.max())
+    held, ratio, variance = at[size > (1.0 - _NEAR_TOP) * top], [], []
+    for part in (size > (1.0 - _NEAR_TOP) * top, (size > 2.0 * _UPRIGHT * top) & (size < 0.9 * top)):
+        power = float(np.sum(expected[part] ** 2))
+        if np.count_nonzero(part) < _FEWEST_HELD or power == 0.0:
+            return None
+        ratio.append(float(np.sum(expected[part] * change[part])) / power)
+        left = change[part] - ratio[-1] * expected[part]
+        variance.append(float(np.mean(left**2)) / power)
+    if ratio[0] - ratio[1] <= max(_NEAR_TOP * ratio[1], limit("normal") * math.sqrt(sum(variance))):
+        return None
+    axis = int(np.argmax(np.abs(angle).max(axis=0)))
+    return Limit(axis, top / (block_size(recording) * recording.nominal_interval_s), held)
+
+
+def block_size(recording: Recording) -> int:
+    """Number of samples of a block of a tenth of a second."""
+    return max(1, round(_BLOCK_S / recording.nominal_interval_s))
+
+
+def _blocks(recording: Recording, turns: ManoeuvreReadings) -> Iterator[tuple[int, Indices, Array, Array, Array]]:
+    """Number of each manoeuvre; from block to block, sample, raw angle, mean specific force and its change, (n, 3)."""
+    size = block_size(recording)
     seconds = recording.nominal_interval_s * size
     for k, ((a, b), ends) in enumerate(zip(turns.spans.tolist(), turns.between, strict=True)):
         count = (b - a) // size
@@ -90,7 +155,8 @@ def _blocks(recording: Recording, turns: ManoeuvreReadings) -> Iterator[tuple[in
         rate = recording.gyro[a:stop].reshape(count, size, 3).mean(axis=1) * rates_factor(recording)
         angle = (rate - turns.rate[ends].mean(axis=0)) * seconds
         force = recording.accel[a:stop].reshape(count, size, 3).mean(axis=1)
-        yield k, 0.5 * (angle[1:] + angle[:-1]), 0.5 * (force[1:] + force[:-1]), np.diff(force, axis=0)
+        at = a + size * np.arange(1, count)
+        yield k, at, 0.5 * (angle[1:] + angle[:-1]), 0.5 * (force[1:] + force[:-1]), np.diff(force, axis=0)
 
 
 def missed_rotations(recording: Recording, turns: ManoeuvreReadings) -> tuple[Array, Array]:
@@ -100,7 +166,7 @@ def missed_rotations(recording: Recording, turns: ManoeuvreReadings) -> tuple[Ar
     It is zero where an angle about that axis does not explain this change.
     """
     missed, read = np.zeros((2, len(turns.spans), 3))
-    for k, turned, force, change in _blocks(recording, turns):
+    for k, _, turned, force, change in _blocks(recording, turns):
         left = change - cross(force, turned)
         about = cross(force[:, None], np.eye(3))
         square = np.einsum("nij,nij->ni", about, about)
@@ -124,7 +190,7 @@ def gravity_relation(recording: Recording, turns: ManoeuvreReadings) -> Array | 
     None if the rotations do not cover all axes, or no K explains the readings.
     """
     normal, right, seen, blocks = np.zeros((3, 3, 3, 3)), np.zeros((3, 3)), 0.0, 0
-    for _, turned, mean, change in _blocks(recording, turns):
+    for _, _, turned, mean, change in _blocks(recording, turns):
         across = np.einsum("ni,ni->n", mean, mean)[:, None, None] * np.eye(3) - np.einsum("ni,nj->nij", mean, mean)
         normal += np.einsum("nij,nk,nl->ikjl", across, turned, turned)
         right += np.einsum("ni,nk->ik", np.cross(change, mean), turned)

@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from srt.diagnosis.findings import Fault, Finding, by_sensor
+from srt.diagnosis.gravity_rotation import block_size, force_limit, rate_limit
 from srt.diagnosis.scale_causes import scale_cause
 from srt.diagnosis.scale_ratios import calibrated_ratios
+from srt.model.table1 import AXES
 from srt.noise.allan import CHANNELS
 
 if TYPE_CHECKING:
@@ -17,6 +19,11 @@ if TYPE_CHECKING:
 
     from srt.diagnosis.evidence import Evidence
     from srt.diagnosis.scale_causes import Scales
+    from srt.types import Sensor
+
+
+_ONE_FACTOR: Final = frozenset({"sample_rate", "gyro_factor", "accel_factor"})
+"""Causes of one factor on all axes, which may be that of a unit."""
 
 
 def wrong_scales(evidence: Evidence) -> Iterator[Finding]:
@@ -31,7 +38,7 @@ def scales_of_result(evidence: Evidence) -> Iterator[Finding]:
     """
     before, _ = scale_cause(evidence)
     # Other causes stop the calibration and were found before it; these are warnings: the factor may be that of a unit.
-    if {"sample_rate", "gyro_factor", "accel_factor"}.issuperset(before.faults) and evidence.result is not None:
+    if _ONE_FACTOR.issuperset(before.faults) and evidence.result is not None:
         ratios = (calibrated_ratios(evidence.result, "gyro"), calibrated_ratios(evidence.result, "accel"))
         found = scale_findings(evidence, SCALES, ratios)
         yield from (finding for finding in found if finding.fault not in before.faults)
@@ -41,8 +48,29 @@ def scale_findings(evidence: Evidence, faults: Mapping[str, Fault], scales: Scal
     """Findings of those of the faults that best explain the ratios of both triads."""
     best, runner_up = scale_cause(evidence, scales)
     for place, name in enumerate(best.faults):
-        if name in faults:
-            yield Finding(faults[name], best.details[name], runner_up if place == 0 else None)
+        if name not in faults:
+            continue
+        limited = _limited(evidence, "accel" if name == "accel_factor" else "gyro") if name in _ONE_FACTOR else None
+        yield limited or Finding(faults[name], best.details[name], runner_up if place == 0 else None)
+
+
+def _limited(evidence: Evidence, sensor: Sensor) -> Finding | None:
+    """Saturation of a triad below its noise, which has the effect of one factor on rotation angles or on gravity."""
+    recording, turns = evidence.recording, evidence.manoeuvres
+    if turns is None or not len(turns.spans):
+        return None
+    found = (rate_limit if sensor == "gyro" else force_limit)(recording, turns)
+    if found is None:
+        return None
+    axis, value, at = found
+    # No sequence can be left out: what noise hides of the limit is in all of them.
+    return replace(CLIPPED[sensor], effect="exit 1").found(
+        channel=f"{sensor}_{AXES[axis]}",
+        limit=value,
+        count=len(at) * block_size(recording),
+        time=float(recording.time[at[0]]),
+        sequence=evidence.place_title(int(at[0])),
+    )
 
 
 _BY_LABELS: Final = "ratio of measured to labelled rotation angles"
@@ -197,7 +225,8 @@ def clipping(evidence: Evidence) -> Iterator[Finding]:
 CLIPPED: Final = by_sensor(
     "clipped",
     "[A gyro|An accelerometer] saturates",
-    "readings at the stated range, or runs of the same extreme reading",
+    "readings at the stated range, or runs of the same extreme reading; below noise (exit 1), [rates of gravity that "
+    "exceed the largest readings|readings that stay while gravity moves off an axis]",
     "{channel} is at the limit of its range ({limit:.4g} [rad/s|m/s²]) in {count} samples from {time:.6g} s: "
     "{sequence} cannot be used; [rotate more slowly|avoid shocks, or choose a wider range], and repeat the sequence.",
     "warning",
