@@ -27,52 +27,42 @@ if TYPE_CHECKING:
 
 MOVED: Final = 0.5
 """Labelled rotation, rad, and change of a gravity component, g, that the readings of an axis must show."""
-_FEWEST_DEAD: Final = 2
-"""Fewest successive rotations of a dead axis: readings that freeze or saturate in one are another fault."""
-_FLAT: Final = 0.1
-"""Largest share of the missing angle that a dead axis reads: a scale error, or its bias over the rotation."""
-_OF_OTHERS: Final = 0.5
-"""Smallest missing angle of a dead axis, relative to the largest angle that a gyro reads in that rotation."""
+_ERROR: Final = 0.1
+"""Largest scale-factor error, misalignment, and bias (in g) of a working sensor."""
 _SAME_G: Final = 0.02
 """Largest change of a dead accelerometer's reading from one window to the next, g: noise and drift."""
-_OTHERS: Final = 0.1
-"""Largest error of the other two accelerometers."""
 _MISSING: Final = 0.8
-"""Change of gravity on a dead accelerometer that these must show, g. An axis keeps its reading in a rotation about it;
-errors of 0.1 g of both others then change what they leave of gravity by up to 0.69 g."""
-_SCALES: Final = 10.0
-"""Largest ratio between the count values of the axes of one triad."""
-_EARTH: Final = 1.02 * EARTH_RATE_RAD_S / STANDARD_GRAVITY_M_S2
-"""Largest ratio of the Earth rate to the specific force: at a pole, with 2 % of scale-factor error."""
+"""Change of gravity on a dead accelerometer that the others must show, g. An axis keeps its reading in a rotation about
+it; errors of 0.1 g of both others then change what they leave of gravity by up to 0.69 g."""
 _GRAVITY: Final = 4.0
 """Largest ratio of the largest to the smallest magnitude (of 99 % of the readings) of a triad that senses gravity:
 scale-factor errors and biases of 50 % make 3.2. Gyros exceed it, as they read far more in rotations than at rest."""
-_TURNED: Final = 0.95
-"""Ratio of the magnitude of the mean vector to the mean magnitude, above which the direction hardly changed."""
 
 
 def dead_channels(evidence: Evidence) -> Iterator[Finding]:
-    """Find constant columns, if other columns are noisy or the labels change the input of the axis, and dead axes.
-
-    Noise-free readings can be constant. Such a column is dead only if the labels change the input of its axis.
-    """
-    tables = (evidence.recording.gyro, evidence.recording.accel)
-    for (sensor, fault), table, inputs in zip(CHANNEL_DEAD.items(), tables, evidence.labelled_inputs, strict=True):
+    """Find columns that are constant although others are noisy or the labels change their input, and dead axes."""
+    recording = evidence.recording
+    for (sensor, fault), table, inputs, find in zip(
+        CHANNEL_DEAD.items(),
+        (recording.gyro, recording.accel),
+        evidence.labelled_inputs,
+        (_dead_gyro, _dead_accel),
+        strict=True,
+    ):
         # The first 100 readings exclude nearly every column; only the others are compared in full.
         axes = [axis for axis in range(3) if np.all(table[:100, axis] == table[0, axis])]
         dead = [axis for axis in axes if np.all(table[:, axis] == table[0, axis])]
         if dead and not evidence.noisy_channels.any():
             dead = [axis for axis in dead if len(inputs) and np.ptp(inputs[:, axis]) > MOVED]
         if dead:
-            yield fault.found(
-                channel=", ".join(f"{sensor}_{AXES[axis]}" for axis in dead), value=float(table[0, dead[0]]), when=""
-            )
-        elif (part := _constant_part(evidence, sensor) or _DEAD_PARTS[sensor](evidence)) is not None:
+            names = ", ".join(f"{sensor}_{AXES[axis]}" for axis in dead)
+            yield fault.found(channel=names, value=float(table[0, dead[0]]), when="")
+        elif (part := _constant_part(evidence, sensor) or find(evidence)) is not None:
             axis, first, last = part
             yield fault.found(
                 channel=f"{sensor}_{AXES[axis]}",
                 value=float(np.median(table[first:last, axis])) * evidence.per_rate,
-                when=f" from {evidence.recording.time[first]:.6g} s to {evidence.recording.time[last - 1]:.6g} s",
+                when=f" from {recording.time[first]:.6g} s to {recording.time[last - 1]:.6g} s",
             )
 
 
@@ -97,41 +87,29 @@ def _dead_gyro(evidence: Evidence) -> tuple[int, int, int] | None:
 
     Exchanged or scaled axes read something wherever they miss something, and one of one polarity misses one sense.
     """
-    if evidence.manoeuvres is None:
-        return None
     missed, read = evidence.missed_rotations
-    dead = unread(missed, read)
-    moved = np.abs(read) > MOVED
-    alive = moved & (np.abs(missed) < 0.5 * np.abs(read))
-    for axis in np.flatnonzero(dead.sum(axis=0) >= _FEWEST_DEAD).tolist():
+    dead, moved = unread(missed, read), np.abs(read) > MOVED
+    alive = moved & (np.abs(missed) < np.abs(read))
+    # Readings that freeze or saturate in one rotation are another fault.
+    for axis in np.flatnonzero(dead.sum(axis=0) > 1).tolist():
         first, *_, last = np.flatnonzero(dead[:, axis]).tolist()
         senses = {*np.sign(missed[dead[:, axis], axis]), *-np.sign(read[alive[:, axis], axis])}
-        if (
-            np.all(alive[moved[:, axis], axis])
-            and not alive[first:last, axis].any()
-            and alive.any()
-            and len(senses) > 1
-        ):
+        within = alive[first:last, axis].any() or np.any(moved[:, axis] & ~alive[:, axis])
+        if evidence.manoeuvres is not None and alive.any() and len(senses) > 1 and not within:
             return axis, int(evidence.manoeuvres.spans[first, 0]), int(evidence.manoeuvres.spans[last, 1])
     return None
 
 
 def unread(missed: Array, read: Array) -> Mask:
-    """True for each rotation, by axis, of which a gyro reads next to nothing.
-
-    Errors of scale and alignment of the other gyros are a share of what those read.
-    """
-    size, most = np.abs(missed), np.abs(read).max(axis=1, initial=0.0, keepdims=True)
-    return np.asarray((size > np.maximum(2.0 * MOVED, _OF_OTHERS * most)) & (np.abs(read) < _FLAT * size))
+    """True for each rotation, by axis, of which a gyro reads next to nothing."""
+    size = np.abs(missed)
+    return np.asarray((size > 2.0 * MOVED) & (np.abs(read) < _ERROR * size))
 
 
 def _dead_accel(evidence: Evidence) -> tuple[int, int, int] | None:
-    """Axis of an accelerometer whose reading stays as gravity moves onto and off it; None if there is none.
-
-    The other two axes show what is left of gravity for the third one.
-    """
+    """Axis of an accelerometer whose reading stays as gravity moves on and off it, as the others show; or None."""
     turns, gravity = evidence.manoeuvres, evidence.recording.site.gravity_m_s2
-    if turns is None or len(turns.spans) < _FEWEST_DEAD:
+    if turns is None or len(turns.spans) == 0:
         return None
     force = turns.force[turns.between.ravel()] / gravity
     reach, found = np.abs(force).max(axis=0), []
@@ -146,17 +124,14 @@ def _dead_accel(evidence: Evidence) -> tuple[int, int, int] | None:
         off = evidence.force[:, axis] / gravity - float(np.median(force[inside, axis]))
         one_polarity = np.ptp(off) > MOVED and min(-float(off.min()), float(off.max())) < 2.0 * _SAME_G
         if (
-            last - first > _FEWEST_DEAD
+            last - first > 2
             and np.ptp(left[inside]) > _MISSING
             and np.ptp(force[inside, axis]) < 2.0 * _SAME_G
-            and np.all(np.abs(reach[others] - 1.0) < _OTHERS)
+            and np.all(np.abs(reach[others] - 1.0) < _ERROR)
         ):
             found.append((axis, int(turns.spans[first // 2, 0]), int(turns.spans[(last - 1) // 2, 1]), one_polarity))
     # Gravity that one axis cuts off is missing while another axis is level, too.
     return found[0][:3] if len(found) == 1 and not found[0][3] else None
-
-
-_DEAD_PARTS: Final = {"gyro": _dead_gyro, "accel": _dead_accel}
 
 
 CHANNEL_DEAD: Final = by_sensor(
@@ -174,9 +149,8 @@ CHANNEL_DEAD: Final = by_sensor(
 def columns_repeat(evidence: Evidence) -> Iterator[Finding]:
     """Find two columns with the same readings, or readings that differ by a constant factor.
 
-    In noise-free readings, rounding and the Earth rate make proportional columns, too. Columns of one triad are a fault
-    if the factor is a possible ratio of count values. Columns of two triads are a fault if the factor is larger than
-    that of the Earth rate relative to gravity, or if the readings are noisy.
+    In noise-free readings, misalignments make proportional columns of one triad, and the Earth rate those of two
+    triads.
     """
     columns = evidence.columns
     # Differences of successive readings contain the noise, which differs from column to column, but no bias.
@@ -188,9 +162,10 @@ def columns_repeat(evidence: Evidence) -> Iterator[Finding]:
         factor = float(product[i, j] / product[j, j])
         proportional = np.ptp(columns[i] - factor * columns[j]) <= 1e-6 * np.ptp(columns[i])
         if i // 3 == j // 3:
-            fault = 1.0 / _SCALES < abs(factor) < _SCALES
+            fault = _ERROR < abs(factor) < 1.0 / _ERROR
         else:
-            fault = abs(factor) > _EARTH or bool(evidence.noisy_channels[j])
+            earth = (1.0 + _ERROR) * EARTH_RATE_RAD_S / STANDARD_GRAVITY_M_S2
+            fault = abs(factor) > earth or bool(evidence.noisy_channels[j])
         if fault and proportional:
             yield COLUMNS_REPEAT.found(channel=CHANNELS[i], other=CHANNELS[j])
             return
@@ -214,8 +189,7 @@ def sensors_exchanged(evidence: Evidence) -> Iterator[Finding]:
     tables = recording.gyro[::stride], recording.accel[::stride]
     size = np.stack([np.linalg.norm(table, axis=1) for table in tables])
     (low, least), (high, most) = np.quantile(size, (0.005, 0.995), axis=1)
-    turned = np.linalg.norm(tables[0].mean(axis=0)) < _TURNED * size[0].mean()
-    if not (turned and high < _GRAVITY * low and most > _GRAVITY * least):
+    if high >= _GRAVITY * low or most <= _GRAVITY * least:
         return
     turns = evidence.manoeuvres
     if turns is not None:
@@ -283,22 +257,18 @@ AXIS_STUCK: Final = by_sensor(
 
 
 _TWICE: Final = 3.0
-"""Smallest ratio of the number of repeated samples to the number expected by chance: the expected number assumes
-independent readings, but pulses are not quite independent."""
-_FEWEST_TWICE: Final = 3
-"""Fewest repeated samples for a finding: a single data frame may have been sent twice."""
+"""Fewest repeated samples for a finding, as one may be a data frame that was sent twice, and smallest ratio to their
+number by chance: pulses are not quite independent."""
 
 
 def duplicated_samples(evidence: Evidence) -> Iterator[Finding]:
     """Find samples that repeat the previous one in all channels, more often than by chance or against the motion.
 
-    Where the rate changes, a repeated sample deviates from its neighbours like a spike. Where the rate is steady, an
-    additional sample makes an attitude error by its angle. Both show also in readings whose pulses often repeat by
-    chance. Statistic: number of repeated samples. Distribution: Poisson.
+    A repeated sample deviates from its neighbours like a spike where the rate changes, and makes an attitude error
+    where it is steady. Statistic: number of repeated samples. Distribution: Poisson.
     """
     for rows, expected in single_repeats(evidence):
-        enough = len(rows) >= max(_FEWEST_TWICE, _TWICE * expected)
-        if enough and gammainc(len(rows), expected) <= BY_CHANCE:
+        if len(rows) >= _TWICE * max(1.0, expected) and gammainc(len(rows), expected) <= BY_CHANCE:
             break
     else:
         rows, expected = np.unique(evidence.spikes.sample[evidence.spikes.of_repeats(evidence.repeats[0])]), 0.0
@@ -346,9 +316,7 @@ def samples_interpolated(evidence: Evidence) -> Iterator[Finding]:
         return
     first = int(at[ends[np.argmax(lengths)]])
     yield SAMPLES_INTERPOLATED.found(
-        time=float(evidence.recording.time[first]),
-        count=int(lengths.max()) + 2,
-        sequence=evidence.place_title(first),
+        time=float(evidence.recording.time[first]), count=int(lengths.max()) + 2, sequence=evidence.place_title(first)
     )
 
 

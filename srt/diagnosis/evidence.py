@@ -17,6 +17,7 @@ from srt.diagnosis.gravity_rotation import (
     missed_rotations,
     recognised_manoeuvres,
 )
+from srt.diagnosis.jumps import NO_SPIKES, find_spikes, wrapped_readings
 from srt.diagnosis.label_shift import label_shift
 from srt.diagnosis.rotation_readings import (
     ROUNDING,
@@ -27,12 +28,10 @@ from srt.diagnosis.rotation_readings import (
     turning_windows,
 )
 from srt.diagnosis.scale_ratios import accel_ratios, gyro_ratios_to_gravity, gyro_ratios_to_labels
-from srt.diagnosis.spikes import MISPLACED, NO_SPIKES, find_spikes
 from srt.diagnosis.stationary_rates import earth_rate, earth_rate_factor, stationary_rate_fit, stationary_rates
 from srt.diagnosis.time_offsets import attitude_step, lag, stabilised_force, time_offset
 from srt.diagnosis.triad_fits import accel_fit, gyro_fit, measured_angles, raw_triads
-from srt.diagnosis.window_averages import window_averages
-from srt.diagnosis.wrapping import wrapped_readings
+from srt.diagnosis.window_averages import quantization, window_averages
 from srt.estimation.options import Options
 from srt.exceptions import DataError
 from srt.noise.noise_model import smallest_step
@@ -46,9 +45,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from srt.diagnosis.gravity_rotation import ManoeuvreReadings
+    from srt.diagnosis.jumps import Spikes
     from srt.diagnosis.label_shift import LabelShift
     from srt.diagnosis.scale_ratios import ScaleRatios
-    from srt.diagnosis.spikes import Spikes
     from srt.diagnosis.time_offsets import AttitudeStep
     from srt.diagnosis.triad_fits import MeasuredAngles, RawTriads
     from srt.recording.recording import Recording, SequenceLabel
@@ -266,7 +265,9 @@ class Evidence:
         turned = [s.axes * s.angles_rad[:, None] for s in self.data.catalogue if s is not None]
         return np.concatenate([np.zeros((1, 3)), *turned]), self.poses[0] / self.recording.site.gravity_m_s2
 
-    window_averages = _of(window_averages, "data")
+    quantization = _of(quantization, "data", "steps")
+    """Quantization step of each channel in stored values, shape (6,)."""
+    window_averages = _of(window_averages, "data", "quantization")
     """Averages inside the windows."""
     stationary_rates = _of(stationary_rates, "data", "gyro_fit")
     """Stationary rates and the design matrix of their model."""
@@ -373,12 +374,12 @@ class Evidence:
     @cached_property
     def spikes(self) -> Spikes:
         """Spikes inside the sequences, also those of samples that repeat."""
-        if self.data is None:
+        if self.data is None or self.quantization is None:
             return NO_SPIKES
-        found = find_spikes(self.columns, self.data, self.contiguous)
+        found = find_spikes(self.columns, self.data, self.contiguous, self.quantization)
         # Shifted labels include fast moves of the fixture, which look like spikes of the gyros.
         turning = self.turning_windows
-        moves = turning is not None and np.any(found.channel < 3) and turning.sum() >= MISPLACED
+        moves = turning is not None and np.any(found.channel < 3) and turning.sum() > 1
         return found[found.channel >= 3] if moves else found
 
     @cached_property

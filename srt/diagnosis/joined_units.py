@@ -1,9 +1,8 @@
 """Steps of the sensor errors between two sequences: one recording of two units, a restart, or a switched range.
 
 Three sets of residuals show a step: the stationary rates, the magnitudes of the stationary specific force (which do not
-depend on the fixture's attitude), and the angles of the rotations. White noise and the stated bias instability weight
-the first two sets. The likelihood of a step between two sequences is compared with that of a drift of the same
-parameters.
+depend on the fixture's attitude), both weighted by white noise and the stated bias instability, and the angles of the
+rotations.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ from scipy.special import fdtrc
 from srt.diagnosis.cause_comparison import Cause, explain
 from srt.diagnosis.false_alarms import FALSE_ALARM
 from srt.diagnosis.findings import Fault
-from srt.diagnosis.stationary_rates import BIAS, DRIFT, whitened
+from srt.diagnosis.stationary_rates import whitened
 from srt.diagnosis.triad_fits import LEAST_FREEDOM
 from srt.sequences.stationary_windows import MIN_TURN_RAD
 
@@ -52,9 +51,8 @@ def units_joined(evidence: Evidence) -> Iterator[Finding]:
     place[data.start[order]] = place[data.end[order]] = np.arange(data.K)
     drifts = _drifts(0.5 * (rates.start + rates.end))
     shapes = np.array([*drifts, *(place[rates.window] >= cut for cut in cuts)], dtype=np.float64)
-    choices = [len(drifts)] * len(drifts) + [len(cuts)] * len(cuts)
     every = (_gyros(evidence, rates), _forces(evidence, rates), _angles(evidence, rates))
-    ranked = [_explained(*residuals[:2], residuals[2] @ shapes.T, choices) for residuals in every if residuals]
+    ranked = [_explained(*parts[:2], parts[2] @ shapes.T, len(drifts)) for parts in every if parts]
     if not ranked or not cuts:
         return
     score = np.sum([[e.score for e in explained[1:]] for explained in ranked], axis=0)
@@ -79,9 +77,9 @@ UNITS_JOINED: Final = Fault(
 
 
 def _drifts(time: Array) -> list[Array]:
-    """Shapes of a drift over the times: linear, and exponential."""
+    """Shapes of a drift over the times, from zero upwards: linear, and exponential."""
     share = (time - time.min()) / max(float(np.ptp(time)), 1e-300)
-    return [share, *(np.exp(-share / slow) for slow in _SLOWNESS)]
+    return [share, *(-np.expm1(-share / slow) for slow in _SLOWNESS)]
 
 
 def _probability(null: Explanation, step: Explanation) -> float:
@@ -92,9 +90,10 @@ def _probability(null: Explanation, step: Explanation) -> float:
     return float(fdtrc(more, step.freedom, (null.square - step.square) / more / (step.square / step.freedom)))
 
 
-def _explained(values: Array, nuisance: Array, changes: Array, choices: list[int]) -> list[Explanation]:
-    """Explanation without a change, then one for each change, whose columns have the shape (n, k, changes)."""
-    causes = [Cause("change", changes[:, :, i], {}, several) for i, several in enumerate(choices)]
+def _explained(values: Array, nuisance: Array, changes: Array, drifts: int) -> list[Explanation]:
+    """Explanation without a change, then one for each change, shape (n, k, changes); the first ones are drifts."""
+    count = changes.shape[2]
+    causes = [Cause("change", changes[:, :, i], {}, drifts if i < drifts else count - drifts) for i in range(count)]
     return explain(values, [Cause("", np.zeros((len(values), 0)), {}), *causes], nuisance)
 
 
@@ -105,9 +104,9 @@ def _gyros(evidence: Evidence, rates: StationaryRates) -> tuple[Array, Array, Ar
     """Stationary rates, which a bias changes; None without a stated bias instability."""
     if evidence.recording.noise.gyro_bias_instability is None:
         return None
-    own = rates.columns[:, :, BIAS][..., None] * np.eye(len(rates.rate))[:, None, None, :]
-    fixed = np.delete(rates.columns, DRIFT, axis=2)
-    return whitened(rates.covariance, rates.rate), whitened(rates.covariance, fixed), whitened(rates.covariance, own)
+    own = np.einsum("ij,wv->wijv", np.eye(3), np.eye(len(rates.rate)))
+    values, fixed, moved = (whitened(rates.covariance, table) for table in (rates.rate, rates.columns, own))
+    return values, fixed, moved
 
 
 def _forces(evidence: Evidence, rates: StationaryRates) -> tuple[Array, Array, Array] | None:
@@ -118,9 +117,9 @@ def _forces(evidence: Evidence, rates: StationaryRates) -> tuple[Array, Array, A
     if data is None or instability is None or np.any(size == 0.0):
         return None
     up = force / size[:, None]
-    axis = np.argmax(np.abs(up), axis=1)
-    _, face = np.unique(2 * axis + (np.take_along_axis(up, axis[:, None], axis=1)[:, 0] > 0.0), return_inverse=True)
-    faces = np.eye(int(face.max()) + 1)[face]
+    upward = np.abs(up) == np.abs(up).max(axis=1, keepdims=True)
+    faces = np.hstack([upward & (up > 0.0), upward & (up <= 0.0)]).astype(np.float64)
+    faces = faces[:, faces.any(axis=0)]
     T = rates.end - rates.start
     white = float(np.mean(data.noise.accel_white**2)) / T + 2.0 * (float(np.mean(data.noise.accel_edge)) / T) ** 2
     # Attitude errors of the fixture act only through the misalignments: a relative sigma of 1e-8 allows for them.
@@ -150,9 +149,8 @@ def gyro_scale_drift(evidence: Evidence) -> Iterator[Finding]:
         return
     time = evidence.recording.time[data.rotation[turns.sequence, 0]]
     shapes = np.array(_drifts(time))
-    shapes = np.abs(shapes - shapes[:, [np.argmin(time)]])  # from zero upwards
     changes = (np.linalg.norm(turns.by_axis, axis=1) * shapes).T[:, None, :]
-    null, *drifts = _explained(turns.measured, turns.fixed, changes, [len(shapes)] * len(shapes))
+    null, *drifts = _explained(turns.measured, turns.fixed, changes, len(shapes))
     best = max(drifts, key=lambda explanation: explanation.score)
     if _probability(null, best) < FALSE_ALARM / len(shapes):
         change, sigma = 1e6 * float(best.value[0]), 1e6 * float(best.sigma[0])

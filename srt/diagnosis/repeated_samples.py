@@ -16,7 +16,7 @@ from srt.diagnosis.false_alarms import FALSE_ALARM
 
 if TYPE_CHECKING:
     from srt.diagnosis.evidence import Evidence
-    from srt.types import Array, Indices
+    from srt.types import Indices
 
 
 BY_CHANCE: Final = FALSE_ALARM / 11.0
@@ -25,40 +25,32 @@ independent repeats. The pulses of a steady input are evenly spaced, so that the
 _LONGER: Final = 2.0
 """Smallest ratio of a run to the ordinary runs of the other windows (or rotations) for a finding. In noise-free
 readings a whole rotation is one run, and a rotation of 360° lasts twice as long as one of 180°."""
-_BESIDE: Final = 100
-"""Fewest samples on each side of a run in which repeats are counted; for a long run, three times its length."""
 PULSES: Final = 8.0
 """Smallest ratio of a run to the longest run next to it for a finding: where a changing rate passes a whole number of
 pulses per sample, sound readings repeat for up to five times as long as before and after."""
-_SUPPORT: Final = 3
-"""Number of repeats added to those counted: if none is counted, the frequency of repeats may still be 3 divided by the
-number of samples (95 % upper limit)."""
 _CHUNK: Final = 50
-"""Number of samples over which the frequency of repeats is averaged: a pause between rotations is as short."""
+"""Fewest samples over which the frequency of repeats is averaged: a pause between rotations is as short."""
 _SHORT: Final = 3
 """Largest number of repeats in a row for a sample that was written twice or a few times."""
 _MOVED: Final = 0.25
 """Noise of a sample, in pulses, above which the readings of a steady input change: 50 equal readings have p = 1e-7."""
 _EDGE: Final = 10
 """Number of samples on each side of a run from which the rate before and after it is taken."""
-_STEADY: Final = 1.5
-"""Largest difference of successive readings at a steady rate, in pulses: one pulse, and a margin for rounding."""
 _FROZEN: Final = 0.9
 """Share of repeated samples of the other sensor from which that sensor counts as frozen, too."""
 
 
 def repeated_runs(evidence: Evidence) -> list[tuple[int, int] | None]:
-    """First sample, and number of repeats, of the longest run that chance does not explain, by row.
+    """First sample, and number of repeats, of the longest run that chance does not explain, by row of the repeats.
 
-    The rows are those of ``Evidence.repeats``. A run of one triad is found only if the other triad changes meanwhile,
-    a run of one channel only if its triad changes. Runs at the largest or smallest reading are left out, as the channel
-    saturates there. None without a run.
+    A run of one triad is found only if the other triad changes meanwhile, a run of one channel only if its triad
+    changes, and none at the largest or smallest reading, where the channel saturates.
     """
     data = evidence.data
     found: list[tuple[int, int] | None] = [None] * len(evidence.repeats)
     if data is None:
         return found
-    same, windows = evidence.repeats, data.windows.samples
+    same, windows, columns = evidence.repeats, data.windows.samples, evidence.columns
     parts = np.concatenate([windows[data.start], windows[data.end], data.rotation])
     turning = np.arange(len(parts)) >= 2 * data.K
     parts, turning = (x[parts[:, 1] - parts[:, 0] > 1] for x in (parts, turning))
@@ -75,39 +67,28 @@ def repeated_runs(evidence: Evidence) -> list[tuple[int, int] | None]:
         n, (a, b), best = int(longest[row, k]), pairs[k].tolist(), found[row]
         other = 3 - row if row < 3 else row // 3  # the other sensor, or the triad of a channel
         first = a + int(np.argmax(count[row, a:b])) - n + 1
-        span = max(_BESIDE, 3 * n)
+        own = columns[row - 3 : row - 2] if row > 2 else columns[3 * row - 3 : 3 * row]
+        span = max(_CHUNK, 2 * n)
         beside = np.r_[max(a, first - span) : first, first + n : min(b, first + n + span)]
-        frequency = (np.count_nonzero(same[row, beside]) + _SUPPORT) / (len(beside) + _SUPPORT)
+        frequency = (np.count_nonzero(same[row, beside]) + 1) / (len(beside) + 1)
         if (
             (best is None or n > best[1])
             and n * math.log(frequency) < math.log(BY_CHANCE / total)
             and n > PULSES * count[row, beside].max(initial=0)
             and (row == 0 or np.mean(same[other, first : first + n]) < _FROZEN)
-            and not _at_extreme(evidence.columns[_channels(row)], first)
+            and not (row and np.all((own[:, first] == own.min(axis=1)) | (own[:, first] == own.max(axis=1))))
             and not (row > 2 and _goes_on(evidence, row - 3, (a, first, first + n, b + 1)))
         ):
             found[row] = first, n
     return found
 
 
-def _channels(row: int) -> slice:
-    """Channels of a row of ``Evidence.repeats``; none for the first one, as all channels do not saturate at once."""
-    return slice(3 * (row - 1), 3 * row) if row < 3 else slice(row - 3, row - 2)
-
-
-def _at_extreme(columns: Array, first: int) -> bool:
-    """True if the readings of a run are the largest or smallest ones of all of these channels."""
-    held = columns[:, first]
-    return len(columns) > 0 and bool(np.all((held == columns.min(axis=1)) | (held == columns.max(axis=1))))
-
-
 def _goes_on(evidence: Evidence, channel: int, bounds: tuple[int, int, int, int]) -> bool:
     """True if the pulses of one channel continue before and after a run as in the run: the channel is not frozen.
 
-    A steady input near a whole number of pulses per sample repeats for any time if the noise is small, so that the
-    length of a run does not show a freeze. A freeze ends with a jump of the reading, but a changing rate changes no
-    faster at the end of the run than at the next sample. ``bounds`` are the first sample of the window or rotation,
-    the first and last samples of the run, and one past the last sample of the window or rotation.
+    The pulses of a steady input may repeat for any time. A freeze ends with a jump, but a changing rate changes no
+    faster at the end of the run than at the next sample. ``bounds`` are those of the run (inclusive) in those of its
+    window or rotation.
     """
     recording, data = evidence.recording, evidence.data
     sensor, axis = ("gyro", "accel")[channel // 3], channel % 3
@@ -117,29 +98,25 @@ def _goes_on(evidence: Evidence, channel: int, bounds: tuple[int, int, int, int]
         return False
     column = evidence.columns[channel]
     a, first, last, b = bounds
-    value, most = float(column[first]), _STEADY * pulse / (evidence.dt * evidence.per_rate)
+    value, unit = float(column[first]), pulse / (evidence.dt * evidence.per_rate)
     for beside in (column[max(a, first - _EDGE) : first][::-1], column[last + 1 : min(b, last + 1 + _EDGE)]):
         changes = np.abs(np.diff(beside[:2], prepend=value))
-        # The median, because the edge of a window may lie within a sample.
-        steady = len(beside) == 0 or abs(float(np.median(beside)) - value) < most
-        if not (steady or (len(changes) == 2 and changes[0] <= changes[1] + most)):
+        # Evenly spaced pulses differ by one. The median, because the edge of a window may lie within a sample.
+        steady = len(beside) == 0 or round(abs(float(np.median(beside)) - value) / unit) <= 1
+        if not (steady or (len(changes) == 2 and round((changes[0] - changes[1]) / unit) <= 1)):
             return False
     return True
 
 
 def single_repeats(evidence: Evidence) -> list[tuple[Indices, float]]:
-    """Samples that repeat the previous one in all channels, in runs of at most three, and their number by chance.
+    """Samples that repeat the previous one in all channels, at most three times, and their number by chance.
 
-    One pair is for the windows, the other for the rotations, in which pulses hardly repeat. The expected number assumes
-    that gyros and accelerometers repeat independently: it is the product of both frequencies, summed over chunks, as
-    both frequencies are higher at rest.
+    One pair is for the windows, the other for the rotations, in which pulses hardly repeat. By chance, gyros and
+    accelerometers repeat independently: the product of both frequencies, which vary from chunk to chunk.
     """
     found: list[tuple[Indices, float]] = []
     for parts in () if evidence.data is None else (evidence.data.windows.samples, evidence.data.rotation):
-        inside = np.zeros(evidence.repeats.shape[1], dtype=np.int8)
-        for a, b in parts.tolist():
-            inside[a : max(a, b - 1)] = 1
-        at = np.flatnonzero(inside)
+        at = np.unique(np.concatenate([np.arange(a, b - 1) for a, b in parts.tolist()]))
         if at.size == 0:
             continue
         every, gyro, accel = evidence.repeats[:3, at]

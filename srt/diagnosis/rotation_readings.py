@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final, NamedTuple
@@ -34,6 +33,9 @@ ROUNDING: Final = 1e-9
 """Largest rounding of readings, relative to the largest reading: a unit conversion makes 1e-16, a file 1e-10."""
 MAD: Final = 1.4826
 """Ratio of the standard deviation to the median absolute deviation of a normal distribution."""
+AGREE: Final = 0.5
+"""Largest relative difference between a rotation by gyros and by accelerometers, due to scale-factor errors and coarse
+blocks. Lost samples and asymmetric scale factors make a difference of the whole error."""
 _SLOWEST_RAD_S: Final = 0.05
 """Slowest rotation of a manoeuvre, rad/s: 180° in a minute."""
 _OTHER_UNIT: Final = 8.0
@@ -43,12 +45,6 @@ _OTHER_UNIT: Final = 8.0
 def rates_factor(recording: Recording) -> float:
     """Factor from stored values to rates: 1, or one over the interval for increments."""
     return 1.0 if recording.kind == "rate" else 1.0 / recording.nominal_interval_s
-
-
-def median(rows: Array) -> Array:
-    """Median along the last axis. For short rows, ``numpy.median`` takes several times as long."""
-    middle = [(rows.shape[-1] - 1) // 2, rows.shape[-1] // 2]
-    return np.asarray(np.partition(np.ascontiguousarray(rows), middle, axis=-1)[..., middle].mean(axis=-1))
 
 
 def cross(a: Array, b: Array) -> Array:
@@ -63,19 +59,11 @@ def invert_readings(matrix: Array, readings: Array) -> Array:
 
 
 class RawIntegrals(NamedTuple):
-    """Raw gyro readings of each sequence, integrated over the rotation.
+    """Raw gyro readings of each of K sequences, less the mean of both windows, integrated over the rotation."""
 
-    Attributes
-    ----------
-    signed, absolute : ndarray, shape (K, 3), rad
-        Integrals of the readings less the mean of both windows, and of their absolute values.
-    speed : ndarray, shape (K,), rad/s
-        Mean rate; zero without a rotation.
-    """
-
-    signed: Array
-    absolute: Array
-    speed: Array
+    signed: Array  # integrals, (K, 3), rad
+    absolute: Array  # integrals of the absolute values, (K, 3), rad
+    speed: Array  # mean rate, zero without a rotation, (K,), rad/s
 
 
 def raw_integrals(data: PreparedRecording) -> RawIntegrals:
@@ -103,8 +91,7 @@ def nominal_integrals(sequence: RotationSequence) -> tuple[Array, Array, Array, 
 def _bias_per_force(data: PreparedRecording) -> Array:
     """Slope of raw stationary rate over raw specific force, (3, 3), rad/s per m/s²: g-sensitivity, vertical Earth rate.
 
-    Zero if the windows do not determine it. During a rotation it gives the change of the rate offset, because the
-    attitudes of the rotation differ from those of its windows.
+    It gives the change of the rate offset during a rotation. Zero if the windows do not determine it.
     """
     force = data.windows.accel_mean
     design = np.hstack([force / data.gravity, np.ones((len(force), 1))])
@@ -113,31 +100,15 @@ def _bias_per_force(data: PreparedRecording) -> Array:
     return robust_fit(design, data.windows.gyro_mean)[:3].T / data.gravity
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class BlockAverages:
-    """Raw readings averaged over blocks of about 10 ms, from 0.5 s before each manoeuvre to 0.5 s after it.
+class BlockAverages(NamedTuple):
+    """Raw readings averaged over m blocks of about 10 ms, from 0.5 s before each manoeuvre to 0.5 s after it."""
 
-    Attributes
-    ----------
-    sequence : ndarray of int, shape (m,)
-        Number of the sequence of each block; sequences with a gap are omitted.
-    starts : ndarray of int, shape (K' + 1,)
-        Number of the first block of each of the K' sequences, and the number of blocks.
-    first_sample : ndarray of int, shape (m,)
-        Number of the first sample of each block.
-    step_s : float
-        Length of a block.
-    rate : ndarray, shape (m, 3), rad/s
-        Mean rate, less the stationary rate of the sequence's windows and the effect of specific force.
-    force : ndarray, shape (m, 3), m/s²
-    """
-
-    sequence: Indices
-    starts: Indices
-    first_sample: Indices
-    step_s: float
-    rate: Array
-    force: Array
+    sequence: Indices  # number of the sequence of each block, (m,); sequences with a gap are omitted
+    starts: Indices  # number of the first block of each of K' sequences, and the number of blocks, (K' + 1,)
+    first_sample: Indices  # number of the first sample of each block, (m,)
+    step_s: float  # length of a block
+    rate: Array  # mean rate less stationary rate of the windows and effect of specific force, (m, 3), rad/s
+    force: Array  # (m, 3), m/s²
 
 
 def block_averages(data: PreparedRecording, contiguous: Mask) -> BlockAverages | None:
@@ -147,30 +118,23 @@ def block_averages(data: PreparedRecording, contiguous: Mask) -> BlockAverages |
     recording, per_force = data.recording, _bias_per_force(data)
     dt, per_rate = recording.nominal_interval_s, rates_factor(recording)
     rest = data.windows.gyro_mean - data.windows.accel_mean @ per_force.T
-    size = max(1, round(_STEP_S / dt))
-    margin = round(_MARGIN_S / dt)
-    sequences = np.flatnonzero(contiguous)
-    first: list[Indices] = []
-    rate: list[Array] = []
-    force: list[Array] = []
+    size, margin, sequences = max(1, round(_STEP_S / dt)), round(_MARGIN_S / dt), np.flatnonzero(contiguous)
+    first, means = [], []
     for k in sequences.tolist():
         (low, a), (b, high) = data.windows.samples[[data.start[k], data.end[k]]].tolist()
         begin = max(low, a - margin)
         count = (min(high, b + margin) - begin) // size
-        for values, means in ((recording.gyro, rate), (recording.accel, force)):
-            mean = values[begin : begin + count * size].reshape(count, size, 3).mean(axis=1)
-            means.append(mean * per_rate if per_rate != 1.0 else mean)
-        rate[-1] -= force[-1] @ per_force.T + 0.5 * (rest[data.start[k]] + rest[data.end[k]])
+        part = slice(begin, begin + count * size)
+        rate, force = (
+            table[part].reshape(count, size, 3).mean(axis=1) * per_rate for table in (recording.gyro, recording.accel)
+        )
+        rate -= force @ per_force.T + 0.5 * (rest[data.start[k]] + rest[data.end[k]])
         first.append(begin + size * np.arange(count))
+        means.append(np.stack([rate, force]))
     lengths = [len(part) for part in first]
-    return BlockAverages(
-        np.repeat(sequences, lengths),
-        np.concatenate([[0], np.cumsum(lengths)]),
-        np.concatenate(first),
-        size * dt,
-        np.concatenate(rate),
-        np.concatenate(force),
-    )
+    starts = np.concatenate([[0], np.cumsum(lengths)])
+    sequence, sample = np.repeat(sequences, lengths), np.concatenate(first)
+    return BlockAverages(sequence, starts, sample, size * dt, *np.concatenate(means, axis=1))
 
 
 def turning_windows(data: PreparedRecording, seen: RawIntegrals) -> Mask:
@@ -191,30 +155,23 @@ def turning_windows(data: PreparedRecording, seen: RawIntegrals) -> Mask:
         if count:
             blocks = recording.gyro[a : a + count * size].reshape(count, size, 3)
             # The median, so that a spike is not taken for a rotation.
-            means = median(np.moveaxis(blocks, 1, 2)).T * factor
-            span[w] = np.ptp(means, axis=1)
-            scatter[w] = MAD * median(np.abs(means - median(means)[:, None]))
+            means = np.median(blocks, axis=1) * factor
+            span[w] = np.ptp(means, axis=0)
+            scatter[w] = MAD * np.median(np.abs(means - np.median(means, axis=0)), axis=0)
     tests = max(1, 6 * int(np.sum((samples[:, 1] - samples[:, 0]) // size)))
     noise = 2.0 * limit("normal", tests=tests) * np.median(scatter, axis=0)
     return np.asarray(np.any(span > np.maximum(slowest, noise), axis=1))
 
 
 class Rotations(NamedTuple):
-    """Rotations of the sequences in which as many rotations are found as their label states.
+    """L rotations of the sequences in which as many rotations are found as their label states.
 
     A rotation begins where the axis changes, or after a pause. Sequences with a gap are left out.
-
-    Attributes
-    ----------
-    sequence : ndarray of int, shape (L,)
-        Number of the sequence of each rotation.
-    nominal, turned : ndarray, shape (L, 3), rad
-        Nominal rotation (signed angle times axis), and the raw gyro readings integrated over the rotation.
     """
 
-    sequence: Indices
-    nominal: Array
-    turned: Array
+    sequence: Indices  # number of the sequence of each rotation, (L,)
+    nominal: Array  # signed angle times axis, (L, 3), rad
+    turned: Array  # raw gyro readings integrated over the rotation, (L, 3), rad
 
 
 def find_rotations(data: PreparedRecording | None, path: BlockAverages | None) -> Rotations:
@@ -227,25 +184,19 @@ def find_rotations(data: PreparedRecording | None, path: BlockAverages | None) -
         size = np.abs(path.rate) / np.where(largest > _OTHER_UNIT * typical, largest / typical, 1.0)
         speed, axis = size.max(axis=1), np.argmax(size, axis=1)
         for s, e in pairwise(path.starts.tolist()):
-            if s == e:  # shorter than a block
-                continue
-            k = int(path.sequence[s])
-            sequence = data.catalogue[k]
-            if sequence is None:
+            sequence = data.catalogue[path.sequence[s]] if s < e else None
+            if sequence is None:  # unknown, or shorter than a block
                 continue
             mark = np.where(speed[s:e] > MOVING * speed[s:e].max(), axis[s:e], -1)
             cuts = leg_borders(mark, through_stops=False)[:-1]
             if len(cuts) == len(sequence.rotations):
                 turned = np.add.reduceat(path.rate[s:e], cuts, axis=0) * path.step_s
-                found.append(Rotations(np.full(len(cuts), k), sequence.axes * sequence.angles_rad[:, None], turned))
+                found.append(Rotations(path.sequence[s + cuts], sequence.axes * sequence.angles_rad[:, None], turned))
     return Rotations(*(np.concatenate(columns) for columns in zip(*found, strict=True)))
 
 
 def robust_fit(x: Array, y: Array) -> Array:
-    """Solution b (p, 3) of ``y ≈ x @ b`` for x (n, p) and y (n, 3), with the least sum of lengths of the residuals.
-
-    Least absolute deviations by iteratively reweighted least squares.
-    """
+    """Solution b (p, 3) of ``y ≈ x @ b`` for x (n, p) and y (n, 3), with the least sum of lengths of the residuals."""
     weight = np.ones(len(x))
     floor = 1e-9 * float(np.abs(y).max(initial=1e-300))
     solution: Array = np.zeros((x.shape[1], y.shape[1]))

@@ -15,9 +15,6 @@ if TYPE_CHECKING:
     from srt.diagnosis.evidence import Evidence
     from srt.diagnosis.findings import Finding
 
-_WHOLE: Final = 0.25
-"""Largest deviation of a step from a whole number of samples, relative to that number: noise causes no more."""
-
 
 def sensor_time_offset(evidence: Evidence) -> Iterator[Finding]:
     """Test for a lag between the gyros and the rotation of gravity, of a triad or of one channel."""
@@ -53,10 +50,7 @@ AXIS_DELAYED: Final = by_sensor(
 def sample_twice(evidence: Evidence) -> int | None:
     """Sample that repeats the previous one and causes an attitude error by its angle; None if there is none."""
     step, turns = evidence.attitude_step, evidence.block_averages
-    if step is None or turns is None:
-        return None
-    samples = -step.duration_s / evidence.dt
-    if round(samples) < 1 or abs(samples - round(samples)) > _WHOLE * round(samples):
+    if step is None or turns is None or step.duration_s > -0.5 * evidence.dt:
         return None
     recording, reach = evidence.recording, 2 * max(1, round(turns.step_s / evidence.dt))
     rows = np.arange(max(1, step.sample - reach), min(len(recording.time), step.sample + reach))

@@ -11,7 +11,7 @@ import numpy as np
 
 from srt.diagnosis.findings import Fault
 from srt.diagnosis.label_shift import lost_samples
-from srt.diagnosis.rotation_readings import invert_readings, nominal_integrals
+from srt.diagnosis.rotation_readings import AGREE, invert_readings, nominal_integrals
 from srt.diagnosis.sensor_synchronisation import SAMPLES_LOST, samples_lost
 from srt.estimation.rotation_accuracy import SIGMAS, scatter_ratio
 from srt.model import closed_form
@@ -29,9 +29,6 @@ if TYPE_CHECKING:
 _FAR: Final = 1.0
 """Squared distance above which a manoeuvre is another sequence; rotation angles in units of 180°, verticals as unit
 vectors. The two most similar of the 17 sequences are 2 apart; a unit with errors of 10 % is within 0.1 of its own."""
-_AGREE: Final = 0.5
-"""Largest share of an angle error of the gyros that the accelerometers may contradict: they contradict the whole of an
-error due to lost samples or asymmetric scale factors, but nothing of a rotation by a wrong angle."""
 _RAW_SCALE: Final = 0.015
 """Scale-factor error of uncalibrated MEMS gyros, 1-sigma."""
 _LOST: Final = (
@@ -45,10 +42,7 @@ _SHORT: Final = 0.5
 
 
 def labels_shifted(evidence: Evidence) -> Iterator[Finding]:
-    """Compare the labelled windows that include rotation with the stationary windows found in the samples.
-
-    Lost samples, of which the readings show a step without labels, shift all labels after them.
-    """
+    """Compare the labelled windows with the stationary windows in the samples; lost samples shift all later labels."""
     seen = evidence.label_shift
     if seen is None or evidence.data is None:
         return
@@ -92,10 +86,10 @@ def rotations_against_labels(evidence: Evidence) -> Iterator[Finding]:
     done = np.einsum("la,la->l", invert_readings(matrix, turned), nominal) / np.maximum(angle, 1e-300)
     known = ~np.isin(numbers, list(exchanged))
     # Recognised sequences have the right sense by construction.
-    backwards = known & (done < -_AGREE * angle) & evidence.has_labels
+    backwards = known & (done < -AGREE * angle) & evidence.has_labels
     if backwards.any():
         leg = int(np.flatnonzero(backwards)[0])
-        expected = _signed(nominal[leg])
+        expected = float(nominal[leg].sum())  # a rotation about one axis
         yield WRONG_DIRECTION.found(
             title=_turn_title(evidence, leg),
             found=math.degrees(math.copysign(done[leg], -expected)),
@@ -180,11 +174,21 @@ def _wrong_angles(evidence: Evidence, known: Mask, excess: Array) -> Iterator[Fi
     if off.size and evidence.lag is not None:
         # A lagging gyro measures the end of a rotation during the next rotation of the sequence.
         off = off[np.bincount(numbers)[numbers[off]] == 1]
-    if off.size:
-        off = off[_end_mismatch(evidence)[numbers[off]] < _AGREE * np.abs(excess[off])]
+    path, data = evidence.stabilised_force, evidence.data
+    if off.size == 0 or path is None or data is None:
+        return
+    # Angle between the vertical propagated by the gyros and the measured one, at the end of each sequence.
+    _, accel, bias = evidence.raw_triads
+    last = path.blocks.starts[1:] - 1
+    own = path.blocks.sequence[last]
+    measured = invert_readings(accel, evidence.stationary_force[data.end[own]] - bias)
+    measured /= np.maximum(np.linalg.norm(measured, axis=1, keepdims=True), 1e-300)
+    mismatch = np.full(data.K, np.inf)
+    mismatch[own] = np.linalg.norm(np.einsum("kab,kb->ka", path.attitude[last], measured) - path.up[last], axis=1)
+    off = off[mismatch[numbers[off]] < AGREE * np.abs(excess[off])]
     if off.size:
         leg = int(off[np.argmax(np.abs(excess[off]))])
-        expected = _signed(nominal[leg])
+        expected = float(nominal[leg].sum())  # a rotation about one axis
         yield WRONG_ANGLE.found(
             title=_turn_title(evidence, leg),
             found=math.degrees(expected + math.copysign(1.0, expected) * excess[leg]),
@@ -193,38 +197,12 @@ def _wrong_angles(evidence: Evidence, known: Mask, excess: Array) -> Iterator[Fi
         )
 
 
-def _end_mismatch(evidence: Evidence) -> Array:
-    """Angle between the vertical propagated by the gyros and the measured one, at the end of each sequence, (K,), rad.
-
-    Infinite where it is not known.
-    """
-    data, path = evidence.data, evidence.stabilised_force
-    if data is None or path is None:
-        return np.full(0 if data is None else data.K, np.inf)
-    _, accel, bias = evidence.raw_triads
-    last = path.blocks.starts[1:] - 1
-    sequences = path.blocks.sequence[last]
-    measured = invert_readings(accel, evidence.stationary_force[data.end[sequences]] - bias)
-    measured /= np.maximum(np.linalg.norm(measured, axis=1, keepdims=True), 1e-300)
-    out = np.full(data.K, np.inf)
-    carried = np.einsum("kab,kb->ka", path.attitude[last], measured)
-    out[sequences] = np.linalg.norm(carried - path.up[last], axis=1)
-    return out
-
-
-def _signed(rotation: Array) -> float:
-    """Signed angle of a rotation about one axis, rad."""
-    return float(rotation[np.argmax(np.abs(rotation))])
-
-
 def _turn_title(evidence: Evidence, leg: int) -> str:
     """Name of a rotation, with a capital letter for the beginning of a message."""
-    numbers = evidence.rotations[0]
-    k = int(numbers[leg])
-    title = evidence.title(k)
-    mine = np.flatnonzero(numbers == k)
-    if len(mine) > 1:
-        title = f"rotation {leg - int(mine[0]) + 1} of {title}"
+    numbers = evidence.rotations.sequence
+    mine = np.flatnonzero(numbers == numbers[leg])
+    title = evidence.title(int(numbers[leg]))
+    title = f"rotation {leg - int(mine[0]) + 1} of {title}" if len(mine) > 1 else title
     return title[0].upper() + title[1:]
 
 

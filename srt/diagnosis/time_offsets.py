@@ -8,14 +8,13 @@ the angle between the rotations that gyros and accelerometers measure.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
 from srt.diagnosis.cause_comparison import Cause, compare
 from srt.diagnosis.false_alarms import limit
-from srt.diagnosis.rotation_readings import cross, invert_readings
+from srt.diagnosis.rotation_readings import ROUNDING, cross, invert_readings
 from srt.model import rotations
 from srt.model.table1 import AXES
 
@@ -30,45 +29,34 @@ _FEWEST_TURNS: Final = 4
 """Fewest rotations for an estimate of the scatter of the offset."""
 _LEAST_OFFSET: Final = 0.02
 """Smallest offset for a finding, in sampling intervals: the effective time of a reading is not known better."""
-_OBSERVED: Final = 1e-9
-"""Smallest relative singular value of an observable combination of accelerometer errors; far above rounding."""
 _COARSE: Final = 5
 """Number of blocks that are averaged for the estimate of the offset, which is constant during a rotation."""
 _SIDE: Final = 20
 """Number of blocks used on each side of a step."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class StabilisedForce:
-    """Specific force averaged over blocks of about 10 ms, transformed by the gyros to B_Strt of its sequence.
+class StabilisedForce(NamedTuple):
+    """Specific force averaged over m blocks of about 10 ms, transformed by the gyros to B_Strt of its sequence."""
 
-    Attributes
-    ----------
-    blocks : BlockAverages
-        Raw readings.
-    attitude : ndarray, shape (m, 3, 3)
-        Attitude at the middle of the block, from the gyros: B to B_Strt.
-    rate : ndarray, shape (m, 3), rad/s
-        Rate in B, less the stationary mean.
-    up, up_body : ndarray, shape (m, 3)
-        Measured vertical at the start of the block's sequence in B_Strt, and in B at the middle of the block.
-    force : ndarray, shape (m, 3)
-        Specific force in B_Strt, in units of gravity; constant for a perfect IMU.
-    """
-
-    blocks: BlockAverages
-    attitude: Array
-    rate: Array
-    up: Array
-    up_body: Array
-    force: Array
+    blocks: BlockAverages  # raw readings
+    attitude: Array  # attitude at the middle of the block, from the gyros: B to B_Strt, (m, 3, 3)
+    rate: Array  # rate in B, less the stationary mean, (m, 3), rad/s
+    up: Array  # measured vertical at the start of the block's sequence in B_Strt, (m, 3)
+    up_body: Array  # the same in B at the middle of the block, (m, 3)
+    force: Array  # specific force in B_Strt, in units of gravity, (m, 3); constant for a perfect IMU
 
 
 def stabilised_force(data: PreparedRecording, blocks: BlockAverages, triads: RawTriads) -> StabilisedForce:
     """Gyro-stabilised specific force of all rotations."""
     gyro, accel, bias = triads
     rate = invert_readings(gyro, blocks.rate)
-    attitude = _attitudes(rate * blocks.step_s, blocks.starts)
+    half = rotations.from_rotation_vector(np.ascontiguousarray(0.5 * blocks.step_s * rate.T))
+    ends = rotations.prefix_product(rotations.multiply(half, half))
+    begins = np.concatenate([[[1.0], [0.0]], ends[:, blocks.starts[1:-1] - 1]], axis=1)
+    # One product over all sequences, times the inverse attitude at the start of each one and of half the last step.
+    back = np.repeat(rotations.conjugate(begins), np.diff(blocks.starts), axis=1)
+    middle = rotations.multiply(rotations.multiply(back, ends), rotations.conjugate(half))
+    attitude = np.ascontiguousarray(np.moveaxis(rotations.to_matrix(middle), 2, 0))
     vertical = invert_readings(accel, data.windows.accel_mean[data.start] - bias)
     size = np.linalg.norm(vertical, axis=1, keepdims=True)
     up = np.divide(vertical, size, out=np.zeros_like(vertical), where=size > 0.0)[blocks.sequence]
@@ -77,39 +65,14 @@ def stabilised_force(data: PreparedRecording, blocks: BlockAverages, triads: Raw
     return StabilisedForce(blocks, attitude, rate, up, up_body, np.einsum("mab,mb->ma", attitude, force))
 
 
-def _attitudes(angle: Array, starts: Indices) -> Array:
-    """Attitude at the middle of each step, relative to the start of its chain of rotation vectors, (n, 3, 3)."""
-    half = rotations.from_rotation_vector(np.ascontiguousarray(0.5 * angle.T))
-    ends = rotations.prefix_product(rotations.multiply(half, half))
-    begins = np.concatenate([[[1.0], [0.0]], ends[:, starts[1:-1] - 1]], axis=1)
-    # One product over all chains, times the inverse attitude at the start of each chain and of half the last step.
-    back = np.repeat(rotations.conjugate(begins), np.diff(starts), axis=1)
-    middle = rotations.multiply(rotations.multiply(back, ends), rotations.conjugate(half))
-    return np.ascontiguousarray(np.moveaxis(rotations.to_matrix(middle), 2, 0))
-
-
 class TimeOffset(NamedTuple):
-    """Time offset between the sensors, and the accelerometer errors estimated with it.
+    """Time offset between the sensors in n rotations, and the accelerometer errors estimated with it."""
 
-    Attributes
-    ----------
-    by_turn : ndarray, shape (n,), s
-        Lag of the accelerometers behind the gyros in each rotation used.
-    axes : ndarray, shape (n, 3)
-        Axis of each rotation, unit vectors in B.
-    by_accel : ndarray, shape (n, 3)
-        Lag estimated in each rotation if only accelerometer x, y or z lags, by one second.
-    errors : ndarray, shape (15,)
-        Accelerometer errors, in the order of :func:`_columns`.
-    spread : ndarray, shape (r, 15)
-        Square root S of the covariance SᵀS of these errors.
-    """
-
-    by_turn: Array
-    axes: Array
-    by_accel: Array
-    errors: Array
-    spread: Array
+    by_turn: Array  # lag of the accelerometers behind the gyros, (n,), s
+    axes: Array  # axis of each rotation, unit vectors in B, (n, 3)
+    by_accel: Array  # lag that is estimated if only accelerometer x, y or z lags, by one second, (n, 3)
+    errors: Array  # accelerometer errors, in the order of :func:`_columns`, (15,)
+    spread: Array  # square root S of their covariance SᵀS, (r, 15)
 
 
 def time_offset(path: StabilisedForce) -> TimeOffset | None:
@@ -119,7 +82,7 @@ def time_offset(path: StabilisedForce) -> TimeOffset | None:
     scale-factor error; the scatter of the offsets includes all unmodelled effects.
     """
     turns, first = path.blocks, path.blocks.starts[:-1]
-    rate = _levelled(path, path.rate)
+    rate = np.einsum("mab,mb->ma", path.attitude, path.rate)
     total = np.add.reduceat(rate, first) * turns.step_s
     size = np.linalg.norm(total, axis=1)
     axis = total / np.maximum(size, 1e-300)[:, None]
@@ -151,18 +114,14 @@ def time_offset(path: StabilisedForce) -> TimeOffset | None:
         projected.append(shared[-1] - Q @ (Q.T @ shared[-1]))
     stacked = np.concatenate(projected)
     U, sizes, Vt = np.linalg.svd(stacked[:, :-4], full_matrices=False)
-    seen = sizes > _OBSERVED * sizes[0]
+    seen = sizes > ROUNDING * sizes[0]
     root = Vt[seen] / sizes[seen, None]
     # Lags of single accelerometers are put through the same estimation: the accelerometer errors absorb a part of them.
     every = root.T @ (U[:, seen].T @ stacked[:, -4:])
     left = stacked[:, -4] - stacked[:, :-4] @ every[:, 0]
     freedom = max(1, len(stacked) - 3 * n - int(seen.sum()))
-    lags = np.array(
-        [
-            np.linalg.lstsq(mine, common[:, -4:] - common[:, :-4] @ every, rcond=_OBSERVED)[0][0]
-            for mine, common in zip(own, shared, strict=True)
-        ]
-    )
+    rest = [common[:, -4:] - common[:, :-4] @ every for common in shared]
+    lags = np.array([(np.linalg.pinv(mine) @ angles)[0] for mine, angles in zip(own, rest, strict=True)])
     spread = np.asarray(root * math.sqrt(float(left @ left) / freedom))
     return TimeOffset(lags[:, 0], axis[chosen], lags[:, 1:], every[:, 0], spread)
 
@@ -170,8 +129,7 @@ def time_offset(path: StabilisedForce) -> TimeOffset | None:
 def _columns(along: Array, rate: Array, up: Array, step_s: float) -> Array:
     """Effect of 15 accelerometer errors on the specific force along directions in B, in units of gravity, (n, 15).
 
-    The errors are a symmetric matrix (6), bias (3), asymmetry (3), and lever arm of the accelerometers over gravity (3,
-    in s²). A rotation of the whole triad needs no columns: it only changes the initial angle.
+    The errors are a symmetric matrix (6), bias (3), asymmetry (3), and lever arm over gravity (3, in s²).
     """
     ahead = [1, 2, 0]
     mixed = along * up[:, ahead] + along[:, ahead] * up
@@ -185,13 +143,12 @@ def _expected(path: StabilisedForce, errors: Array, late_s: float) -> Array:
     symmetric = np.array([[e[0], e[3], e[5]], [e[3], e[1], e[4]], [e[5], e[4], e[2]]])
     change = np.gradient(rate, path.blocks.step_s, axis=0)  # sequences begin and end at rest
     out = late_s * cross(rate, up) + up @ symmetric + e[6:9] + e[9:12] * np.abs(up)
-    return _levelled(path, out + cross(change, lever) + cross(rate, cross(rate, lever)))
+    out = out + cross(change, lever) + cross(rate, cross(rate, lever))
+    return np.asarray(np.einsum("mab,mb->ma", path.attitude, out))
 
 
 def lag(seen: TimeOffset, dt: float) -> list[Explanation] | None:
     """Possible causes of a lag between gyros and rotation of gravity, most likely first; None if there is no lag.
-
-    A rotation about one axis is measured only by the gyro of that axis.
 
     Statistic: lag of the most likely cause over its standard deviation. Distribution: t, with the degrees of freedom of
     the lags of the rotations.
@@ -208,15 +165,12 @@ def lag(seen: TimeOffset, dt: float) -> list[Explanation] | None:
 
 
 class AttitudeStep(NamedTuple):
-    """Step of the gyro-stabilised specific force: its sequence, the first sample after it, and its angle, rad.
-
-    The duration is the time in which the unit rotates by this angle; negative if the gyros measured too large an angle.
-    """
+    """Step of the gyro-stabilised specific force."""
 
     sequence: int
-    sample: int
-    height: float
-    duration_s: float
+    sample: int  # first one after the step
+    height: float  # angle, rad
+    duration_s: float  # time in which the unit rotates by it; negative if the gyros measured too large an angle
 
 
 def attitude_step(path: StabilisedForce, seen: TimeOffset | None, dt: float, void: list[int]) -> AttitudeStep | None:
@@ -253,11 +207,6 @@ def attitude_step(path: StabilisedForce, seen: TimeOffset | None, dt: float, voi
     surplus = steps[block] @ path.attitude[block] @ turning[block] > 0.0
     duration_s = (-1.0 if surplus else 1.0) * float(height[best] / speed[block])
     return AttitudeStep(int(turns.sequence[block]), int(turns.first_sample[block]), float(height[best]), duration_s)
-
-
-def _levelled(path: StabilisedForce, in_body: Array) -> Array:
-    """Vectors in B, transformed to B_Strt of the sequence, shape (m, 3)."""
-    return np.asarray(np.einsum("mab,mb->ma", path.attitude, in_body))
 
 
 def _steps(values: Array, starts: Indices) -> tuple[Array, Mask]:

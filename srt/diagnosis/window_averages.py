@@ -38,59 +38,25 @@ NOISY: Final = 2.25
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WindowAverages:
-    """Averages of the V windows that are long enough.
+    """Averages of the V windows that are long enough."""
 
-    Attributes
-    ----------
-    window : ndarray of int, shape (V,)
-        Number of each window in the prepared data.
-    size : int
-        Number of samples of a block.
-    step_s : float
-        Length of a block.
-    groups : tuple of (ndarray of int, shape (g,), and ndarray, shape (g, B, 6))
-        Windows with the same number B of blocks: their numbers from 0 to V - 1, and their block means.
-    blocks, count : ndarray of int, shape (V,)
-        Number of blocks and of samples of each window.
-    sigma : ndarray, shape (V, 6)
-        Standard deviation of a block mean: the median over the windows, or that of the window if it is larger.
-    sample_variance, block_variance : ndarray, shape (V, 6)
-        Variance of single samples and of block means, from first differences.
-    late_variance : ndarray, shape (V, 6)
-        Variance of the second half of the window about its own mean.
-    heads : ndarray of int, shape (H,)
-        Numbers of samples of the start parts, ascending.
-    head_power : ndarray, shape (V, H, 6)
-        Variance of each start part about its own mean, so that a later tilt does not count as an oscillation.
-    head_freedom : ndarray, shape (H, 2)
-        Degrees of freedom of that variance, averaged over the three axes of gyros and of accelerometers.
-    step : ndarray, shape (6,)
-        Quantization step of the readings; at least one pulse for pulse counts.
-    pulses : ndarray of bool, shape (6,)
-        True for pulse counts, whose errors do not add up.
-    least_variance : ndarray, shape (6,)
-        Variance of a sample due to quantization and rounding only.
-    block_doubt : ndarray, shape (6,)
-        Largest error of a block mean due to pulses or coarse quantization only.
-    """
-
-    window: Indices
-    size: int
-    step_s: float
-    groups: tuple[tuple[Indices, Array], ...]
-    blocks: Indices
-    count: Indices
-    sigma: Array
-    sample_variance: Array
-    block_variance: Array
-    late_variance: Array
-    heads: Indices
-    head_power: Array
-    head_freedom: Array
-    step: Array
-    pulses: Mask
-    least_variance: Array
-    block_doubt: Array
+    window: Indices  # number of each window in the prepared data, (V,)
+    size: int  # number of samples of a block
+    step_s: float  # length of a block
+    groups: tuple[tuple[Indices, Array], ...]  # windows with B blocks: numbers from 0 to V - 1, (g,); means (g, B, 6)
+    blocks: Indices  # number of blocks of each window, (V,)
+    count: Indices  # number of its samples, (V,)
+    sigma: Array  # standard deviation of a block mean, (V, 6): median over the windows, or that of the window if larger
+    sample_variance: Array  # variance of single samples, from first differences, (V, 6)
+    block_variance: Array  # variance of block means, from first differences, (V, 6)
+    late_variance: Array  # variance of the second half of the window about its own mean, (V, 6)
+    heads: Indices  # numbers of samples of the H start parts, ascending
+    head_power: Array  # variance of each start part about its own mean, not to count a later tilt, (V, H, 6)
+    head_freedom: Array  # its degrees of freedom, averaged over the axes of gyros and of accelerometers, (H, 2)
+    step: Array  # quantization step of the readings, (6,)
+    pulses: Mask  # True for pulse counts, whose errors do not add up, (6,)
+    least_variance: Array  # variance of a sample due to quantization and rounding only, (6,)
+    block_doubt: Array  # largest error of a block mean due to pulses or coarse quantization only, (6,)
 
     def relative_noise(self) -> tuple[Array, Array]:
         """Variance of samples and of blocks, by gyros and accelerometers, relative to the other windows; its limit.
@@ -106,8 +72,11 @@ class WindowAverages:
         return power, np.maximum(NOISY, limit("chi-square", freedom, tests=power.size) / freedom)
 
 
-def window_averages(data: PreparedRecording) -> WindowAverages | None:
-    """Averages of the windows; None if fewer than four are long enough to be compared."""
+def window_averages(data: PreparedRecording, quantum: Array) -> WindowAverages | None:
+    """Averages of the windows; None if fewer than four are long enough to be compared.
+
+    ``quantum`` (6,) are the quantization steps of the stored values.
+    """
     recording, samples = data.recording, data.windows.samples
     dt, per_rate = recording.nominal_interval_s, rates_factor(recording)
     lengths = samples[:, 1] - samples[:, 0]
@@ -140,7 +109,7 @@ def window_averages(data: PreparedRecording) -> WindowAverages | None:
         sigma[g] = MAD / np.sqrt(2.0) * np.median(np.abs(between), axis=1)
     pulses = np.repeat([bool(data.noise.gyro_edge.any()), bool(data.noise.accel_edge.any())], 3)
     some = samples[chosen][:: max(1, V // _SOME_WINDOWS)]
-    step = _quantization(recording, some, quarter, pulses)
+    step = quantum * per_rate
     typical = np.sqrt(np.median(late, axis=0))
     least = np.maximum(np.repeat([GYRO_FLOOR, ACCEL_FLOOR], 3) / np.sqrt(dt), 0.5 * step) ** 2
     return WindowAverages(
@@ -174,9 +143,7 @@ def _one_window(x: Array, size: int, heads: Indices) -> tuple[Array, Array, Arra
     x = x - np.einsum("nc->c", x[n // 2 :]) / (n - n // 2)
     power = np.empty((len(heads), 6))
     for h, length in enumerate(np.minimum(heads, n // 2).tolist()):  # a start part is at most half a window
-        start = x[:length]
-        square, total = np.einsum("nc,nc->c", start, start), np.einsum("nc->c", start)
-        power[h] = (square - total**2 / length) / length
+        power[h] = x[:length].var(axis=0)
     late = np.einsum("nc,nc->c", x[n // 2 :], x[n // 2 :]) / (n - n // 2)
     return means, 0.5 * np.einsum("nc,nc->c", change, change) / (n - 1), late, power
 
@@ -184,9 +151,8 @@ def _one_window(x: Array, size: int, heads: Indices) -> tuple[Array, Array, Arra
 def _freedom(recording: Recording, samples: Indices, heads: Indices) -> Array:
     """Degrees of freedom of the variance of the start parts, averaged over three axes, shape (H, 2).
 
-    The variance of n white values has n degrees of freedom. If a filter correlates the values, with autocorrelations
-    ρ(k), this number is divided by 1 + 2 Σ (1 − k/n) ρ(k)² (Bartlett's formula). The median of this sum over the
-    windows is used, as only few windows have a disturbance.
+    For values with autocorrelations ρ(k), as behind a filter, Bartlett's formula divides their number by
+    1 + 2 Σ (1 − k/n) ρ(k)², here the median over the windows, as only few windows have a disturbance.
     """
     sums = np.empty((len(samples), len(heads), 2))
     for v, (a, b) in enumerate(samples.tolist()):
@@ -203,14 +169,18 @@ def _freedom(recording: Recording, samples: Indices, heads: Indices) -> Array:
     return np.asarray(3.0 * heads[:, None] / (1.0 + 2.0 * np.maximum(np.median(sums, axis=0), 0.0)))
 
 
-def _quantization(recording: Recording, samples: Indices, most: int, pulses: Mask) -> Array:
-    """Quantization step of the first readings of windows as a rate, shape (6,); at least one pulse for pulse counts."""
-    parts = [slice(a, min(b, a + most)) for a, b in samples.tolist()]
+def quantization(data: PreparedRecording, least: Array) -> Array:
+    """Quantization step of each channel in stored values, (6,): as stated, and as shown by some windows.
+
+    ``least`` are the smallest steps of all readings. Corrected readings have finer steps than a pulse, as the
+    correction mixes the pulses of the axes: a stated pulse is used.
+    """
+    recording, windows, noise = data.recording, data.windows.samples, data.recording.noise
+    parts = [slice(a, (3 * a + b) // 4) for a, b in windows[:: max(1, len(windows) // _SOME_WINDOWS)].tolist()]
     steps = np.array([[*quantization_step(recording.gyro[p]), *quantization_step(recording.accel[p])] for p in parts])
     # The median over the windows: a disturbed window may show finer steps, and a window of constant readings no step.
     seen = np.sort(steps, axis=0)[::-1]
     shown = np.maximum(np.count_nonzero(steps, axis=0), 1)
-    found: Array = seen[shown // 2, np.arange(6)] * rates_factor(recording)
-    # Corrected readings have finer steps than a pulse, as the correction mixes the pulses of the axes.
-    stated = np.repeat([recording.noise.gyro_quantization or 0.0, recording.noise.accel_quantization or 0.0], 3)
-    return np.where(pulses, np.maximum(found, stated / recording.nominal_interval_s), found)
+    stated = np.repeat([noise.gyro_quantization or 0.0, noise.accel_quantization or 0.0], 3)
+    per_pulse = recording.nominal_interval_s * rates_factor(recording)
+    return np.asarray(np.max([seen[shown // 2, np.arange(6)], stated / per_pulse, least.ravel()], axis=0))

@@ -13,7 +13,7 @@ import numpy as np
 from srt.constants import DEG_PER_H, MICRO_G
 from srt.diagnosis.false_alarms import FALSE_ALARM, limit
 from srt.diagnosis.findings import Fault
-from srt.diagnosis.rotation_readings import MAD, cross, invert_readings
+from srt.diagnosis.rotation_readings import AGREE, MAD, cross, invert_readings
 from srt.diagnosis.window_averages import ACCEL, GYRO, NOISY
 from srt.model.sensor_model import Triad
 
@@ -27,9 +27,6 @@ if TYPE_CHECKING:
 
 _BUMP: Final = 3
 """Number of blocks over which a bump rotates the unit; a longer motion is not a bump."""
-_AGREE: Final = 0.35
-"""Largest relative difference between the tilts by gyros and by accelerometers: allows for scale-factor errors of 10 %,
-and for a step that the blocks do not fully resolve."""
 _DOUBTED: Final = 1e-4
 """p-value below which the tilt by accelerometers alone shows a creep, or differs from that by gyros."""
 _MAD_EFFICIENCY: Final = 0.37
@@ -47,13 +44,12 @@ def disturbed_windows(evidence: Evidence) -> Iterator[Finding]:
     if evidence.recording.fixture is None:
         ringing[:] = False  # a unit held by hand is never quite at rest
     # A step during an oscillation is a part of it, and no bump. An oscillation after a step is due to the bump.
-    steps = {
-        v: (block, angle)
-        for v, (block, angle) in _steps(evidence, averages).items()
-        if not (ringing[v].any() and ringing[v] @ (averages.heads <= block * averages.size))
-    }
-    rings: Mask = np.asarray(ringing.any(axis=1))
-    rings[list(steps)] = False
+    steps = _steps(evidence, averages)
+    for v, (block, _) in tuple(steps.items()):
+        if ringing[v].any() and ringing[v] @ (averages.heads <= block * averages.size):
+            del steps[v]
+    rings, done = np.asarray([ringing.any(axis=1)] * 2)
+    rings[list(steps)], done[list(steps)] = False, True
     if rings.any():
         worst = int(np.argmax(np.where(rings, amplitude.max(axis=1), 0.0)))
         yield UNSETTLED.found(
@@ -66,8 +62,6 @@ def disturbed_windows(evidence: Evidence) -> Iterator[Finding]:
         block, angle = steps[v]
         place = evidence.window_place(averages.window[v], (block + 0.5) * averages.step_s)
         yield BUMP.found(**place, angle_mrad=1e3 * angle)
-    done = rings.copy()
-    done[list(steps)] = True
     creep = _creep(evidence, averages, done)
     if creep is not None:
         v, rate = creep
@@ -83,11 +77,8 @@ def disturbed_windows(evidence: Evidence) -> Iterator[Finding]:
     if loud.any():  # single samples first, then blocks
         kind = int(np.argmax(loud.any(axis=(1, 2))))
         sensor, v = divmod(int(np.argmax(np.where(loud[kind], power[kind], 0.0))), len(done))
-        yield NOISY_WINDOW.found(
-            ratio=float(np.sqrt(power[kind, sensor, v])),
-            sensor=("gyros", "accelerometers")[sensor],
-            **evidence.window_place(averages.window[v]),
-        )
+        named = {"sensor": ("gyros", "accelerometers")[sensor], "ratio": float(np.sqrt(power[kind, sensor, v]))}
+        yield NOISY_WINDOW.found(**named, **evidence.window_place(averages.window[v]))
 
 
 UNSETTLED: Final = Fault(
@@ -205,9 +196,8 @@ def _steps(evidence: Evidence, averages: WindowAverages) -> dict[int, tuple[int,
     # A filter correlates blocks of few samples: their sums then scatter more, and their differences less. The scatter
     # is taken from a quantile over all windows that a bump has too few blocks to affect.
     relative = [np.abs(m / sigma[v, None]).reshape(-1, 3) for (v, _), m in zip(averages.groups, moving, strict=True)]
-    sigma = sigma * np.maximum(
-        1.0, np.quantile(np.concatenate(relative), 0.95, axis=0) / limit("normal", both_sides=True, shared=0.05)
-    )
+    scatter = np.quantile(np.concatenate(relative), 0.95, axis=0) / limit("normal", both_sides=True, shared=0.05)
+    sigma = sigma * np.maximum(1.0, scatter)
     own = np.maximum(1.0, (averages.sigma[:, ACCEL] / np.median(averages.sigma[:, ACCEL], axis=0)).max(axis=1))
     change = np.empty((len(sigma), 3))
     for v, means in averages.groups:
@@ -232,7 +222,7 @@ def _steps(evidence: Evidence, averages: WindowAverages) -> dict[int, tuple[int,
             off = np.linalg.norm(after.mean(axis=0) - before.mean(axis=0) - expected)
             # The noise is that of the difference of two halves: scaled to the lengths before and after the step.
             doubt = noise * own[windows[i]] * np.sqrt((1.0 / len(before) + 1.0 / len(after)) * 0.25 * count)
-            if off <= _AGREE * np.linalg.norm(expected) + z * doubt:
+            if off <= AGREE * np.linalg.norm(expected) + z * doubt:
                 out[int(windows[i])] = first + 2, float(np.linalg.norm(angle))
     return out
 
@@ -241,12 +231,9 @@ def _creep(evidence: Evidence, averages: WindowAverages, done: Mask) -> tuple[in
     """Find the window with the fastest steady tilt, and its rate in rad/s; None if there is none.
 
     The accelerometers measure the tilt rate as a drift of the vertical, the gyros as a rate in addition to bias,
-    g-sensitivity and Earth rate. Both measurements scatter over the windows: equally by bias instability, and more in
-    shorter windows by noise. A creep must satisfy three conditions: the weighted mean of both is significant, the
-    accelerometers alone show it, and both agree.
-
-    Statistic: squared tilt rate over its variance, half of it for each of two components. Distribution: F with two
-    degrees of freedom and those of the robust estimate of the variance.
+    g-sensitivity and Earth rate. The weighted mean of both must be significant, the accelerometers alone must show it,
+    and both must agree. Statistic: squared tilt rate over its variance, half of it for each of two components.
+    Distribution: F with two degrees of freedom and those of the robust estimate of the variance.
     """
     rates, fit = evidence.stationary_rates, evidence.stationary_rate_fit
     if rates is None or fit is None:
@@ -272,8 +259,7 @@ def _creep(evidence: Evidence, averages: WindowAverages, done: Mask) -> tuple[in
     tilt = np.stack([-cross(up, invert_readings(accel, slope)) / size**2, invert_readings(gyro, left)])
     first = cross(up, np.eye(3)[np.argmin(np.abs(up), axis=1)])
     first /= np.linalg.norm(first, axis=1, keepdims=True)
-    plane = np.stack([first, cross(up / size, first)], axis=1)
-    tilt = np.einsum("vjc,svc->svj", plane, tilt)
+    tilt = np.einsum("vjc,svc->svj", np.stack([first, cross(up / size, first)], axis=1), tilt)
     share = fit.freedom / rates.rate.size
     noisier = np.maximum(1.0, (averages.sigma / np.median(averages.sigma, axis=0)).max(axis=1))
     variance = noisier**2 * np.stack(
@@ -291,7 +277,7 @@ def _creep(evidence: Evidence, averages: WindowAverages, done: Mask) -> tuple[in
         & ~done
         & (square * weight.sum(axis=0) > least)
         & (np.sum(tilt[0] ** 2, axis=1) > doubted * variance[0])
-        & ((apart < doubted * variance.sum(axis=0)) | (apart < _AGREE**2 * square))
+        & ((apart < doubted * variance.sum(axis=0)) | (apart < AGREE**2 * square))
     )
     if not creeps.any():
         return None
@@ -302,8 +288,7 @@ def _creep(evidence: Evidence, averages: WindowAverages, done: Mask) -> tuple[in
 def _variance(values: Array, information: Array, tell: Indices | slice = slice(None)) -> Array:
     """Variance of the values (V, 2) of each window, shape (V,); a robust estimate from the windows ``tell``.
 
-    It is the larger of two estimates: a variance that is equal in all windows, and a variance that is inversely
-    proportional to the information of a window.
+    It is the larger of one that is equal in all windows, and one inversely proportional to the information of a window.
     """
     shares = np.stack([np.ones(len(values)), information / information.max()])
     each = np.median(np.abs(np.sqrt(shares[:, tell, None]) * values[tell]), axis=(1, 2))[:, None] ** 2 / shares

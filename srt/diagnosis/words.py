@@ -24,15 +24,11 @@ if TYPE_CHECKING:
     from srt.types import Array, Indices
 
 
-_ONE_POLARITY: Final = 0.05
-"""Smallest share of zeros in the readings of a channel without one of the signs."""
+_MANY: Final = 20
+"""Fewest readings or values that exclude chance: of as many independent ones, all have one bit set with p = 1e-6, and
+none lies in a band where as many are expected with p = 2e-9."""
 _WHOLE: Final = 1e-3
 """Largest distance of a reading from a multiple of the step, in steps: rounding leaves less."""
-_BITS: Final = 32
-"""Largest number of bits of a word."""
-_PASSED: Final = 20
-"""Fewest values of the bits from the stuck bit upwards: for independent readings, such as those of static poses, all of
-them have the bit set with p = 1e-6. For rotations, in which the readings pass all values between, p is far smaller."""
 
 
 def wrapped_words(evidence: Evidence) -> Iterator[Finding]:
@@ -75,8 +71,8 @@ def words_of_one_polarity(evidence: Evidence) -> Iterator[Finding]:
         if sensor in evidence.wrapped_readings:
             continue  # signed words that are read as unsigned ones have no negative values either
         both = np.any(inputs > MOVED, axis=0) & np.any(inputs < -MOVED, axis=0)
-        zeros = np.mean(table == 0.0, axis=0) if (some == 0.0).any() else np.zeros(3)
-        often = zeros >= _ONE_POLARITY
+        zeros = np.count_nonzero(table == 0.0, axis=0) if (some == 0.0).any() else np.zeros(3)
+        often = zeros >= _MANY
         for axis in np.flatnonzero(often).tolist():
             column = table[:, axis]
             low, high = float(column.min()), float(column.max())
@@ -85,8 +81,8 @@ def words_of_one_polarity(evidence: Evidence) -> Iterator[Finding]:
             size = np.abs(column[column != 0.0])
             if both[axis] or not (np.count_nonzero(often) > 1 or _on_grid(size, float(size.min()))):
                 missing = "negative" if low == 0.0 else "positive"
-                channel = f"{sensor}_{AXES[axis]}"
-                yield ONE_POLARITY[sensor].found(channel=channel, missing=missing, share=100.0 * zeros[axis])
+                channel, share = f"{sensor}_{AXES[axis]}", 100.0 * zeros[axis] / len(column)
+                yield ONE_POLARITY[sensor].found(channel=channel, missing=missing, share=share)
                 return
 
 
@@ -106,9 +102,14 @@ def bit_stuck(evidence: Evidence) -> Iterator[Finding]:
     """Find a bit that is set in all words of an axis; the axes of a triad have the same count value."""
     tables = (evidence.recording.gyro, evidence.recording.accel)
     for sensor, table, some, step in zip(("gyro", "accel"), tables, evidence.some, evidence.steps, strict=True):
-        lsb = _count_value(some[:, step > 0.0])
-        if lsb is None:
-            continue
+        # Count value of the axes with steps, from first and second differences of their sorted readings. The second
+        # differences are needed if all readings are several counts apart.
+        lsb = math.inf
+        for column in map(np.unique, some[:, step > 0.0].T):
+            gaps = np.unique(np.diff(column))
+            steps, largest = np.concatenate([gaps, np.diff(gaps)]), float(np.abs(column).max())
+            # The largest reading, a whole number of counts, gives it without the rounding of a difference.
+            lsb = min(lsb, largest / max(1, round(largest / float(steps[steps > ROUNDING * largest].min()))))
         for axis in range(3):
             bit = _stuck_bit(some[:, axis] / lsb)
             if bit is None or _stuck_bit(table[:, axis] / lsb) != bit:
@@ -130,84 +131,55 @@ BIT_STUCK: Final = Fault(
 )
 
 
-def _count_value(table: Array) -> float | None:
-    """Count value of axes with steps, from first and second differences of their sorted readings; None without axes.
-
-    The second differences are needed if all readings are several counts apart.
-    """
-    least = []
-    for column in map(np.unique, table.T):
-        gaps = np.unique(np.diff(column))
-        steps, largest = np.concatenate([gaps, np.diff(gaps)]), float(np.abs(column).max())
-        step = float(steps[steps > ROUNDING * largest].min())
-        # The largest reading, a whole number of counts, gives the count value without the rounding of a difference.
-        least.append(largest / max(1, round(largest / step)))
-    return min(least) if least else None
-
-
 def _stuck_bit(counts: Array) -> int | None:
     """Lowest bit that is set in all words; None if there is none, or if the readings are not whole numbers."""
-    words = np.rint(counts)
-    if float(np.abs(counts - words).max()) > _WHOLE or float(np.abs(words).max()) >= 2.0**_BITS:
-        return None
-    whole = words.astype(np.int64)
+    # The accuracy of the readings bounds the words that they can show.
+    whole = np.rint(np.clip(counts, -1.0 / np.finfo(float).eps, 1.0 / np.finfo(float).eps)).astype(np.int64)
     common = int(np.bitwise_and.reduce(whole))
     bit = (common & -common).bit_length() - 1
-    return bit if 0 <= bit < _BITS and len(np.unique(whole >> bit)) >= _PASSED else None
+    sound = bit < 0 or np.abs(counts - whole).max() > _WHOLE or len(np.unique(whole >> bit)) < _MANY
+    return None if sound else bit
 
 
-_MANY: Final = 30
-"""Fewest readings just outside a dead band: without a dead band, as many are expected inside it, and the probability of
-none is 1e-13."""
-_BAND_STEPS: Final = 2.5
-"""Smallest ratio of the smallest nonzero reading to the quantization step for a dead band; without one, it is 1."""
-_FREQUENT: Final = 0.3
-"""Smallest count of a frequent value, relative to that of the most frequent value."""
 _NEAR_BAND: Final = 10.0
 """Largest reading, relative to the smallest nonzero one, in the search for a grid of pulses."""
-_MOSTLY: Final = 0.5
-"""Share of the readings that lie on a grid of pulses, and of the stationary readings that a dead band sets to zero."""
 
 
 def dead_bands(evidence: Evidence) -> Iterator[Finding]:
     """Find channels that read zero as the input changes sign, or gyros at rest, but never less than a threshold.
 
-    Wrapped readings lie on several grids, so that their quantization step is not found. Gyros without noise may read
-    zero at rest: those of a recording with noisy accelerometers have noise.
+    Gyros without noise may read zero at rest: those of a recording with noisy accelerometers have noise.
     """
     data, noise = evidence.data, evidence.recording.noise
-    steps = evidence.steps * evidence.per_rate
-    for sensor, table, step, pulse, unit, name in (
-        ("gyro", evidence.rate, steps[0], noise.gyro_quantization, 1.0, "{}"),
-        ("accel", evidence.force, steps[1], noise.accel_quantization, MICRO_G, "{}_ug"),
-    ):
-        if sensor in evidence.wrapped_readings or (sensor == "gyro" and not evidence.noisy_channels[3:].any()):
+    for sensor, table, steps in zip(DEAD_BAND, (evidence.rate, evidence.force), evidence.steps, strict=True):
+        gyro = sensor == "gyro"
+        if sensor in evidence.wrapped_readings or (gyro and not evidence.noisy_channels[3:].any()):
             continue
+        pulse = (noise.gyro_quantization if gyro else noise.accel_quantization) or 0.0
         zeros = np.count_nonzero(table == 0.0, axis=0)
-        for axis in np.flatnonzero((zeros >= _MANY // 3) & (zeros < len(table))).tolist():
-            size = np.abs(table[:, axis])
-            size = size[size > 0.0]
+        for axis in np.flatnonzero((zeros >= _MANY // 2) & (zeros < len(table))).tolist():
+            size = np.abs(table[table[:, axis] != 0.0, axis])
             threshold = float(size.min())
             near = size[size < _NEAR_BAND * threshold]
-            at_rest = np.ones(1)
-            if sensor == "gyro" and data is not None:
+            resting = False
+            if gyro and data is not None:
                 at_rest = np.abs(np.concatenate([table[a:b, axis] for a, b in data.windows.samples.tolist()]))
-            shown = at_rest[at_rest > 0.0]
-            # If readings at rest lie between pulses in some window, they come as near to zero as can be, in few sizes;
-            # a band that is subtracted leaves all sizes.
-            sizes = len(np.unique(shown))
-            resting = len(shown) < (1.0 - _MOSTLY) * len(at_rest)
-            resting &= sizes >= _MOSTLY * len(shown) or float(np.median(shown)) < _NEAR_BAND * threshold
+                # If readings at rest lie between pulses in some window, they come as near to zero as can be, in few
+                # sizes; a band that is subtracted leaves all sizes.
+                shown = at_rest[at_rest > 0.0]
+                near_zero = np.median(np.append(shown, 0.0)) < _NEAR_BAND * threshold
+                resting = bool(np.median(at_rest) == 0.0 and (near_zero or len(np.unique(shown)) > 0.5 * len(shown)))
             # If most readings are multiples of the threshold, it is the quantization step.
-            passing = np.count_nonzero(near < 2.0 * threshold) >= _MANY
-            if not (passing or resting) or _on_grid(size, threshold):
+            if not (resting or np.count_nonzero(near < 2.0 * threshold) >= _MANY) or _on_grid(size, threshold):
                 continue
             values, counts = np.unique(near, return_counts=True)
-            common = float(values[np.argmax(counts >= _FREQUENT * counts.max())])
-            grid = max(float(step[axis]), (pulse or 0.0) / evidence.dt, common if _on_grid(near, common) else 0.0)
-            if threshold > _BAND_STEPS * grid:
-                levels = {name.format("threshold"): threshold / unit, name.format("step"): grid / unit}
-                yield DEAD_BAND[sensor].found(channel=f"{sensor}_{AXES[axis]}", count=int(zeros[axis]), **levels)
+            common = float(values[np.argmax(counts > 0.5 * counts.max())])
+            grid = max(steps[axis] * evidence.per_rate, pulse / evidence.dt, common * _on_grid(near, common))
+            if threshold > (2.0 + OFF_GRID) * grid:
+                sizes = {"threshold": threshold, "step": grid}
+                if not gyro:
+                    sizes = {f"{name}_ug": value / MICRO_G for name, value in sizes.items()}
+                yield DEAD_BAND[sensor].found(channel=f"{sensor}_{AXES[axis]}", count=int(zeros[axis]), **sizes)
                 break
 
 
@@ -226,26 +198,17 @@ DEAD_BAND: Final = by_sensor(
 def _on_grid(sizes: Array, step: float) -> bool:
     """True if most readings are multiples of a step."""
     multiple = sizes / step
-    return bool(np.mean(np.abs(multiple - np.rint(multiple)) < _WHOLE) > _MOSTLY)
+    return bool(np.median(np.abs(multiple - np.rint(multiple))) < _WHOLE)
 
 
 _NEAR: Final = 2
 """Largest reading that is counted, in steps: noise of any distribution is like normal noise over a few steps."""
-_ROUNDED: Final = np.arange(-_NEAR - 0.5, _NEAR + 1.0)
-"""Limits of the true values that are read as −2 to 2 steps, in steps, if readings are rounded. Rounding down differs by
-a bias."""
-_TRUNCATED: Final = np.delete(np.arange(-_NEAR - 1.0, _NEAR + 2.0), _NEAR + 1)
-"""The same if readings are truncated: zero is read twice as often as its neighbours."""
 _OUTLIERS: Final = 1e-4
 """Share of readings of each value that no noise explains."""
-_UNDITHERED: Final = 0.5
-"""Noise in steps below which the scatter of the readings does not show it."""
 _LEAST_NOISE: Final = 0.05
 """Noise in steps below which all readings of a window are equal."""
-_NOISES: Final = 17
-"""Number of noises compared in one pass."""
-_MEANS: Final = np.linspace(-1.0, 1.0, 33)
-"""Means of a window compared in one pass, as a share of the largest distance from the previous one."""
+_GRID: Final = 17
+"""Number of noises, and of means of a window, that are compared in one pass."""
 _PASSES: Final = 3
 """Passes over a finer and finer grid: the tails of little noise need its size to 1 %."""
 
@@ -253,9 +216,8 @@ _PASSES: Final = 3
 def truncation(evidence: Evidence) -> Iterator[Finding]:
     """Find sensors whose stationary readings near zero are zero about twice as often as its neighbours.
 
-    Noise spreads the readings of a window over several steps. The likelihood of their counts near zero for normal noise
-    is compared between truncation and rounding, each with its most likely mean of each window and noise of each
-    channel. A channel that never rests near zero shows nothing.
+    Statistic: twice the logarithm of the ratio of the likelihoods of truncation and of rounding, for normal noise with
+    the most likely mean of each window and noise of each channel. Distribution: chi-square, one degree of freedom.
     """
     if evidence.data is None:
         return
@@ -298,31 +260,34 @@ def _likelihood_ratio(column: Array, step: float, windows: Indices) -> float:
         own = np.bincount(whole[np.abs(whole) <= _NEAR] + _NEAR, minlength=2 * _NEAR + 1)
         # Zeros without neighbours are a dead band, or stand for lost readings.
         if own[_NEAR] and (own[_NEAR - 1] + own[_NEAR + 1] or own[_NEAR] == b - a):
-            rows.append((own, np.median(whole), whole.var(), b - a))
+            rows.append((own, np.median(whole), whole.var()))
     if not rows:
         return 0.0
-    counts, middle, variance, number = (np.array(values) for values in zip(*rows, strict=True))
+    counts, middle, variance = (np.array(values) for values in zip(*rows, strict=True))
     read = counts.sum(axis=0) > 0
     if np.any(read[[0, -1]] & ~read[[1, -2]]):
         return 0.0  # words that never occur, as with a stuck bit
-    seen = math.sqrt(max(float(np.median(variance)) - 1.0 / 12.0, 0.0))
-    noises = (0.5 * seen if seen > _UNDITHERED else _LEAST_NOISE, 2.0 * max(seen, _UNDITHERED))
-    far = max(1.5, 6.0 * noises[1] / math.sqrt(number.min()))
-    truncated, rounded = (_logarithm(limits, middle, far, noises, counts) for limits in (_TRUNCATED, _ROUNDED))
+    noise = math.sqrt(float(np.median(variance)))
+    # Edges of the values that are read as −2 to 2 steps, if readings are truncated or rounded to the nearest one. Other
+    # roundings differ by a bias.
+    edges = np.arange(-_NEAR - 1.0, _NEAR + 2.0)
+    truncated, rounded = (
+        _logarithm(limits, middle, noise, counts) for limits in (edges[edges != 0.0], edges[1:] - 0.5)
+    )
     return 2.0 * (truncated - rounded)
 
 
-def _logarithm(limits: Array, mean: Array, far: float, noises: tuple[float, float], counts: Array) -> float:
+def _logarithm(limits: Array, mean: Array, seen: float, counts: Array) -> float:
     """Largest logarithm of the likelihood of counts near zero, shape (w, 5), over means of windows and one noise."""
-    best = -math.inf
+    far, low, high = 2.0 + seen, _LEAST_NOISE, 1.0 + 2.0 * seen
+    total: Array = np.zeros(1)
     for _ in range(_PASSES):
-        noise = np.geomspace(*noises, _NOISES)
-        means = mean[:, None] + far * _MEANS
+        noise = np.geomspace(low, high, _GRID)
+        means = mean[:, None] + np.linspace(-far, far, _GRID)
         share = np.diff(ndtr((limits - means[..., None]) / noise[:, None, None, None]), axis=-1) + _OUTLIERS
         each = np.einsum("swmk,wk->swm", np.log(share / share.sum(axis=-1, keepdims=True)), counts)
         total = each.max(axis=2).sum(axis=1)
         k = int(total.argmax())
-        best = max(best, float(total[k]))
-        mean, far = means[np.arange(len(mean)), each[k].argmax(axis=1)], far * (_MEANS[1] - _MEANS[0])
-        noises = (noise[max(k - 1, 0)], noise[min(k + 1, _NOISES - 1)])
-    return best
+        mean, far = means[np.arange(len(mean)), each[k].argmax(axis=1)], 2.0 * far / (_GRID - 1)
+        low, high = noise[max(k - 1, 0)], noise[min(k + 1, _GRID - 1)]
+    return float(total.max())

@@ -1,0 +1,153 @@
+"""Decays of the readings at rest: high-pass filters, and accelerometers that settle after rotations.
+
+A first-order high-pass filter outputs r = y - L: the true reading y less its low-pass filtered value L, which follows
+dL/dt = r / τ. At rest y is constant, so that dr/dt = -r / τ: r is a constant less its own time integral divided by τ.
+No other effect makes this relation. Rest is where the other triad is steady: the filter hides the rests of its own
+triad, and labels may be wrong or absent.
+
+The reading of an accelerometer that settles is ``f + s (L - f)``, where L follows f with a time constant τ and s is the
+share that settles. In the window after a rotation, the deviation is ``s (L0 - f) exp(-t/τ)`` with the value L0 of L at
+the start of the window. At the start of a sequence, L equals the mean reading of the first window. The scatter of the
+estimates of s from single windows and channels includes all other changes of the readings.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from srt.diagnosis.cause_comparison import Cause, compare
+from srt.diagnosis.false_alarms import limit
+from srt.diagnosis.findings import Fault
+from srt.diagnosis.window_averages import ACCEL, GYRO
+from srt.exceptions import DataError
+from srt.model.table1 import AXES
+from srt.sequences.rest_detection import BLOCK_S, blocks_of, steady_runs
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from srt.diagnosis.evidence import Evidence
+    from srt.diagnosis.findings import Finding
+    from srt.types import Array
+
+_EXPLAINED: Final = 0.5
+"""Smallest share of the variance that the filter explains, averaged over all steady time: rotations are a smaller part
+of it than rests. Readings without a filter have less than 0.2, also where accelerometers settle."""
+_LONGEST_S: Final = 200.0
+"""Longest time constant of a filter, s: accelerometers that settle by 1e-3 of gravity within a window look like a
+filter with a time constant of 1e4 s."""
+
+
+def high_passed(evidence: Evidence) -> Iterator[Finding]:
+    """Test the readings at rest for a decrease in proportion to their own time integral."""
+    try:
+        blocks = blocks_of(evidence.recording)
+    except DataError:
+        return
+    step_s, tiny = blocks.size * evidence.dt, np.finfo(float).tiny
+    for fault, own, other in ((GYRO_HIGH_PASSED, GYRO, ACCEL), (GRAVITY_REMOVED, ACCEL, GYRO)):
+        rows = []
+        for first, last in steady_runs(blocks, other):
+            y = blocks.mean[first:last, own]
+            x = step_s * (np.cumsum(y, axis=0) - 0.5 * y)
+            y, x = (values - values.mean(axis=0) for values in (y, x))
+            power, square = np.vdot(y, y) + tiny, np.vdot(x, x) + tiny
+            decay = -np.vdot(x, y) / square
+            rows.append((last - first, max(decay, 0.0) ** 2 * square / power, decay))
+        if rows:
+            length, share, decay = np.array(rows).T
+            typical = float(np.median(decay))
+            if share @ length > _EXPLAINED * length.sum() and 1.0 / _LONGEST_S < typical < 1.0 / BLOCK_S:
+                yield fault.found(time_s=1.0 / typical)
+
+
+GYRO_HIGH_PASSED: Final = Fault(
+    "gyro_high_passed",
+    "The gyros have a high-pass filter",
+    "readings while the specific force is steady: a decrease in proportion to their own time integral",
+    "After rotations the gyro readings decay in the stationary windows, with a time constant of {time_s:.3g} s, as "
+    "behind a high-pass filter: the unit tracks the offset of its gyros during rotations; switch this off, and record "
+    "raw readings.",
+    "exit 1",
+    high_passed,
+)
+GRAVITY_REMOVED: Final = Fault(
+    "gravity_removed",
+    "Gravity is removed from the accelerometer readings",
+    "readings while the rate is steady: a decrease in proportion to their own time integral",
+    "The accelerometer readings decay to zero in the stationary windows, with a time constant of {time_s:.3g} s: the "
+    "unit outputs linear acceleration, without gravity; record the raw specific force.",
+    "exit 1",
+    high_passed,
+)
+
+
+_TIMES_S: Final = np.exp2(range(4))
+"""Time constants that are tried, 1 to 8 s: if the true value differs by a factor of up to 1.4, the pattern still has
+a correlation above 0.95."""
+_SHARES: Final = (1e-7, 0.1)
+"""Smallest and largest share for a finding: 0.1 µg for 1 g is rounding, and a larger deviation is motion."""
+
+
+def accel_settling(evidence: Evidence) -> Iterator[Finding]:
+    """Test for a common settling of all accelerometers, or of one, after the rotations.
+
+    Statistic: share that settles over its standard deviation. Distribution: t, with the degrees of freedom of the
+    projections of windows and channels on the decay.
+    """
+    found = []
+    for time_s in _TIMES_S:
+        values, columns = _patterns(evidence, time_s)
+        if not values.size:
+            return
+        of = [(columns.sum(axis=1, keepdims=True), "The accelerometers", 1)]
+        of += [(columns[:, i, None], f"accel_{axis}", 3) for i, axis in enumerate(AXES)]
+        causes = [Cause("accel_settling", one, {"time_s": time_s, "channel": who}, n) for one, who, n in of]
+        found += compare(values, causes)
+    best = max(found, key=lambda explanation: explanation.score)
+    share, sigma = float(best.value[0]), float(best.sigma[0])
+    least = limit("t", best.freedom, tests=len(found), both_sides=True) * sigma
+    if _SHARES[1] > abs(share) > max(_SHARES[0], least):
+        yield ACCEL_SETTLING.found(share_ppm=1e6 * share, sigma_ppm=1e6 * sigma, **best.cause.details)
+
+
+ACCEL_SETTLING: Final = Fault(
+    "accel_settling",
+    "The accelerometers settle after a rotation",
+    "readings after each rotation: an exponential decay in proportion to the change of specific force",
+    "{channel}: after a rotation, {share_ppm:.3g} ± {sigma_ppm:.2g} ppm of the change of specific force decays with a "
+    "time constant of about {time_s:g} s: start the windows later, or make them longer.",
+    "warning",
+    accel_settling,
+)
+
+
+def _patterns(evidence: Evidence, time_s: float) -> tuple[Array, Array]:
+    """Projections of the windows on the decay, (n,), and those of a share of 1, (n, 3), in units of their noise."""
+    data, averages = evidence.data, evidence.window_averages
+    values, columns = [np.zeros(0)], [np.zeros((0, 3))]
+    if data is None or averages is None:
+        return values[0], columns[0]
+    windows, mean = data.windows.samples, evidence.stationary_force
+    sequence = {int(data.end[k]): k for k in np.flatnonzero(evidence.contiguous)}
+    sigma = np.median(averages.sigma[:, ACCEL], axis=0)
+    longest = int(np.max(windows[data.end, 0] - windows[data.start, 0], initial=0))
+    past = np.exp(-evidence.dt / time_s * np.arange(longest, -1, -1))
+    for numbers, means in averages.groups:
+        decay = np.exp(-averages.step_s * np.arange(means.shape[1]) / time_s)
+        decay *= -time_s / averages.step_s * np.expm1(-averages.step_s / time_s)  # mean over a block
+        decay -= decay.mean()
+        size = float(np.linalg.norm(decay))
+        for w, blocks in zip(averages.window[numbers].tolist(), means[:, :, ACCEL], strict=True):
+            if w not in sequence:
+                continue
+            start = data.start[sequence[w]]
+            first, stop = windows[start, 0], windows[w, 0]
+            # Lag L - f at the start of the window. Earlier readings are taken as the mean of the first window.
+            own = past[first - stop - 1 :]
+            lag = np.diff(own) @ evidence.force[first:stop] + own[0] * mean[start] - mean[w]
+            values.append(decay @ blocks / (size * sigma))
+            columns.append(np.diag(size * lag / sigma))
+    return np.concatenate(values), np.concatenate(columns)

@@ -1,0 +1,200 @@
+"""Readings that jump: spikes, and binary words that wrap around or whose sign is misread.
+
+A spike deviates from its neighbours by far more than the noise around it. A cubic through the two readings before and
+the two readings after predicts each reading. If the slopes between these four readings differ much, the unit moves
+abruptly, and the reading is not a spike. A bump that rotates the unit within one sample looks like a spike of the
+gyros, but the direction of gravity stays rotated by its angle.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from scipy.ndimage import maximum_filter1d
+from scipy.special import ndtri
+
+from srt.diagnosis.false_alarms import limit
+from srt.diagnosis.rotation_readings import MAD, ROUNDING, rates_factor
+
+if TYPE_CHECKING:
+    from srt.recording.recording import Recording
+    from srt.sequences.preparation import PreparedRecording
+    from srt.types import Array, Indices, Mask
+
+
+_SIGMAS: Final = 7.5
+"""Smallest deviation of a spike, in sigma. p = 6e-14 for a known sigma, and p = 2e-11 for a sigma from 500 readings
+(known to 10 %): the false-alarm probability is 5e-6 for 300 000 readings, 4e-4 for twenty million."""
+_JERK: Final = 3.0
+"""Smallest deviation of a spike, in units of the range of the slopes of its neighbours; a step or a kink of the motion
+gives at most 1."""
+_QUANTILE: Final = 0.9
+"""Quantile of the magnitudes of the deviations from which the noise is taken, as larger ones may be spikes."""
+_FOR_NOISE: Final = 500
+"""Number of readings from which the noise of a window or rotation is taken."""
+_SEEN: Final = 3.0
+"""Smallest change of gravity due to a bump, in sigma, that the accelerometers can confirm or disprove."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Spikes:
+    """Spikes of one sequence or of a recording, arrays of shape (n,)."""
+
+    sample: Indices
+    channel: Indices  # 0 to 5: gyro x, y, z, accelerometer x, y, z
+    jump: Array  # reading less its prediction, in the units of the stored values
+
+    def __getitem__(self, chosen: Mask) -> Spikes:
+        return Spikes(self.sample[chosen], self.channel[chosen], self.jump[chosen])
+
+    def of_repeats(self, same: Mask) -> Mask:
+        """True for spikes whose sample equals the previous or the next one in all channels; ``same`` is (N - 1,)."""
+        return np.asarray(same[self.sample - 1] | same[self.sample])
+
+
+_NONE: Final = np.array([], dtype=np.intp)
+NO_SPIKES: Final = Spikes(_NONE, _NONE, np.array([]))
+
+
+def find_spikes(columns: Array, data: PreparedRecording, contiguous: Mask, step: Array) -> Spikes:
+    """Spikes inside the sequences without a gap, which are the true ones of a mask; bumps are excluded.
+
+    ``columns`` are the readings of all channels, shape (6, N), and ``step`` are their quantization steps.
+    """
+    x, windows, sequences = columns, data.windows.samples, np.flatnonzero(contiguous)
+    # The deviation from the cubic is the fourth difference over 6, of the sample two later than its first one.
+    off = np.diff(x, 4) / 6.0
+    size = np.abs(off)
+    start, end = windows[data.start[sequences]], windows[data.end[sequences]]
+    spans = np.concatenate([start - np.array([0, 2]), end - np.array([2, 4]), data.rotation[sequences] - 2])
+    spans = spans[spans[:, 1] - spans[:, 0] >= 4]
+    if len(spans) == 0:
+        return NO_SPIKES
+    noise = np.empty((len(spans), 6))
+    for row, (a, b) in zip(noise, spans.tolist(), strict=True):
+        some = size[:, a : b : max(1, (b - a) // _FOR_NOISE)]
+        rank = int(_QUANTILE * (some.shape[1] - 1))
+        row[:] = np.partition(some, rank, axis=1)[:, rank] / ndtri(0.5 + 0.5 * _QUANTILE)
+    # In rotations, saturated readings or evenly spaced pulses hardly scatter. The median excludes disturbed windows.
+    least = np.maximum(np.median(noise[: 2 * len(sequences)], axis=0), step)
+    limits = _SIGMAS * np.maximum(noise, np.maximum(least, ROUNDING * np.abs(x).max(axis=1)))
+    found = [
+        np.argwhere(size[:, a:b] > own[:, None]) + np.array([0, a + 2])
+        for (a, b), own in zip(spans.tolist(), limits, strict=True)
+    ]
+    channel, sample = np.concatenate(found).T
+    alone = np.ones(len(sample), dtype=np.bool_)
+    if data.recording.fixture is None:
+        # Rotations by hand include bumps, as when the unit is set down, but those move more than one channel.
+        loud, turning = np.zeros(x.shape, dtype=np.bool_), np.zeros(x.shape[1], dtype=np.bool_)
+        loud[channel, sample] = True
+        for a, b in data.rotation[sequences].tolist():
+            turning[a:b] = True
+        alone = ~turning[sample] | (maximum_filter1d(loud, 5, axis=1)[:, sample].sum(axis=0) == 1)
+    slopes = np.diff(x[channel[:, None], sample[:, None] + (-2, -1, 1, 2)]) * (1.0, 0.5, 1.0)
+    jump = off[channel, sample - 2]
+    keep = alone & (np.abs(jump) > _JERK * np.ptp(slopes, axis=1))
+    there = Spikes(sample[keep], channel[keep], jump[keep])
+    bump = [_is_bump(columns, data, int(i), there) for i in there.sample]
+    return there[~np.array(bump, dtype=np.bool_)]
+
+
+def _is_bump(columns: Array, data: PreparedRecording, at: int, there: Spikes) -> bool:
+    """True if a spike of the gyros in a window is a bump: gravity stays rotated (several gyros, if unknown)."""
+    own = there.sample == at
+    window = next((w for w in data.windows.samples.tolist() if w[0] <= at < w[1]), None)
+    if window is None or np.any(there.channel[own] >= 3):
+        return False
+    before, after = columns[3:, window[0] : at], columns[3:, at + 1 : window[1]]
+    fewest = min(before.shape[1], after.shape[1])
+    several = len(np.unique(there.channel[own])) > 1
+    if fewest < 2:
+        return several
+    mean, angle = before.mean(axis=1), np.zeros(3)
+    change = after.mean(axis=1) - mean
+    noise = np.std(np.diff(before), axis=1) / np.sqrt(fewest)
+    angle[there.channel[own]] = there.jump[own] * rates_factor(data.recording) * data.recording.nominal_interval_s
+    turned = np.cross(mean, angle)
+    square = float(turned @ turned)
+    if square < _SEEN * float(np.linalg.norm(noise * turned)):
+        return several
+    return bool(change @ turned > 0.5 * square)
+
+
+_MOTION: Final = {"gyro": 10.0, "accel": 100.0}
+"""Largest rate of change over the whole range of a channel in a motion on a fixture or by hand, rad/s² and m/s³."""
+_EDGE: Final = 0.1
+"""Largest deviation of a jump from the range, and of the range from symmetry, and width of the bands between which a
+misread sign makes readings jump, relative to the range: noise, and readings missing at a jump."""
+_BESIDE: Final = 20
+"""Number of samples on each side of a jump with which it is compared."""
+_FLIPS: Final = 5
+"""Fewest jumps per window, as noise about zero makes them if the sign is misread."""
+_STAYS: Final = 5
+"""Number of samples on each side of a jump over which a reading stays in its band: a shock swings back at once."""
+_FEWEST: Final = 10
+"""Fewest jumps with a misread sign after which the readings of an accelerometer stay in the other band."""
+
+
+def wrapped_readings(
+    columns: Array, recording: Recording, data: PreparedRecording | None
+) -> dict[str, tuple[int, Indices]]:
+    """First axis of a triad that wraps, and the numbers of the samples after its jumps, by sensor."""
+    found: dict[str, tuple[int, Indices]] = {}
+    for channel, column in enumerate(columns):
+        sensor = ("gyro", "accel")[channel // 3]
+        if sensor not in found and (jumps := _jumps(column, recording, data, sensor)).size:
+            found[sensor] = channel % 3, jumps
+    return found
+
+
+def _jumps(column: Array, recording: Recording, data: PreparedRecording | None, sensor: str) -> Indices:
+    """Samples after a jump by the whole range against the slope, or between zero and one of the extremes.
+
+    Signed words that are read as unsigned ones, or words of sign and magnitude as two's complement, show small values
+    of one sign at an extreme: gyros jump with the noise at rest, accelerometers as gravity changes sign in rotations.
+    """
+    low, high = float(column.min()), float(column.max())
+    step = np.diff(column)
+    large = np.flatnonzero(np.abs(step) > 0.5 * max(-low, high)) + 1
+    fastest = _MOTION[sensor] * recording.nominal_interval_s / rates_factor(recording)
+    for a, b in ((low, high), (0.0, low), (0.0, high)):
+        size = abs(b - a)
+        if large.size == 0 or size < fastest or size < (1.0 - _EDGE) * max(-low, high):
+            continue
+        wraps = a != 0.0 and abs(high + low) <= _EDGE * size
+        if wraps:
+            # The reading continues at its slope after the jump. A spike deviates by 1.5 times its size from the slope.
+            jump = np.abs(step[1:-1] - 0.5 * (step[:-2] + step[2:]))
+            inner = large[(large > 1) & (large < len(step))]
+            inner = inner[np.abs(jump[inner - 2] - size) < _EDGE * size]
+            # Vibration that reaches the extremes jumps everywhere.
+            beside = np.clip(inner[:, None] - 2 + np.arange(-_BESIDE, _BESIDE + 1), 0, len(jump) - 1)
+            usual: Array = limit("normal", tests=len(column), both_sides=True) * MAD * np.median(jump[beside], axis=1)
+            jumps = inner[size > usual]
+        else:
+            apart = np.abs(column[large[:, None] + np.array([-1, 0])][:, :, None] - np.array([a, b]))
+            jumps = large[np.all(apart.min(axis=2) < _EDGE * size, axis=1)]
+            jumps = jumps[np.abs(step[jumps - 1]) > 0.5 * size]
+        jumps = jumps[~np.isin(jumps, recording.gaps)]
+        if data is not None:
+            windows = data.windows.samples
+            jumps = jumps[_inside(jumps, windows[data.start, 0], windows[data.end, 1])]
+        if wraps and len(jumps) >= 2:
+            return jumps
+        if wraps or data is None:
+            continue
+        if np.count_nonzero(_inside(jumps, *windows.T)) >= _FLIPS * len(windows):
+            return jumps
+        far = jumps[(jumps >= _STAYS) & (jumps <= len(column) - _STAYS)]
+        levels = [np.median(column[far[:, None] + np.arange(n, n + _STAYS)], axis=1) for n in (-_STAYS, 0)]
+        if sensor == "accel" and np.count_nonzero(np.abs(levels[1] - levels[0]) > 0.5 * size) >= _FEWEST:
+            return jumps
+    return np.zeros(0, dtype=np.intp)
+
+
+def _inside(samples: Indices, first: Indices, last: Indices) -> Mask:
+    """True for samples after the first one of some part of the recording, and before its last one."""
+    return np.asarray(np.any((first < samples[:, None]) & (samples[:, None] < last), axis=1))
