@@ -43,7 +43,7 @@ class ScaleRatios:
     @property
     def by_axis(self) -> bool:
         """True if each axis has a positive, finite ratio."""
-        return bool(np.all(np.isfinite(self.axes)) and np.all(self.axes > 0.0))
+        return bool(self.axes.min() > 0.0 and self.axes.max() < math.inf)
 
     @property
     def logarithms(self) -> Array:
