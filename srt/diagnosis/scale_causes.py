@@ -5,9 +5,9 @@ rate in the stationary windows. A cause shifts the logarithms of the ratios by a
 unknown one (a sample rate). The Earth rate is measured with the gyro scale factors from the rotations, so that a factor
 on the gyros cancels: only a wrong clock changes it. The remaining deviations of the ratios are the scale-factor errors
 of the unit. They are modelled as normal and independent from axis to axis; the likelihood is averaged over their
-unknown standard deviation. The most likely cause is a fault if it is more likely than a sound unit, unless no sound
-unit has such a ratio. If the ratios of one axis differ between rotations or poses, labels or windows are wrong: the
-ratios then hardly distinguish the causes.
+unknown standard deviation. The most likely cause is a fault if its likelihood ratio to a sound unit exceeds one limit,
+or if no sound unit has such ratios. If the ratios of one axis differ between rotations or poses, labels or windows are
+wrong: the ratios then hardly distinguish the causes.
 """
 
 from __future__ import annotations
@@ -41,10 +41,10 @@ if TYPE_CHECKING:
 
     Scales = tuple[ScaleRatios, ScaleRatios]
 
-FREQUENT: Final = 5e-4
-RARE: Final = 5e-5
-"""Prior probabilities of causes, relative to no fault. Sound units whose scale-factor errors are as equal by chance as
-those of a wrong factor are as frequent."""
+FREQUENT: Final = 5e-3
+RARE: Final = 5e-4
+"""Prior probabilities of causes, relative to no fault. A cause is a fault if its likelihood ratio to no fault exceeds
+that which makes a rare one as probable: at most so many sound units have errors that look like a wrong factor."""
 _ROUNDING: Final = 1e-4
 """Smallest standard deviation of the logarithm of a ratio: labels and windows are not more accurate."""
 _GRID: Final = np.geomspace(_ROUNDING, 1.0, 25)
@@ -193,7 +193,10 @@ def scale_cause(evidence: Evidence, scales: Scales | None = None) -> tuple[Scale
     by_score = scores(causes, gyro, accel, evidence.earth_rate if len(causes) > 1 else None)
     order = np.argsort(-by_score, kind="stable")
     best, lower = causes[order[0]], by_score[order[0]] - by_score
-    for k in order.tolist() if best.faults else ():
+    sound = [k for k, cause in enumerate(causes) if not cause.faults]
+    if sound and lower[sound[0]] < math.log(best.prior / RARE):
+        return ScaleCause(), None
+    for k in order.tolist():
         if causes[k].faults[:1] not in ((), best.faults[:1]):
             return best, RunnerUp(causes[k].faults[0], float(lower[k])) if lower[k] < CLOSE else None
     return best, None

@@ -63,7 +63,7 @@ def test_likelihood_of_the_earth_rate():
     # The alternative of a wrong latitude adds little where the clock explains the rate.
     assert 0.0 < float(term) - direct < 0.01
     far = scale_causes._earth_term(np.array(clock), np.array(0.0), -TRUE, SIGMA, TRUE)
-    assert float(far) == pytest.approx(math.log(5e-4 / (4.0 * math.pi * EARTH_RATE_RAD_S**2)), abs=1e-6)
+    assert float(far) == pytest.approx(math.log(5e-3 / (4.0 * math.pi * EARTH_RATE_RAD_S**2)), abs=1e-6)
 
 
 @pytest.mark.parametrize("factor", [1.05, 1.19, 1.41])
