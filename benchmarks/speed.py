@@ -42,7 +42,6 @@ from srt.comparison.estimator_comparison import default_estimators
 from srt.comparison.parallel import Engine
 from srt.constants import DEG_PER_SQRT_H, MICRO_G
 from srt.diagnosis import diagnose
-from srt.diagnosis.inspection import inspect
 from srt.estimation.initial_estimates import initial_estimate
 from srt.estimation.options import Options
 from srt.model.analytic_platform import integrate_attitude
@@ -53,6 +52,7 @@ from srt.model.sensor_model import gyro_triad, outside_model
 from srt.noise.noise_model import noise_model
 from srt.recording.recording import Fixture, Site
 from srt.reports.figures.inspection import inspection_figure
+from srt.reports.inspection import inspect
 from srt.result.applier import Applier
 from srt.result.calibration import Calibration
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SensorErrors

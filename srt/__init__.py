@@ -30,13 +30,14 @@ if TYPE_CHECKING:
     from srt.planning.monitoring.followed_test import FollowedTest
     from srt.planning.task import plan
     from srt.presentation import plot, to_frame
-    from srt.procedure import calibrate, inspect, noise_terms
+    from srt.procedure import calibrate, noise_terms
     from srt.recording.reading import read
     from srt.recording.reading import read as import_file
     from srt.recording.reading import read as load_recording
     from srt.recording.recording import Fixture, ImuNoise, Recording, SequenceLabel, Site
     from srt.recording.writing import write_recording
     from srt.reports.certificate.issue import certificate
+    from srt.reports.inspection import inspect
     from srt.result.applier import Applier
     from srt.result.calibration import Calibration, load_calibration
     from srt.sensor_errors import INDEX, NAMES, SensorErrors
@@ -50,7 +51,7 @@ _HOME = {
     "compare": "comparison.comparison_run",
     "calibrate_fleet": "comparison.fleet",
     "certificate": "reports.certificate.issue",
-    "inspect": "procedure",
+    "inspect": "reports.inspection",
     "mount_from_calibration": "mount.alignment",
     "mount_from_recording": "mount.poses",
     "noise_terms": "procedure",

@@ -1,4 +1,4 @@
-"""Inspection, noise and calibration of library and command line: fault detection, estimation, checks of the result."""
+"""Noise and calibration of library and command line: fault detection, estimation, checks of the result."""
 
 from __future__ import annotations
 
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from srt.diagnosis.findings import Finding
-    from srt.diagnosis.inspection import Inspection
     from srt.diagnosis.staged_diagnosis import Diagnosis
     from srt.estimation.registry import Progress
     from srt.noise.noise_terms import NoiseTerms
@@ -164,34 +163,6 @@ def _refused(diagnosis: Diagnosis) -> DataError:
 
 def _caused(sentence: str, cause: Finding) -> DataError:
     return DataError(f"{sentence} The likely cause: {cause.sentence}", fault=cause.fault)
-
-
-def inspect(source: Any, *, deep: bool = False, **stated: Any) -> Inspection:
-    """Inspect a recording: rate, gaps, noise at rest, stationary windows, rotations, recognised sequences, faults.
-
-    Parameters
-    ----------
-    source : Recording, path-like, or arrays
-        Recording, or what :func:`srt.read` makes one of.
-    deep : bool
-        Also calibrate, and look for faults that only a calibration shows.
-    **stated
-        Keywords of :func:`srt.read`.
-
-    Returns
-    -------
-    Inspection
-
-    Raises
-    ------
-    InputError
-        A source that cannot be read.
-    """
-    from srt.diagnosis import inspection
-
-    recording = read(source, **stated)
-    units = inspection.declared_units(recording.source) if recording.source else {}
-    return inspection.inspect(recording, calibrating=deep, units=units)
 
 
 def noise_terms(source: Any, **stated: Any) -> NoiseTerms:

@@ -34,13 +34,13 @@ def inspect(recording: Path, deep: bool, json_file: Path | None, plot: Path | No
     """
     check_file(json_file, RESULT_SUFFIXES, "The inspection")
     check_plot(plot)
-    from srt.diagnosis import inspection
     from srt.recording.atomic_file import atomic_write_text
     from srt.recording.folder import load_recording
+    from srt.reports import inspection
     from srt.reports.text.inspection import inspection_report
 
     samples = load_recording(recording)
-    found = inspection.inspect(samples, calibrating=deep, units=inspection.declared_units(recording))
+    found = inspection.inspect(samples, deep=deep)
     if not quiet:
         show(inspection_report(found, title=str(recording)))
     if json_file is not None:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from srt.diagnosis.findings import Fault, by_sensor
+from srt.diagnosis.gravity_rotation import UNEXPLAINED
 from srt.model.table1 import AXES
 
 if TYPE_CHECKING:
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
     from srt.types import Array
 
 
-_EYE: Final = np.eye(3)
+_EYE: Final = np.eye(len(AXES))
 
 
 def axis_permutations(evidence: Evidence) -> Iterator[Finding]:
@@ -128,11 +129,6 @@ def _one_sensor(sensor: str, axes: Array) -> Finding | None:
     return None
 
 
-_UNEXPLAINED_BY_LABELS: Final = 0.3
-"""Largest share of the power of the readings that the fit to the labels may leave unexplained: it leaves a few per cent
-of correct readings, but most of the power if the labels are wrong."""
-
-
 def nearest_axes(matrix: Array) -> Array | None:
     """Signed permutation nearest to the directions of the rows of a matrix; None if no permutation is near."""
     length = np.linalg.norm(matrix, axis=1, keepdims=True)
@@ -150,7 +146,7 @@ def _labelled_axes(evidence: Evidence) -> list[Array | None]:
     fits = ((evidence.gyro_fit, evidence.rotations.turned), (evidence.accel_fit, evidence.poses[1]))
     return [
         nearest_axes(fit.matrix)
-        if fit.rank == 3 and np.sum(fit.residual**2) <= _UNEXPLAINED_BY_LABELS * np.sum((reading - fit.offset) ** 2)
+        if fit.rank == 3 and np.sum(fit.residual**2) <= UNEXPLAINED * np.sum((reading - fit.offset) ** 2)
         else None
         for fit, reading in fits
     ]

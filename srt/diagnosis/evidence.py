@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from srt.diagnosis.label_shift import LabelShift
     from srt.diagnosis.scale_ratios import ScaleRatios
     from srt.diagnosis.time_offsets import AttitudeStep
-    from srt.diagnosis.triad_fits import MeasuredAngles, RawTriads
+    from srt.diagnosis.triad_fits import MeasuredAngles
     from srt.recording.recording import Recording, SequenceLabel
     from srt.result.calibration import Calibration
     from srt.sequences.clipping import Clipping
@@ -308,16 +308,13 @@ class Evidence:
     """Fit of measured to nominal rotations."""
     accel_fit = _from(accel_fit, "poses")
     """Fit of measured to nominal specific force of the poses."""
+    raw_triads = _from(raw_triads, "gyro_fit", "accel_fit")
+    """Raw gyro matrix, and raw accelerometer matrix and bias, in the nominal frame."""
 
     @cached_property
     def measured_angles(self) -> MeasuredAngles | None:
         """Angles of the rotations on a fixture, without outliers; None with too few."""
         return None if self.recording.fixture is None else measured_angles(self.rotations)
-
-    @cached_property
-    def raw_triads(self) -> RawTriads:
-        """Raw gyro matrix, and raw accelerometer matrix and bias, in the nominal frame."""
-        return raw_triads(self.rotations, self.poses, self.recording.site.gravity_m_s2)
 
     @cached_property
     def manoeuvres(self) -> ManoeuvreReadings | None:
@@ -385,7 +382,7 @@ class Evidence:
     @cached_property
     def gyro_scales(self) -> ScaleRatios:
         """Ratios of measured to labelled angles; for free rotations, of the gyros to the rotation of gravity."""
-        by_labels = gyro_ratios_to_labels(self.rotations, self.recording.fixture)
+        by_labels = gyro_ratios_to_labels(self.rotations, self.gyro_fit, self.recording.fixture)
         if self.has_labels and by_labels.known:
             return by_labels
         return gyro_ratios_to_gravity(by_labels, self.gravity_relation)

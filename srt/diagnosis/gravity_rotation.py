@@ -18,6 +18,7 @@ import numpy as np
 
 from srt.diagnosis.false_alarms import limit
 from srt.diagnosis.rotation_readings import cross, rates_factor
+from srt.sequences.rest_detection import BLOCK_S
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -27,9 +28,6 @@ if TYPE_CHECKING:
     from srt.sequences.recognition import Recognition
     from srt.types import Array, Indices, Mask
 
-_BLOCK_S: Final = 0.1
-"""Length of a block, s, over which gyro readings are integrated and accelerometer readings averaged: long enough to
-suppress the noise of a sample, short enough for a constant rotation axis over two blocks."""
 _LEAST_EIGENVALUE: Final = 1e-3
 """Smallest ratio of the smallest to the largest eigenvalue of the normal equations: below it, the rotations hardly
 cover one axis."""
@@ -38,8 +36,9 @@ _UNEXPLAINED_BY_GYROS: Final = 0.65
 about as much as the rotation does."""
 _ACROSS: Final = 0.25
 """Smallest squared sine of the angle between an axis and the vertical at which the accelerometers see a rotation."""
-_UNEXPLAINED_BY_AXIS: Final = 0.2
-"""Largest share of the power that the gyros leave of df, and that a missing rotation about one axis leaves, too."""
+UNEXPLAINED: Final = 0.3
+"""Largest share of a power that an explanation may leave: of that of df after the gyros, by a missing rotation about
+one axis; of that of the readings, by the fit to the labels. Noise and wrong labels leave half and more."""
 _FEWEST_BLOCKS: Final = 50
 """Fewest blocks for a fit of K: with 50 blocks, its nine coefficients explain 6 % of pure noise."""
 
@@ -140,7 +139,7 @@ def rate_limit(recording: Recording, turns: ManoeuvreReadings) -> Limit | None:
 
 def block_size(recording: Recording) -> int:
     """Number of samples of a block of a tenth of a second."""
-    return max(1, round(_BLOCK_S / recording.nominal_interval_s))
+    return max(1, round(BLOCK_S / recording.nominal_interval_s))
 
 
 def _blocks(recording: Recording, turns: ManoeuvreReadings) -> Iterator[tuple[int, Indices, Array, Array, Array]]:
@@ -173,7 +172,7 @@ def missed_rotations(recording: Recording, turns: ManoeuvreReadings) -> tuple[Ar
         seen = square > _ACROSS * np.einsum("ni,ni->n", force, force)[:, None]
         angle = np.where(seen, np.einsum("nj,nij->ni", left, about) / np.where(seen, square, 1.0), 0.0)
         rest = np.sum((left[:, None] - angle[:, :, None] * about) ** 2, axis=(0, 2))
-        explained = rest < _UNEXPLAINED_BY_AXIS * np.sum(left**2)
+        explained = rest < UNEXPLAINED * np.sum(left**2)
         missed[k] = _extent(np.cumsum(angle, axis=0)) * explained
         read[k] = _extent(np.cumsum(turned, axis=0))
     return missed, read

@@ -8,6 +8,7 @@ with a known chi-square distribution.
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -17,7 +18,7 @@ from srt.constants import DEG_PER_H, DEG_PER_SQRT_H, MICRO_G
 from srt.diagnosis.false_alarms import FALSE_ALARM, limit
 from srt.diagnosis.findings import Fault, by_sensor
 from srt.diagnosis.triad_fits import MOST_OUTLIERS
-from srt.diagnosis.window_averages import ACCEL, GYRO
+from srt.diagnosis.window_averages import ACCEL, GYRO, NOISY
 from srt.estimation.options import Options
 from srt.model.table1 import AXES
 from srt.result.verdict import USABLE
@@ -37,7 +38,7 @@ _OTHER_UNITS: Final = ((150.0, "degrees Fahrenheit"), (400.0, "kelvin"), (np.inf
 STEADY_C: Final = 2.0
 """Largest range of the mean temperatures of the sequences, °C, for a constant temperature: data sheets call ±1 °C
 constant."""
-NOISE_RATIO: Final = 1.5
+NOISE_RATIO: Final = math.sqrt(NOISY)
 """Largest ratio of measured to stated noise, or of stated to measured noise, that is no finding: units of one type
 differ by as much."""
 _SHORTEST_S: Final = 0.05
@@ -253,9 +254,8 @@ def asymmetry_omitted(evidence: Evidence) -> Iterator[Finding]:
     Statistic: difference of the asymmetry over its standard deviation. Distribution: t, with the degrees of freedom of
     the stationary rates.
     """
-    fit, held = evidence.stationary_rate_fit, None
-    if set(_NO_ASYMMETRY) <= set(evidence.options.fixed_names) and evidence.data is not None and fit is not None:
-        held = evidence.result
+    fit = evidence.stationary_rate_fit
+    held = evidence.result if set(_NO_ASYMMETRY) <= set(evidence.options.fixed_names) and fit is not None else None
     # A calibration that omits an asymmetry may be inconsistent for this reason.
     if held is None or fit is None or held.status not in (*USABLE, "inconsistent"):
         return

@@ -1,101 +1,82 @@
 """Causes of wrong scales, compared by likelihood: factors on gyros, accelerometers and clock.
 
-The readings of a triad have a wrong scale if their ratio to the truth is impossible for an IMU (scale-factor errors may
-be tens of per cent), or if all axes have a common factor that independent scale-factor errors do not explain. All
-causes that are possible for such a ratio are compared by likelihood. If the ratios of one axis differ between rotations
-or poses, labels or windows are wrong, and no cause of a wrong scale is reported.
-
 The measurements are the ratios of reading to truth of the three gyros and of the three accelerometers, and the Earth
 rate in the stationary windows. A cause shifts the logarithms of the ratios by a known amount (another unit) or by an
 unknown one (a sample rate). The Earth rate is measured with the gyro scale factors from the rotations, so that a factor
 on the gyros cancels: only a wrong clock changes it. The remaining deviations of the ratios are the scale-factor errors
 of the unit. They are modelled as normal and independent from axis to axis; the likelihood is averaged over their
-unknown standard deviation.
+unknown standard deviation. The most likely cause is a fault if its likelihood ratio to a sound unit exceeds one limit,
+or if no sound unit has such ratios. If the ratios of one axis differ between rotations or poses, labels or windows are
+wrong: the ratios then hardly distinguish the causes.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from itertools import chain, product
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from scipy.special import log_softmax, logsumexp
+from scipy.special import log_softmax, voigt_profile
 
-from srt.constants import DEG, DEG_PER_H, EARTH_RATE_RAD_S, STANDARD_GRAVITY_M_S2
+from srt.constants import EARTH_RATE_RAD_S
 from srt.diagnosis.cause_comparison import CLOSE
-from srt.diagnosis.false_alarms import limit
 from srt.diagnosis.scale_ratios import UNKNOWN, stationary_force_scatter
 from srt.model.table1 import AXES
+from srt.recording.schema import ACCEL_UNITS, GYRO_UNITS
+from srt.recording.schema import TIME_UNITS as SECONDS
 from srt.result.diagnostics import RunnerUp
 from srt.sequences.plausibility import LEGAL_RATIO
 from srt.sequences.wrong_units import WRONG_UNITS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
+    from collections.abc import Iterator, Mapping, Sequence
 
     from srt.diagnosis.evidence import Evidence
     from srt.diagnosis.scale_ratios import ScaleRatios
     from srt.diagnosis.stationary_rates import EarthRate
     from srt.sequences.wrong_units import WrongUnit
-    from srt.types import Array, Sensor
+    from srt.types import Array, Mask, Sensor
 
     Scales = tuple[ScaleRatios, ScaleRatios]
 
-FREQUENT: Final = 1e-2
-RARE: Final = 1e-3
-"""Prior probabilities of causes, relative to no fault. Only their ratios matter: a scale ratio that is known to 1 %
-outweighs them."""
+FREQUENT: Final = 5e-3
+RARE: Final = 5e-4
+"""Prior probabilities of causes, relative to no fault. A cause is a fault if its likelihood ratio to no fault exceeds
+that which makes a rare one as probable: at most so many sound units have errors that look like a wrong factor."""
 _ROUNDING: Final = 1e-4
 """Smallest standard deviation of the logarithm of a ratio: labels and windows are not more accurate."""
 _GRID: Final = np.geomspace(_ROUNDING, 1.0, 25)
 """Standard deviations of the scale-factor errors of a unit over which the likelihood is averaged."""
 _USUAL: Final = 0.02
-"""Standard deviation of scale-factor errors above which the prior weight falls with its square: uncalibrated MEMS."""
-_LOG_WEIGHT: Final = log_softmax(-np.log1p(np.square(_GRID / _USUAL)))
+"""Standard deviation of scale-factor errors above which the prior weight falls with its fourth power (uncalibrated
+MEMS), and half-width of the Cauchy distribution of an unknown factor (H. Jeffreys, Theory of Probability, 5.2)."""
+_LOG_WEIGHT: Final = log_softmax(-2.0 * np.log1p(np.square(_GRID / _USUAL)))
 GRAVITY_SIGMA: Final = 0.0035
 """Relative standard deviation of the stated gravity: 0.4 of its variation over the Earth (9.76 to 9.84 m/s²)."""
-# Limits of factors are limits of their logarithms.
-_MATCH: Final = math.log(1.8)
-"""Largest distance of a ratio from a known factor, and of two such ratios from each other: allows for the errors of an
-uncalibrated IMU, of which ±25 % make a ratio of 1.67."""
+_MATCH: Final = math.log(LEGAL_RATIO["gyro"][1])
+"""Largest distance of the logarithm of a ratio from that of a known factor, and of two such ratios from each other: the
+errors of an uncalibrated IMU."""
 _EQUAL: Final = 0.05
-"""Largest scatter of axes with a common factor, and smallest such factor for a finding at :data:`_COMMON_SIGMAS`:
+"""Largest scatter of ratios, and largest distance from a known factor, of an IMU that is not far off its nominal scale:
 uncalibrated MEMS are within 3 % (2-sigma)."""
-_POWER_DISTANCE: Final = 0.04
-"""Largest distance of the mean factor of a triad from a power of two, or of a whole number of thinned increments. For
-uncalibrated MEMS (1.5 %, 1-sigma), 1e-5 of the units exceed it. Of units with errors of tens of per cent, 1e-4 are
-within it by chance."""
-_COMMON_SIGMAS: Final = 8.0
-"""Smallest common factor over the scatter of the axes for a finding together with :data:`_EQUAL`. Independent errors
-exceed it in 0.5 % of all units, but exceed both only in units with errors of tens of per cent."""
-_COMMON_SIGMAS_ALONE: Final = limit("t", 2, both_sides=True, shared=1e-4) / math.sqrt(3.0)
-"""Smallest common factor over the scatter of the axes for a finding whatever its size: √3 times this ratio is
-distributed as t with two degrees of freedom."""
-_LEAST_COMMON: Final = 0.005
-"""Smallest common factor that equal axes or the Earth rate may show."""
-_EARTH_SIGMAS: Final = 5.0
-"""Smallest deviation of the Earth rate for a finding, in sigma: p = 6e-7."""
 _EVEN: Final = 0.4
-"""Ratio of the smallest to the largest stretch of the specific force by the accelerometers, and of that to the
-magnitude of the readings, below which they do not follow gravity: scale errors of 40 % make 0.43."""
+"""Smallest stretch of the specific force by the accelerometers, relative to the magnitude of the readings, below which
+they do not follow gravity: scale errors of 40 % make 0.43."""
 _LARGEST: Final = 16
 """Largest ratio between the measuring ranges of one IMU (125 to 2000 °/s, 2 to 32 g), largest number of increments of
 which one is kept, and largest common divisor of raw counts (constant lowest bits); that of pulses is larger."""
-_COUNTS: Final = math.log(1e9)
-"""Width of the range of counts per SI unit."""
 _WHOLE: Final = 1e-6
 """Largest distance from a whole number, due to rounding, and probability of such readings in another unit."""
-_FEWEST_COUNTS: Final = 10.0
-"""Smallest range of the readings, in counts: with a smaller range, all readings may be whole numbers by chance."""
 USUAL_S: Final = (1e-4, 0.11)
 """Usual sampling intervals, s: 10 kHz to a little less than 10 Hz."""
-_THOUSANDTHS: Final = tuple(enumerate(("milliseconds", "microseconds", "nanoseconds"), 1))
+_SMALL: Final = (("ms", "milliseconds"), ("us", "microseconds"), ("ns", "nanoseconds"))
 TIME_UNITS: Final = (
-    *((1e3**-n, unit, "seconds") for n, unit in _THOUSANDTHS),
-    *((1e3**n, "seconds", unit) for n, unit in _THOUSANDTHS),
     (60.0, "minutes", "seconds"),
     (1.0 / 60.0, "sixtieths of a second", "seconds"),
+    *((SECONDS[short], unit, "seconds") for short, unit in _SMALL),
+    *((1.0 / SECONDS[short], "seconds", unit) for short, unit in _SMALL),
 )
 """Factor that corrects the time stamps, their true unit, and the declared one."""
 _RATE: Final = "the sample rate is more likely {rate:.5g} Hz than {stated:.5g} Hz; correct sample_rate_hz"
@@ -109,15 +90,15 @@ class ScaleCause:
 
     ``gyro`` and ``accel``, float or shape (3,), are the known parts of the logarithm of reading over truth; ``clock``
     is the logarithm of the stated interval over the true one. ``unknown`` gives, for each triad whose logarithm has an
-    unknown part, its range and the factor by which it contributes to ``clock``. ``prior`` is relative to that of no
-    fault; ``details`` are the values for the message of each fault.
+    unknown part, the factor by which that contributes to ``clock``. ``prior`` is relative to that of no fault;
+    ``details`` are the values for the message of each fault.
     """
 
     faults: tuple[str, ...] = ()
     gyro: float | Array = 0.0
     accel: float | Array = 0.0
     clock: float = 0.0
-    unknown: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    unknown: Mapping[str, float] = field(default_factory=dict)
     prior: float = 1.0
     details: dict[str, dict[str, Any]] = field(default_factory=dict)
 
@@ -134,35 +115,41 @@ class ScaleCause:
         )
 
 
-def score(cause: ScaleCause, gyro: ScaleRatios, accel: ScaleRatios, earth: EarthRate | None) -> float:
-    """Logarithm of the posterior probability of a cause, given all measurements, up to a constant."""
-    total, clock, doubt = np.zeros((1, 1)), np.full((1, 1), cause.clock), np.zeros((1, 1))
-    for axis, (sensor, scales, shift, common) in enumerate(
-        (("gyro", gyro, cause.gyro, 0.0), ("accel", accel, cause.accel, GRAVITY_SIGMA))
-    ):
-        width, on_clock = cause.unknown.get(sensor, (None, 0.0))
-        own, mean, variance = np.expand_dims(_terms(scales, shift, width, common), 2 - axis)
-        total = total + own
-        clock, doubt = clock + on_clock * mean, doubt + on_clock**2 * variance
-    by_earth = 0.0 if earth is None else _earth_term(clock, doubt, *earth)
-    return math.log(cause.prior) + float(logsumexp(total + by_earth))
+def scores(causes: Sequence[ScaleCause], gyro: ScaleRatios, accel: ScaleRatios, earth: EarthRate | None) -> Array:
+    """Logarithms of the posterior probabilities of C causes, given all measurements, up to a constant, shape (C,)."""
+    clock = np.array([cause.clock for cause in causes])[:, None, None]
+    total, doubt = np.zeros((2, *clock.shape))
+    for axis, (sensor, scales, common) in enumerate((("gyro", gyro, 0.0), ("accel", accel, GRAVITY_SIGMA))):
+        if not scales.known:
+            continue
+        shift = np.array([np.broadcast_to(getattr(cause, sensor), 3) for cause in causes])
+        unknown = np.array([cause.unknown.get(sensor, math.nan) for cause in causes])[:, None]
+        own, mean, variance = _terms(scales, shift, common, np.isfinite(unknown))
+        on_clock = np.nan_to_num(unknown)
+        total = total + np.expand_dims(own, 2 - axis)
+        clock = clock + np.expand_dims(on_clock * mean, 2 - axis)
+        doubt = doubt + np.expand_dims(on_clock**2 * variance, 2 - axis)
+    if earth is not None:
+        total = total + _earth_term(clock, doubt, *earth)
+    prior = np.log([cause.prior for cause in causes])
+    return np.asarray(prior + np.logaddexp.reduce(np.logaddexp.reduce(total, axis=-1), axis=-1))
 
 
-def _terms(scales: ScaleRatios, shift: float | Array, width: float | None, common: float) -> Array:
-    """Log-likelihood of a triad, mean deviation of its ratios from the shift, and variance of that mean.
+def _terms(scales: ScaleRatios, shift: Array, common: float, unknown: Mask) -> tuple[Array, Array, Array]:
+    """Log-likelihoods (C, m) of a triad, mean deviations (C, 1) of its ratios from the shifts, and their variance (m,).
 
-    Shape (3, m), for the m standard deviations of the scale-factor errors; ``common`` is the standard deviation of an
-    error that all axes have. If ``width`` is given, the shift has an unknown part, uniformly distributed over it.
+    They are for the m standard deviations of the scale-factor errors; ``shift`` has shape (C, 3). ``common`` is the
+    standard deviation of an error that all axes have; to it, ``unknown``, shape (C, 1), adds an unknown factor.
     """
-    if not scales.known:
-        return np.zeros((3, 1))
-    left = scales.logarithms - shift
-    n, mean = len(left), float(left.mean())
+    n = len(scales.logarithms)
+    left = scales.logarithms - shift[:, :n]
+    mean = left.mean(axis=1, keepdims=True)
     s2 = _GRID**2 + (scales.axis_scatter if math.isfinite(scales.axis_scatter) else 1.0) ** 2 + _ROUNDING**2
     v = s2 / n + common**2
-    own = -0.5 * ((n - 1) * np.log(2.0 * np.pi * s2) + float(np.sum((left - mean) ** 2)) / s2) + _LOG_WEIGHT
-    of_mean = -0.5 * (np.log(2.0 * np.pi * v) + mean**2 / v) if width is None else -math.log(width)
-    return np.stack([own + of_mean, np.full(len(v), mean), v])
+    square = np.sum((left - mean) ** 2, axis=1, keepdims=True)
+    own = -0.5 * ((n - 1) * np.log(2.0 * np.pi * s2) + square / s2) + _LOG_WEIGHT
+    known = -0.5 * (np.log(2.0 * np.pi * v) + mean**2 / v)
+    return own + np.where(unknown, np.log(voigt_profile(mean, np.sqrt(v), _USUAL)), known), mean, v
 
 
 def _earth_term(clock: Array, doubt: Array, found: Array, sigma: Array, true: Array) -> Array:
@@ -179,18 +166,6 @@ def _earth_term(clock: Array, doubt: Array, found: Array, sigma: Array, true: Ar
     return np.asarray(np.logaddexp(normal, anywhere))
 
 
-def most_likely(
-    causes: Iterable[ScaleCause], gyro: ScaleRatios, accel: ScaleRatios, earth: EarthRate | None
-) -> tuple[ScaleCause, RunnerUp | None]:
-    """Most likely cause, and the second most likely one with another first fault, if it is nearly as likely."""
-    ranked = sorted(((score(cause, gyro, accel, earth), cause) for cause in causes), key=lambda row: -row[0])
-    top, best = ranked[0]
-    for value, other in ranked:
-        if other.faults[:1] not in ((), best.faults[:1]):
-            return best, RunnerUp(other.faults[0], top - value) if top - value < CLOSE else None
-    return best, None
-
-
 # --- possible causes -------------------------------------------------------------------------------------------------
 
 
@@ -205,25 +180,26 @@ def scale_cause(evidence: Evidence, scales: Scales | None = None) -> tuple[Scale
         return ScaleCause(("gravity_absent",), details={"gravity_absent": details}), None
     if stationary_force_scatter(evidence.manoeuvres) > _MATCH and not accel.axis_scatter < _EQUAL:
         accel = UNKNOWN  # the specific force differs much between the windows: they are not stationary
-    timed, other = _timed(evidence)
-    triads: dict[Sensor, ScaleRatios] = {"gyro": gyro, "accel": accel}
-    odd = {sensor: _is_odd(evidence, sensor, triads) for sensor in triads}
-    if not any(odd.values()):
+    if not (gyro.known or accel.known):
         return ScaleCause(), None
-    of_one = {
-        sensor: list(_of_one_triad(evidence, sensor, triads[sensor]) if wrong else ()) or [ScaleCause()]
-        for sensor, wrong in odd.items()
-    }
-    pairs = [(one, two) for one in of_one["gyro"] for two in of_one["accel"]]
-    if odd[timed]:
-        pairs += [(one, two) for one in _of_clock(evidence, triads[timed]) for two in of_one[other]]
+    triads: dict[Sensor, ScaleRatios] = {"gyro": gyro, "accel": accel}
+    # The clock acts on the gyros of rates, and on the accelerometers of increments.
+    timed: Sensor
+    other: Sensor
+    timed, other = ("gyro", "accel") if evidence.recording.kind == "rate" else ("accel", "gyro")
+    single = {sensor: _of_one_triad(evidence, sensor, triad) for sensor, triad in triads.items()}
+    pairs = chain(product(*single.values()), product(_of_clock(evidence, timed, triads[timed]), single[other]))
     causes = [*_of_both(evidence, gyro, accel), *(one & two for one, two in pairs)]
-    return most_likely(causes, gyro, accel, evidence.earth_rate)
-
-
-def _timed(evidence: Evidence) -> tuple[Sensor, Sensor]:
-    """Triad whose ratios depend on the clock (gyros of rates, accelerometers of increments), and the other one."""
-    return ("gyro", "accel") if evidence.recording.kind == "rate" else ("accel", "gyro")
+    by_score = scores(causes, gyro, accel, evidence.earth_rate if len(causes) > 1 else None)
+    order = np.argsort(-by_score, kind="stable")
+    best, lower = causes[order[0]], by_score[order[0]] - by_score
+    sound = [k for k, cause in enumerate(causes) if not cause.faults]
+    if sound and lower[sound[0]] < math.log(best.prior / RARE):
+        return ScaleCause(), None
+    for k in order.tolist():
+        if causes[k].faults[:1] not in ((), best.faults[:1]):
+            return best, RunnerUp(causes[k].faults[0], float(lower[k])) if lower[k] < CLOSE else None
+    return best, None
 
 
 def _without_gravity(evidence: Evidence, accel: ScaleRatios) -> bool:
@@ -233,10 +209,9 @@ def _without_gravity(evidence: Evidence, accel: ScaleRatios) -> bool:
     """
     if evidence.data is None or evidence.accel_fit.rank < 3 or accel.typical >= LEGAL_RATIO["accel"][0]:
         return False
-    stretch = np.linalg.svd(evidence.accel_fit.matrix, compute_uv=False)
-    varies = stationary_force_scatter(evidence.manoeuvres) > _EQUAL
-    uneven = stretch[2] < _EVEN * stretch[0] or accel.axis_scatter > _EQUAL
-    return (varies and uneven) or bool(stretch[0] < _EVEN * accel.typical)
+    least = np.linalg.norm(evidence.accel_fit.matrix, ord=-2)  # smallest singular value
+    scatter = min(accel.axis_scatter, stationary_force_scatter(evidence.manoeuvres))
+    return bool(least < _EVEN * accel.typical) or scatter > _EQUAL
 
 
 def _is_legal(sensor: Sensor, scales: ScaleRatios) -> bool:
@@ -244,82 +219,70 @@ def _is_legal(sensor: Sensor, scales: ScaleRatios) -> bool:
     return low < scales.typical < high
 
 
-def _is_odd(evidence: Evidence, sensor: Sensor, triads: dict[Sensor, ScaleRatios]) -> bool:
-    """True if no sound unit has the ratio of a triad, or the factor that its axes have in common."""
-    scales, (timed, other) = triads[sensor], _timed(evidence)
-    if not (scales.by_axis and _is_legal(sensor, scales)):
-        return scales.known and not _is_legal(sensor, scales)
-    shift = abs(scales.common) - (3.0 * GRAVITY_SIGMA if sensor == "accel" else 0.0)
-    return (
-        shift > max(_LEAST_COMMON, _COMMON_SIGMAS_ALONE * scales.scatter)
-        or shift > max(_EQUAL, _COMMON_SIGMAS * scales.scatter)
-        or (_has_common_factor(scales) and _nearest_power(scales.common) is not None)
-        or _one_axis(sensor, scales) is not None
-        or (sensor == timed and triads[other].known and _confirmed_by_earth(evidence, scales))
-    )
+def _of_one_triad(evidence: Evidence, sensor: Sensor, scales: ScaleRatios) -> list[ScaleCause]:
+    """Possible causes of the ratios of only one triad: a sound one, unless none has such a ratio, or those below."""
+    if not scales.known:
+        return [ScaleCause()]
+    usual = 1.0 if _is_usual(evidence.dt) else RARE
+    legal = _is_legal(sensor, scales)
+    wrong = (() if legal else _other_units(evidence, sensor, scales), _other_scales(evidence, sensor, scales))
+    causes = [replace(cause, prior=usual * cause.prior) for cause in chain(*wrong)]
+    return [ScaleCause(), *causes] if legal or not causes else causes
 
 
-def _confirmed_by_earth(evidence: Evidence, scales: ScaleRatios) -> bool:
-    """True if the measured Earth rate is wrong by the common factor of the triad that depends on the clock.
-
-    The clock is wrong then: no scale-factor error of a unit has this effect.
-    """
-    earth = evidence.earth_rate_factor
-    if earth is None or abs(scales.common) < _LEAST_COMMON:
-        return False
-    expected = math.exp(-scales.common if evidence.recording.kind == "rate" else scales.common)
-    doubt = math.hypot(earth.sigma, scales.scatter * expected)
-    return abs(earth.value - 1.0) > _EARTH_SIGMAS * earth.sigma and abs(earth.value - expected) < 3.0 * doubt
+def _cause(sensor: Sensor, prior: float, fault: str, shift: float | Array, details: Any, **more: Any) -> ScaleCause:
+    more[sensor] = shift
+    return ScaleCause((fault,), prior=prior, details={fault: details}, **more)
 
 
-def _of_one_triad(evidence: Evidence, sensor: Sensor, scales: ScaleRatios) -> Iterator[ScaleCause]:
-    """Possible causes of the ratios of only one triad: unit, counts, measuring range, one axis, or any factor."""
+def _other_units(evidence: Evidence, sensor: Sensor, scales: ScaleRatios) -> Iterator[ScaleCause]:
+    """Counts, units or the kind of one triad."""
     rates, dt = evidence.recording.kind == "rate", evidence.dt
-    usual = 1.0 if _is_usual(dt) else RARE
+    off = math.log(scales.typical)
+    near = [(abs(off - math.log(u.factor)), u) for u in WRONG_UNITS[sensor] if rates or not u.rates_only]
+    step = _common_step(evidence, sensor)
+    # Readings in mg are often logged without decimals, and pulses of a fraction of an arc second can be whole numbers
+    # of deg/h: near the factor of a unit, whole numbers are readings in that unit.
+    if (0 < step <= _LARGEST and min(d for d, _ in near) > _EQUAL) or (step == 1 and sensor == "gyro"):
+        fields = _fields(evidence, sensor, scales.typical, None)
+        yield _cause(sensor, FREQUENT / _WHOLE, f"{sensor}_counts", 0.0, fields, unknown={sensor: 0.0})
+        return
+    for d, unit in near:
+        if d < _MATCH:
+            prior = RARE if unit.fault.endswith("other_unit") else FREQUENT
+            fields = _fields(evidence, sensor, scales.typical, unit)
+            yield _cause(sensor, prior, unit.fault, math.log(unit.factor), fields)
+    of_interval = math.log(dt) if rates else -math.log(dt)
+    if abs(off - of_interval) < _MATCH:
+        found, declared, remedy = ("increments", "rates", "divide") if rates else ("rates", "increments", "multiply")
+        kind = {"ratio": scales.typical, "interval": dt, "found": found, "declared": declared, "remedy": remedy}
+        yield _cause(sensor, RARE, f"{sensor}_kind", of_interval, kind)
 
-    def cause(prior: float, fault: str, shift: float | Array, details: dict[str, Any], **more: Any) -> ScaleCause:
-        more[sensor] = shift
-        return ScaleCause((fault,), prior=prior * usual, details={fault: details}, **more)
 
-    if not _is_legal(sensor, scales):
-        off = math.log(scales.typical)
-        near = [(abs(off - math.log(u.factor)), u) for u in WRONG_UNITS[sensor] if rates or not u.rates_only]
-        step = _common_step(evidence, sensor)
-        # Readings in mg are often logged without decimals, and pulses of a fraction of an arc second can be whole
-        # numbers of deg/h: near the factor of a unit, whole numbers are readings in that unit.
-        if (0 < step <= _LARGEST and min(d for d, _ in near) > _EQUAL) or (step == 1 and sensor == "gyro"):
-            fields = _fields(evidence, sensor, scales.typical, None)
-            yield cause(FREQUENT / _WHOLE, f"{sensor}_counts", 0.0, fields, unknown={sensor: (_COUNTS, 0.0)})
-            return
-        for d, unit in near:
-            if d < _MATCH:
-                prior = RARE if unit.fault.endswith("other_unit") else FREQUENT
-                yield cause(prior, unit.fault, math.log(unit.factor), _fields(evidence, sensor, scales.typical, unit))
-        of_interval = math.log(dt) if rates else -math.log(dt)
-        if abs(off - of_interval) < _MATCH:
-            found, declared = ("increments", "rates") if rates else ("rates", "increments")
-            details = {"ratio": scales.typical, "interval": dt, "found": found, "declared": declared}
-            details["remedy"] = "divide" if rates else "multiply"
-            yield cause(RARE, f"{sensor}_kind", of_interval, details)
-    clipped = _clipped(evidence, sensor)
-    equal = _has_common_factor(scales)
-    if equal and (power := _nearest_power(scales.common)) is not None:
+def _other_scales(evidence: Evidence, sensor: Sensor, scales: ScaleRatios) -> Iterator[ScaleCause]:
+    """Measuring range or any other factor of a triad; range or unit of one axis, of which the other two are right."""
+    logarithms = scales.logarithms
+    axis = int(np.argmax(np.abs(logarithms)))
+    if _has_common_factor(scales):
+        clipped, ratio = _clipped(evidence, sensor), math.exp(scales.common)
         # Saturation in most sequences makes the measured angles too small.
         mostly = evidence.data is not None and (None in clipped or len(clipped) > 0.5 * evidence.data.K)
-        if power > 1.0 or not mostly:
-            details = _wrong_count(sensor, math.exp(scales.common), power)
-            yield cause(FREQUENT, f"{sensor}_lsb", math.log(power), details)
-    elif (one := _one_axis(sensor, scales)) is not None:
-        axis, factor, other = one
-        ratio = float(scales.axes[axis])
-        fault, details = f"{sensor}_lsb", _wrong_count(sensor, ratio, factor, axis)
-        if other is not None:
-            fault, details = other.fault, _fields(evidence, sensor, ratio, other)
-            details |= {"title": f"gyro {AXES[axis]}"} if sensor == "gyro" else {}
-        yield cause(FREQUENT, fault, math.log(factor) * np.eye(3)[axis], details)
-    elif equal and abs(scales.common) < math.log(_LARGEST) and not clipped:
-        details = {"ratio": math.exp(scales.common), "spread": scales.spread}
-        yield cause(RARE, f"{sensor}_factor", 0.0, details, unknown={sensor: (2.0 * math.log(_LARGEST), 0.0)})
+        power = _nearest_power(scales.common)
+        if power is not None and (power > 1.0 or not mostly):
+            yield _cause(sensor, FREQUENT, f"{sensor}_lsb", math.log(power), _wrong_count(sensor, ratio, power))
+        if not clipped and abs(scales.common) < math.log(_LARGEST):
+            common = {"ratio": ratio, "spread": scales.spread}
+            yield _cause(sensor, RARE, f"{sensor}_factor", 0.0, common, unknown={sensor: 0.0})
+    elif scales.by_axis and max(scales.axis_scatter, *np.abs(np.delete(logarithms, axis))) < _EQUAL:
+        own, only = float(logarithms[axis]), np.eye(3)[axis]
+        if (power := _nearest_power(own)) is not None:
+            fields = _wrong_count(sensor, math.exp(own), power, axis)
+            yield _cause(sensor, FREQUENT, f"{sensor}_lsb", math.log(power) * only, fields)
+        for unit in WRONG_UNITS[sensor]:
+            if not unit.rates_only and abs(own - math.log(unit.factor)) < _EQUAL:
+                fields = _fields(evidence, sensor, math.exp(own), unit)
+                fields |= {"title": f"gyro {AXES[axis]}"} if sensor == "gyro" else {}
+                yield _cause(sensor, FREQUENT, unit.fault, math.log(unit.factor) * only, fields)
 
 
 def _of_both(evidence: Evidence, gyro: ScaleRatios, accel: ScaleRatios) -> Iterator[ScaleCause]:
@@ -337,7 +300,7 @@ def _of_both(evidence: Evidence, gyro: ScaleRatios, accel: ScaleRatios) -> Itera
     if rates or count < 2:
         return
     shift = -math.log(count)
-    equal = all(_has_common_factor(triad) and abs(triad.common - shift) < _POWER_DISTANCE for triad in triads)
+    equal = all(triad.by_axis and abs(triad.common - shift) < _EQUAL for triad in triads)
     # Without a rotation: the interval is longer than that of any IMU, but interval / count is not.
     late = not gyro.known and dt > USUAL_S[1] and _is_usual(dt / count)
     if (equal and len(triads) == 2 and count <= _LARGEST) or late:
@@ -345,9 +308,11 @@ def _of_both(evidence: Evidence, gyro: ScaleRatios, accel: ScaleRatios) -> Itera
         yield ScaleCause(("increments_thinned",), shift, shift, prior=RARE, details={"increments_thinned": details})
 
 
-def _of_clock(evidence: Evidence, scales: ScaleRatios) -> Iterator[ScaleCause]:
-    """Possible causes in the clock, from the known ratios of the triad that depends on it."""
-    rates, dt, timed = evidence.recording.kind == "rate", evidence.dt, _timed(evidence)[0]
+def _of_clock(evidence: Evidence, timed: Sensor, scales: ScaleRatios) -> Iterator[ScaleCause]:
+    """Possible causes in the clock, from the ratios of the triad that depends on it."""
+    if not scales.known:
+        return
+    rates, dt = evidence.recording.kind == "rate", evidence.dt
     sense = 1.0 if rates else -1.0
     for factor, unit, declared in TIME_UNITS:
         left = math.log(scales.typical) + sense * math.log(factor)
@@ -378,8 +343,7 @@ def _of_clock(evidence: Evidence, scales: ScaleRatios) -> Iterator[ScaleCause]:
         "stated": stated,
         "advice": _STAMPS if evidence.recording.sample_rate_hz is None else _RATE.format(rate=rate, stated=stated),
     }
-    unknown = {str(timed): (math.log(USUAL_S[1] / USUAL_S[0]), sense)}
-    yield ScaleCause(("sample_rate",), unknown=unknown, prior=FREQUENT, details={"sample_rate": details})
+    yield ScaleCause(("sample_rate",), unknown={str(timed): sense}, prior=FREQUENT, details={"sample_rate": details})
 
 
 def _is_usual(interval_s: float) -> bool:
@@ -396,27 +360,9 @@ def _has_common_factor(scales: ScaleRatios) -> bool:
 
 
 def _nearest_power(off: float) -> float | None:
-    """Power of two between the measuring ranges of one IMU, from the logarithm of a factor; None if it is none."""
+    """Power of two nearest to a factor, from its logarithm; None if it is no factor of the ranges of one IMU."""
     power = 2.0 ** round(off / math.log(2.0))
-    near = power != 1.0 and 1.0 / _LARGEST <= power <= _LARGEST and abs(off - math.log(power)) < _POWER_DISTANCE
-    return power if near else None
-
-
-def _one_axis(sensor: Sensor, scales: ScaleRatios) -> tuple[int, float, WrongUnit | None] | None:
-    """Axis in another unit or range than the other two, which are right; its factor; and its unit, None for a range."""
-    if not scales.by_axis or scales.axis_scatter > _EQUAL:
-        return None
-    off = scales.logarithms
-    # The other two axes are right: only one axis differs from 1.
-    axis = int(np.argmax(np.abs(off)))
-    if np.abs(np.delete(off, axis)).max() > _EQUAL:
-        return None
-    if (power := _nearest_power(float(off[axis]))) is not None:
-        return axis, power, None
-    for unit in WRONG_UNITS[sensor]:
-        if not unit.rates_only and abs(off[axis] - math.log(unit.factor)) < _EQUAL:
-            return axis, unit.factor, unit
-    return None
+    return power if power != 1.0 and 1.0 / _LARGEST <= power <= _LARGEST else None
 
 
 def _wrong_count(sensor: Sensor, ratio: float, power: float, axis: int | None = None) -> dict[str, Any]:
@@ -440,12 +386,11 @@ def _fields(evidence: Evidence, sensor: Sensor, ratio: float, unit: WrongUnit | 
 
 def _common_step(evidence: Evidence, sensor: Sensor) -> int:
     """Greatest common divisor of the readings in the first unit in which they are whole numbers; 0 if there is none."""
-    table = evidence.some[("gyro", "accel").index(sensor)]
-    units = {"gyro": (1.0, DEG, DEG_PER_H), "accel": (1.0, STANDARD_GRAVITY_M_S2, 1e-3 * STANDARD_GRAVITY_M_S2)}[sensor]
-    for unit in units if evidence.recording.kind == "rate" else units[:2]:
+    table, units = (evidence.some[0], GYRO_UNITS) if sensor == "gyro" else (evidence.some[1], ACCEL_UNITS)
+    for unit in units[evidence.recording.kind].values():
         numbers = table / unit
         nearest = np.rint(numbers)
         # Above 2⁵² = 1/ε, every double is a whole number.
-        if np.abs(numbers - nearest).max() < _WHOLE and _FEWEST_COUNTS <= np.ptp(nearest) < 1.0 / np.finfo(float).eps:
+        if np.abs(numbers - nearest).max() < _WHOLE and 0.0 < np.ptp(nearest) < 1.0 / np.finfo(float).eps:
             return int(np.gcd.reduce(nearest.astype(np.int64), axis=None))
     return 0

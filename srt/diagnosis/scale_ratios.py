@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from scipy.special import erfinv
 
 from srt.diagnosis.rotation_readings import MAD, rates_factor
+from srt.diagnosis.triad_fits import LEAST_FREEDOM
 from srt.model.table1 import AXES
 from srt.result.verdict import USABLE
 from srt.sensor_errors import GROUP_SLICES
@@ -43,7 +43,7 @@ class ScaleRatios:
     @property
     def by_axis(self) -> bool:
         """True if each axis has a positive, finite ratio."""
-        return bool(np.all(np.isfinite(self.axes)) and np.all(self.axes > 0.0))
+        return bool(self.axes.min() > 0.0 and self.axes.max() < math.inf)
 
     @property
     def logarithms(self) -> Array:
@@ -66,22 +66,11 @@ class ScaleRatios:
         return math.hypot(self.spread, self.axis_scatter)
 
 
-_MOST_AGREE: Final = 0.8
-"""Share of the deviations from whose quantile their standard deviation is taken: a factor that holds for more than a
-fifth of the rotations increases the scatter."""
-_ROUNDS: Final = 3
-"""Number of iterations that assign rotations to axes and compute the ratios of the axes."""
-_LEAST_RATIO: Final = 0.125
-"""Smallest reading of an axis relative to the median axis: an axis with less was not rotated."""
 _RELATION_SIGMA: Final = 0.02
 """Standard deviation of the logarithm of a ratio from the rotation of gravity, due to acceleration and misalignment."""
-_FEWEST_POSES: Final = 9
-"""Fewest poses for a fit of three accelerometer scale factors and three biases: three more than unknowns."""
 _LEAST_SPREAD: Final = 0.1
 """Smallest permitted singular value of that fit, divided by the square root of the number of poses; for poses in all
 directions it is 0.37."""
-_OBSERVED: Final = 0.01
-"""Largest standard deviation of a calibrated scale factor that tells one factor from another."""
 _UNSEEN: Final = np.full(len(AXES), np.nan)
 UNKNOWN: Final = ScaleRatios(math.nan, _UNSEEN, math.nan)
 """Ratios of a triad that the data do not determine."""
@@ -98,37 +87,25 @@ def gyro_ratios_to_gravity(by_labels: ScaleRatios, relation: Array | None) -> Sc
     return by_labels if nearer else by_gravity
 
 
-def gyro_ratios_to_labels(rotations: Rotations, fixture: Fixture | None) -> ScaleRatios:
-    """Ratios of measured to labelled angles.
+def gyro_ratios_to_labels(rotations: Rotations, fit: LinearFit, fixture: Fixture | None) -> ScaleRatios:
+    """Ratios of measured to labelled angles, of each axis if the labels determine their fit.
 
-    They are medians of magnitudes, each assigned to the gyro with the largest reading. Wrong axes, signs and senses,
-    and a few wrong labels, do not affect them.
+    Wrong axes, signs and senses, and a few wrong labels, do not affect them.
     """
     _, nominal, turned = rotations
     if len(nominal) == 0:
         return UNKNOWN
-    size = np.linalg.norm(nominal, axis=1)
-    # An axis in a smaller unit than the others, and misaligned, would have the largest reading in their rotations: each
-    # axis is divided by its own ratio.
-    axes = np.max(np.abs(turned) / size[:, None], axis=0)
-    axes = np.maximum(axes, max(_LEAST_RATIO * float(np.median(axes)), 1e-300))
-    for _ in range(_ROUNDS):
-        own = turned / axes
-        ratio = np.linalg.norm(own, axis=1) / size
-        most = np.argmax(np.abs(own), axis=1)
-        axes = axes * np.array([np.median(ratio[most == i]) if np.any(most == i) else np.nan for i in range(3)])
-        if not np.all(axes > 0.0):
-            break
-    ratio = np.linalg.norm(turned, axis=1) / size
-    if not np.all(ratio > 0.0):
-        return ScaleRatios(float(np.median(ratio)), axes, math.inf)
-    if np.all(axes > 0.0):
-        ratio = axes[most] * np.linalg.norm(turned / axes, axis=1) / size
-    # A factor on only a part of the rotations is not a scale of the triad: it increases the scatter.
-    off = np.quantile(np.abs(np.log(ratio / axes[most])), _MOST_AGREE)
+    size, labelled = np.linalg.norm(turned, axis=1), np.linalg.norm(nominal, axis=1)
+    typical = float(np.median(size / labelled))
+    axes, expected = _UNSEEN, typical * labelled
+    if fit.rank == 3:
+        axes, expected = np.linalg.norm(fit.matrix, axis=1), np.linalg.norm(nominal @ fit.matrix.T, axis=1)
+    if not np.all(size * expected > 0.0):
+        return ScaleRatios(typical, axes, math.inf)
     fixture_scatter = 0.0 if fixture is None else fixture.rotation_sigma_rad / math.pi
-    sigma = float(off / (math.sqrt(2.0) * erfinv(_MOST_AGREE)))
-    return ScaleRatios(float(np.median(ratio)), axes, math.hypot(sigma, fixture_scatter))
+    return ScaleRatios(
+        typical, axes, math.hypot(MAD * float(np.median(np.abs(np.log(size / expected)))), fixture_scatter)
+    )
 
 
 def accel_ratios(recording: Recording, turns: ManoeuvreReadings | None, fit: LinearFit) -> ScaleRatios:
@@ -164,7 +141,7 @@ def _by_magnitude(force: Array) -> ScaleRatios | None:
     size = float(np.median(np.linalg.norm(force, axis=1)))
     design = np.hstack([(force / size) ** 2, force / size])
     count, weakest = len(force), np.linalg.svd(design, compute_uv=False)[-1]
-    if count < _FEWEST_POSES or weakest < _LEAST_SPREAD * math.sqrt(count):
+    if count < design.shape[1] + LEAST_FREEDOM or weakest < _LEAST_SPREAD * math.sqrt(count):
         return None
     square, slope = np.split(np.linalg.lstsq(design, np.ones(count), rcond=None)[0], 2)
     if not np.all(square > 0.0):
@@ -177,10 +154,10 @@ def _by_magnitude(force: Array) -> ScaleRatios | None:
 
 
 def calibrated_ratios(result: Calibration, sensor: Sensor) -> ScaleRatios:
-    """Ratios of a calibration, ``1 + κ``; unknown unless all three scale factors are observed to 1 %."""
+    """Ratios of a calibration, ``1 + κ``; unknown unless all three scale factors are observed."""
     part = GROUP_SLICES[f"{sensor}_scale"]
     axes, sigma = 1.0 + result.errors.vector[part], result.sigma[part]
-    if result.status not in USABLE or not (result.observed[part].all() and np.all(sigma < _OBSERVED)):
+    if result.status not in USABLE or not result.observed[part].all():
         return UNKNOWN
     return ScaleRatios(float(np.median(axes)), axes, float(sigma.max()))
 

@@ -18,10 +18,10 @@ if TYPE_CHECKING:
 
 HEIGHTS_M: Final = (5000.0, -500.0)
 """Highest and lowest plausible height of a test site, m."""
-ANOMALY_M_S2: Final = 1e-3
-"""Largest plausible gravity anomaly, m/s²: 100 mGal, which is exceeded in few places on land."""
 _SITE_SIGMAS: Final = 3.0
 """Tolerance of the stated gravity, and of the latitude from the gyros, in sigma."""
+ANOMALY_M_S2: Final = 1e-3
+"""Largest plausible gravity anomaly, m/s²: 100 mGal, which is exceeded in few places on land."""
 _GRID_DEG: Final = 0.01
 """Step of the latitudes that are tried, °: far below the resolution of gyros."""
 

@@ -12,6 +12,7 @@ from srt.diagnosis.findings import Fault
 from srt.diagnosis.scale_causes import TIME_UNITS, USUAL_S
 from srt.diagnosis.units import scale_findings
 from srt.recording.timing import ROUNDING_FRACTION
+from srt.sequences.manoeuvres import MOVING
 from srt.sequences.plausibility import LONGEST_INTERVAL_S, SHORTEST_INTERVAL_S
 
 if TYPE_CHECKING:
@@ -26,8 +27,6 @@ _LEAST_DRIFT: Final = 1e-3
 """Smallest relative change of the interval for a finding: crystals are stable to 1e-4 over all temperatures."""
 _BURSTS: Final = 0.05
 """Share of long steps above which these are not gaps, but pauses between bursts of samples."""
-_TURNING: Final = 0.2
-"""Smallest rate of a rotating unit, relative to the highest rate."""
 
 
 def time_unit(evidence: Evidence) -> Iterator[Finding]:
@@ -157,7 +156,7 @@ def gap_in_sequence(evidence: Evidence) -> Iterator[Finding]:
         some = np.linalg.norm(evidence.some[0], axis=1)
         rest, fastest = np.median(some), some.max()
         size = np.linalg.norm(np.stack([gyro[gaps - 1], gyro[gaps]]), axis=2).min(axis=0)
-        rows = gaps[size - rest > _TURNING * (fastest - rest)]
+        rows = gaps[size - rest > MOVING * (fastest - rest)]
     elif evidence.data is None:
         return
     else:

@@ -1,8 +1,7 @@
-"""Raw matrices of the gyro and accelerometer triads from the labelled rotations and poses, by two fits.
+"""Raw matrices of the gyro and accelerometer triads from the labelled rotations and poses, and the measured angles.
 
-* Least squares (:func:`gyro_fit`, :func:`accel_fit`): the residuals show if the labels explain the readings, and the
-  rank shows if the labels determine the matrix.
-* Least absolute deviations (:func:`raw_triads`): a few sequences with wrong labels do not bias the matrices.
+A few sequences with wrong labels do not bias the matrices. The residuals show if the labels explain the readings, and
+the rank shows if the labels determine the matrix.
 """
 
 from __future__ import annotations
@@ -20,12 +19,9 @@ if TYPE_CHECKING:
     from srt.types import Array, Indices
 
 
-_RIDGE: Final = 1e-9
-"""Relative singular value below which a direction is not observable; far above rounding, far below any rotation."""
 _RANK: Final = 0.1
-"""Smallest singular value of the unit vectors for full rank: below it, they lie within 6° of a plane."""
-_SOUND: Final = 10.0
-"""Condition number of a triad's matrix above which its fit has failed."""
+"""Smallest singular value of the unit vectors for full rank: below it, they lie within 6° of a plane; and that of the
+matrix of a triad, relative to its largest: below it, the fit has failed."""
 OUTLIER: Final = 8.0
 """Ratio of a residual to the median residual, above which a rotation or a window is an outlier, as after a bump."""
 MOST_OUTLIERS: Final = 0.2
@@ -36,9 +32,9 @@ LEAST_FREEDOM: Final = 8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LinearFit:
-    """Least-squares fit of readings, shape (n, 3), to nominal vectors: ``reading ≈ matrix @ nominal + offset``.
+    """Fit of readings, shape (n, 3), to nominal vectors: ``reading ≈ matrix @ nominal + offset``.
 
-    The matrix is identity for a perfect IMU in the nominal frame; ``rank`` is that of the nominal vectors.
+    The matrix is identity for a perfect IMU in the nominal frame; ``rank`` is 3 if the nominal vectors determine it.
     """
 
     matrix: Array
@@ -49,23 +45,28 @@ class LinearFit:
 
 def gyro_fit(rotations: Rotations) -> LinearFit:
     """Fit of measured to nominal rotations: raw gyro matrix in the nominal frame; residuals in rad."""
-    return _fit(rotations.nominal, rotations.turned, np.zeros((len(rotations.nominal), 0)))
+    return _fit(rotations.nominal, rotations.turned, 0)
 
 
 def accel_fit(poses: tuple[Array, Array]) -> LinearFit:
     """Fit of stationary readings to the nominal specific force: raw accelerometer matrix, and bias in m/s²."""
-    return _fit(*poses, np.ones((len(poses[0]), 1)))
+    return _fit(*poses, 1)
 
 
-def _fit(x: Array, y: Array, offset: Array) -> LinearFit:
-    if len(x) == 0:
+def _fit(nominal: Array, reading: Array, offsets: int) -> LinearFit:
+    """Fit with an offset or none: least squares without the outliers from least absolute deviations."""
+    if len(nominal) == 0:
         return LinearFit(np.eye(3), np.zeros(3), np.zeros((0, 3)), 0)
-    scale = float(np.linalg.norm(x, axis=1).mean())
-    design = np.hstack([x / scale, offset])
-    rank = int(np.linalg.matrix_rank(x / scale, tol=_RANK))
-    solution = np.linalg.lstsq(design, y, rcond=_RIDGE)[0]
-    matrix, bias = np.asarray(solution[:3].T / scale), np.asarray(solution[3:].sum(axis=0))
-    return LinearFit(matrix, bias, np.asarray(y - design @ solution), rank)
+    size = np.linalg.norm(nominal, axis=1, keepdims=True)
+    design = np.hstack([nominal / size, np.ones((len(nominal), offsets))])
+    rank = np.linalg.matrix_rank(design, tol=_RANK)
+    solution = robust_fit(design, reading / size)
+    left = np.linalg.norm(reading - size * (design @ solution), axis=1)
+    kept = left <= OUTLIER * np.median(left)
+    if kept.mean() > 1.0 - MOST_OUTLIERS and np.linalg.matrix_rank(design[kept], tol=_RANK) == rank:
+        solution = np.linalg.lstsq(size[kept] * design[kept], reading[kept], rcond=None)[0]
+    residual = reading - size * (design @ solution)
+    return LinearFit(solution[:3].T, size[0] * solution[3:].sum(axis=0), residual, int(rank) - offsets)
 
 
 class RawTriads(NamedTuple):
@@ -76,28 +77,21 @@ class RawTriads(NamedTuple):
     accel_bias: Array
 
 
-def raw_triads(rotations: Rotations, poses: tuple[Array, Array], gravity: float) -> RawTriads:
+def raw_triads(gyro: LinearFit, accel: LinearFit) -> RawTriads:
     """Raw gyro matrix, and raw accelerometer matrix and bias, in the nominal frame.
 
     The result is identity and zero if the rotations are not labelled or cover too few directions. If the labels
     determine only one of both triads, the other one is taken as perfect. The matrix is then given without its rotation
     relative to the nominal frame, so that both triads refer to the same frame except for misalignments.
     """
-    _, nominal, turned = rotations
-    vertical, reading = poses
-    # Rotations are divided by their angles, so that large rotations do not have more weight than small ones.
-    angle = np.linalg.norm(nominal, axis=1, keepdims=True)
-    design = np.hstack([vertical / gravity, np.ones((len(vertical), 1))])
-    systems = ((nominal / angle, turned / angle), (design, reading / gravity))
-    seen = [np.linalg.matrix_rank(x, tol=_RANK) == x.shape[1] for x, _ in systems]
-    fits = [robust_fit(x, y) if own else np.eye(4, 3) for (x, y), own in zip(systems, seen, strict=True)]
-    gyro, accel, bias = fits[0][:3].T, fits[1][:3].T, gravity * fits[1][3]
-    if not all(np.linalg.cond(matrix) < _SOUND for matrix in (gyro, accel)):
+    seen = [fit.rank == 3 for fit in (gyro, accel)]
+    matrices = [fit.matrix if own else np.eye(3) for fit, own in zip((gyro, accel), seen, strict=True)]
+    if not all(np.linalg.cond(matrix) * _RANK < 1.0 for matrix in matrices):
         return RawTriads(np.eye(3), np.eye(3), np.zeros(3))
     if not all(seen):
         # At the beginning of a test: in the nominal frame, only one of the matrices would include the mounting.
-        gyro, accel = (polar(matrix, side="left")[1] for matrix in (gyro, accel))
-    return RawTriads(gyro, accel, bias)
+        matrices = [polar(matrix, side="left")[1] for matrix in matrices]
+    return RawTriads(matrices[0], matrices[1], accel.offset if seen[1] else np.zeros(3))
 
 
 class MeasuredAngles(NamedTuple):
@@ -125,7 +119,7 @@ def measured_angles(rotations: Rotations) -> MeasuredAngles | None:
     fixed = np.concatenate([by_axis, nominal], axis=1)
     if len(numbers) < LEAST_FREEDOM + fixed.shape[1]:
         return None
-    left = np.abs(measured - (fixed @ robust_fit(fixed, np.repeat(measured[:, None], 3, axis=1)))[:, 0])
+    left = np.abs(measured - (fixed @ robust_fit(fixed, measured[:, None]))[:, 0])
     outlier = left > OUTLIER * np.median(left)
     kept = ~outlier if outlier.mean() < MOST_OUTLIERS else np.ones(len(numbers), dtype=np.bool_)
     return MeasuredAngles(numbers[kept], measured[kept], by_axis[kept], fixed[kept])

@@ -170,9 +170,9 @@ _FACTOR: Final = by_sensor(
     "factor",
     "All [gyros|accelerometers] have a wrong scale by one factor",
     "[rotation angles|stationary specific force], or the scale factors of the calibration, wrong by one factor on all "
-    "axes, [while the Earth rate contradicts a wrong sample rate|by more than gravity varies over the Earth]: by 8 "
-    "times the scatter of the axes and 5 %, or 58 times and 0.5 %. A smaller factor 1 + ε is ε of every scale factor, "
-    "and nothing tells it from errors of the unit",
+    "axes, [while the Earth rate contradicts a wrong sample rate|by more than gravity varies over the Earth], and more "
+    "likely so than by equal errors of a sound unit: by [1|2] % at a scatter of the axes of 0.01 %, by 3 % at 0.1 %, "
+    "by 9 % at 1 %. A smaller factor 1 + ε is ε of every scale factor, and nothing tells it from errors of the unit",
     "All [gyro|accelerometer] axes read {ratio:.4g} times [the true rotation|gravity], with a scatter of only "
     "{spread:.2g} between the axes, less than that of independent scale-factor errors: the value of a count or the "
     "unit is probably wrong by this factor; check [gyro_lsb and gyro_unit|accel_lsb and accel_unit].",

@@ -19,9 +19,9 @@ except ModuleNotFoundError as error:
 
 if TYPE_CHECKING:
     from srt.comparison.estimator_comparison import Comparison
-    from srt.diagnosis.inspection import Inspection
     from srt.recording.recording import Recording
     from srt.reports.certificate.content import Certificate
+    from srt.reports.inspection import Inspection
     from srt.result.calibration import Calibration
 
 _FACTORS: Final = np.array(DISPLAY_FACTORS)

@@ -1,6 +1,7 @@
 """Causes of wrong scales by likelihood: probabilities against direct integration, and which evidence decides."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,40 +10,46 @@ from scipy.stats import multivariate_normal, norm
 
 from srt.constants import EARTH_RATE_RAD_S
 from srt.diagnosis import scale_causes
-from srt.diagnosis.scale_causes import ScaleCause, score
+from srt.diagnosis.scale_causes import ScaleCause, scores
 from srt.diagnosis.scale_ratios import UNKNOWN, ScaleRatios
 
 SOUND = ScaleRatios(1.0, np.array([1.0, 1.0005, 0.9995]), 3e-4)
 TRUE = EARTH_RATE_RAD_S * np.array([-1.0, 1.0]) / math.sqrt(2.0)
 SIGMA = 0.02 * EARTH_RATE_RAD_S * np.ones(2)
-CLOCK = ScaleCause(("sample_rate",), clock=0.0, unknown={"accel": (4.0, -1.0)}, prior=1e-2)
-FACTOR = ScaleCause(("accel_factor",), unknown={"accel": (4.0, 0.0)}, prior=1e-3)
+CLOCK = ScaleCause(("sample_rate",), clock=0.0, unknown={"accel": -1.0}, prior=1e-2)
+FACTOR = ScaleCause(("accel_factor",), unknown={"accel": 0.0}, prior=1e-3)
 
 
-def by_integration(ratios, common, *, width=None):
+def score(cause, *measured):
+    """Logarithm of the posterior probability of one cause."""
+    return float(scores([cause], *measured)[0])
+
+
+def by_integration(ratios, common, *, unknown=False):
     """Log-likelihood of one triad, by the covariance of its errors and numerical integration over an unknown mean."""
     grid = np.geomspace(1e-4, 1.0, 25)
-    weight = 1.0 / (1.0 + (grid / 0.02) ** 2)
+    weight = (1.0 + (grid / 0.02) ** 2) ** -2.0
     y, total = np.log(ratios.axes), 0.0
     for share, sigma in zip(weight / weight.sum(), grid, strict=True):
         V = (sigma**2 + ratios.axis_scatter**2 + 1e-8) * np.eye(3) + common**2 * np.ones((3, 3))
-        if width is None:
+        if not unknown:
             total += share * multivariate_normal(np.zeros(3), V).pdf(y)
             continue
         reach = 12.0 * math.sqrt(V.sum() / 9.0)
-        flat = quad(lambda x, V=V: multivariate_normal(np.full(3, x), V).pdf(y), y.mean() - reach, y.mean() + reach)
-        total += share * flat[0] / width
+        law = multivariate_normal(np.zeros(3), V)
+        of_mean = lambda x, law=law: law.pdf(y - x) / (math.pi * 0.02 * (1.0 + (x / 0.02) ** 2))  # noqa: E731
+        total += share * quad(of_mean, y.mean() - reach, y.mean() + reach, points=[0.0], limit=200)[0]
     return math.log(total)
 
 
-@pytest.mark.parametrize("width", [None, 4.0])
-def test_probability_of_a_triad(width):
+@pytest.mark.parametrize("unknown", [False, True])
+def test_probability_of_a_triad(unknown):
     """Constants common to all causes are the same with and without an unknown mean: only differences count."""
     wrong = ScaleRatios(1.19, np.array([1.18, 1.19, 1.20]), 1e-3)
-    cause = ScaleCause() if width is None else ScaleCause(("accel_factor",), unknown={"accel": (width, 0.0)})
-    reference = score(ScaleCause(accel=math.log(1.19)), UNKNOWN, wrong, None)
+    cause = FACTOR if unknown else ScaleCause(prior=1e-3)
+    reference = score(ScaleCause(accel=math.log(1.19), prior=1e-3), UNKNOWN, wrong, None)
     moved = ScaleRatios(1.0, wrong.axes / 1.19, 1e-3)
-    expected = by_integration(wrong, 0.0035, width=width) - by_integration(moved, 0.0035)
+    expected = by_integration(wrong, 0.0035, unknown=unknown) - by_integration(moved, 0.0035)
     assert score(cause, UNKNOWN, wrong, None) - reference == pytest.approx(expected, abs=1e-6)
 
 
@@ -56,7 +63,7 @@ def test_likelihood_of_the_earth_rate():
     # The alternative of a wrong latitude adds little where the clock explains the rate.
     assert 0.0 < float(term) - direct < 0.01
     far = scale_causes._earth_term(np.array(clock), np.array(0.0), -TRUE, SIGMA, TRUE)
-    assert float(far) == pytest.approx(math.log(1e-2 / (4.0 * math.pi * EARTH_RATE_RAD_S**2)), abs=1e-6)
+    assert float(far) == pytest.approx(math.log(5e-3 / (4.0 * math.pi * EARTH_RATE_RAD_S**2)), abs=1e-6)
 
 
 @pytest.mark.parametrize("factor", [1.05, 1.19, 1.41])
@@ -88,7 +95,7 @@ def test_equal_axes_tell_a_unit_from_a_near_clock():
 
 def test_two_causes_together():
     """Shifts and unknowns of both are those of the pair, and the probabilities multiply."""
-    both = CLOCK & ScaleCause(("gyro_factor",), unknown={"gyro": (2.0, 0.0)}, prior=1e-3)
+    both = CLOCK & ScaleCause(("gyro_factor",), unknown={"gyro": 0.0}, prior=1e-3)
     assert both.faults == ("sample_rate", "gyro_factor")
     assert both.prior == pytest.approx(1e-5)
     assert set(both.unknown) == {"gyro", "accel"}
@@ -104,3 +111,22 @@ def test_weights_of_scale_errors():
     within = float(share @ (1.0 - 2.0 * norm.sf(0.02 / scale_causes._GRID)))
     assert within > 0.5
     assert float(share[scale_causes._GRID > 0.2].sum()) < 0.01
+
+
+def false_alarms(sigma, ratios, units=1000):
+    """Number of sound units whose gyros look off by one factor; ``ratios`` gives the ratios of their three axes."""
+    rng, causes = np.random.default_rng(41), (ScaleCause(), replace(CLOCK, unknown={"gyro": 1.0}, prior=5e-4))
+    found = 0
+    for errors in rng.normal(0.0, sigma, (units, 3)):
+        gyro = ScaleRatios(1.0, ratios(errors), 3e-4)
+        sound, clock = scores(causes, gyro, UNKNOWN, None)
+        found += clock > sound
+    return found
+
+
+@pytest.mark.parametrize("sigma", [3e-4, 5e-3, 0.015])
+def test_errors_of_a_sound_unit_are_no_sample_rate(sigma):
+    """At most 5e-4 of the units, the prior probability of the fault: fewer than 5 of 1,000 with p = 1.7e-4 of more."""
+    assert false_alarms(sigma, np.exp) < 5
+    # The same units with a factor of 1.5 on all axes show it.
+    assert false_alarms(sigma, lambda errors: 1.5 * np.exp(errors), 100) > 95

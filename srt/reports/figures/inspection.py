@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from srt.constants import DEG, DEG_PER_H, MICRO_G, STANDARD_GRAVITY_M_S2
-from srt.diagnosis.inspection import inspect
 from srt.model.table1 import AXES
 from srt.noise.allan import TERMS
 from srt.noise.noise_terms import ALL_TERMS
@@ -35,14 +34,15 @@ from srt.reports.figures.style import (
     save_figure,
     style,
 )
+from srt.reports.inspection import inspect
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from srt.diagnosis.inspection import Inspection, ManoeuvreSummary
     from srt.noise.allan import AllanDeviation, Term
     from srt.noise.noise_terms import NoiseTerms
     from srt.recording.recording import Recording
+    from srt.reports.inspection import Inspection, ManoeuvreSummary
     from srt.types import Array, Indices
 
 

@@ -11,7 +11,7 @@ from srt.reports.tables import text_table, wrap
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from srt.diagnosis.inspection import Inspection, ManoeuvreSummary
+    from srt.reports.inspection import Inspection, ManoeuvreSummary
     from srt.result.diagnostics import RunnerUp
 
 _LABEL: Final = 13

@@ -1,4 +1,4 @@
-"""Inspection of a recording before calibration: time stamps, stationary windows, noise, manoeuvres and faults."""
+"""Content of an inspection of a recording: time stamps, stationary windows, noise, manoeuvres and faults."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ from srt.noise.allan import CHANNELS, TERMS, AllanDeviation, allan_deviation
 from srt.noise.noise_model import noise_model
 from srt.presentation import Presented
 from srt.recording.folder import TOML_NAME
+from srt.recording.reading import read
 from srt.recording.recording import ImuNoise, Recording
 from srt.recording.schema import IMU_KEYS, in_file_unit
 from srt.result.document import to_document
@@ -45,21 +46,28 @@ _STEPS: Final = 256
 """Number of small rotations into which a manoeuvre is divided for the net rotation: enough for one degree."""
 
 
-def inspect(recording: Recording, *, calibrating: bool = False, units: dict[str, str] | None = None) -> Inspection:
-    """Inspect a recording.
+def inspect(source: Any, *, deep: bool = False, **stated: Any) -> Inspection:
+    """Inspect a recording: rate, gaps, noise at rest, stationary windows, rotations, recognised sequences, faults.
 
     Parameters
     ----------
-    recording : Recording
-    calibrating : bool
-        True to run also the checks that need a calibration.
-    units : dict, optional
-        Declared units, see :func:`declared_units`.
+    source : Recording, path-like, or arrays
+        Recording, or what :func:`srt.read` makes one of.
+    deep : bool
+        Also calibrate, and look for faults that only a calibration shows.
+    **stated
+        Keywords of :func:`srt.read`.
 
     Returns
     -------
     Inspection
+
+    Raises
+    ------
+    InputError
+        A source that cannot be read.
     """
+    recording = read(source, **stated)
     recognition: Recognition | None
     try:
         check_interval(recording)
@@ -82,7 +90,7 @@ def inspect(recording: Recording, *, calibrating: bool = False, units: dict[str,
     noise, allan = _noise(recording, windows)
     return Inspection(
         kind=recording.kind,
-        units={} if units is None else units,
+        units=declared_units(recording.source) if recording.source else {},
         serial=recording.serial,
         stamps=_stamps(recording),
         stillness=_stillness(recording, windows),
@@ -91,8 +99,8 @@ def inspect(recording: Recording, *, calibrating: bool = False, units: dict[str,
         turns=turns,
         summary=summary,
         temperature=_temperature(recording),
-        diagnosis=diagnose(recording, calibrating=calibrating, recognition=recognition),
-        calibrated=calibrating,
+        diagnosis=diagnose(recording, calibrating=deep, recognition=recognition),
+        calibrated=deep,
     )
 
 

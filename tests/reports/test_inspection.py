@@ -18,9 +18,9 @@ from scipy.spatial.transform import Rotation
 
 import sims
 import srt
-from srt.diagnosis.inspection import declared_units, inspect
 from srt.model.table1 import SEQUENCES
 from srt.reports.figures.inspection import envelope, inspection_figure, save_figure
+from srt.reports.inspection import declared_units, inspect
 from srt.reports.text.inspection import inspection_report
 
 FOLDER = recorded_sets.data_folder()
