@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from srt.diagnosis.findings import Finding
     from srt.types import Array, Indices, Mask
 
-
 MOVED: Final = 0.5
 """Labelled rotation, rad, and change of a gravity component, g, that the readings of an axis must show."""
 _ERROR: Final = 0.1
@@ -42,12 +41,9 @@ scale-factor errors and biases of 50 % make 3.2. Gyros exceed it, as they read f
 def dead_channels(evidence: Evidence) -> Iterator[Finding]:
     """Find columns that are constant although others are noisy or the labels change their input, and dead axes."""
     recording = evidence.recording
+    tables, finders = (recording.gyro, recording.accel), (_dead_gyro, _dead_accel)
     for (sensor, fault), table, inputs, find in zip(
-        CHANNEL_DEAD.items(),
-        (recording.gyro, recording.accel),
-        evidence.labelled_inputs,
-        (_dead_gyro, _dead_accel),
-        strict=True,
+        CHANNEL_DEAD.items(), tables, evidence.labelled_inputs, finders, strict=True
     ):
         # The first 100 readings exclude nearly every column; only the others are compared in full.
         axes = [axis for axis in range(3) if np.all(table[:100, axis] == table[0, axis])]
@@ -101,9 +97,9 @@ def _dead_gyro(evidence: Evidence) -> tuple[int, int, int] | None:
 
 
 def unread(missed: Array, read: Array) -> Mask:
-    """True for each rotation, by axis, of which a gyro reads next to nothing."""
-    size = np.abs(missed)
-    return np.asarray((size > 2.0 * MOVED) & (np.abs(read) < _ERROR * size))
+    """True for each rotation, by axis, of which a gyro reads next to nothing, unlike the errors of other gyros."""
+    size, most = np.abs(missed), np.abs(read).max(axis=1, initial=0.0, keepdims=True)
+    return np.asarray((size > np.maximum(2.0 * MOVED, 2.0 * _ERROR * most)) & (np.abs(read) < _ERROR * size))
 
 
 def _dead_accel(evidence: Evidence) -> tuple[int, int, int] | None:
@@ -212,11 +208,8 @@ SENSORS_EXCHANGED: Final = Fault(
 def repeated_rows(evidence: Evidence) -> Iterator[Finding]:
     """Find the longest runs of equal samples, in both triads, one triad or one axis, that chance does not explain."""
     runs = list(enumerate(repeated_runs(evidence)))
-    for fault, rows in zip(
-        (SAMPLES_STUCK, *STUCK.values(), *AXIS_STUCK.values()),
-        (runs[:1], runs[1:2], runs[2:3], runs[3:6], runs[6:]),
-        strict=True,
-    ):
+    faults = (SAMPLES_STUCK, *STUCK.values(), *AXIS_STUCK.values())
+    for fault, rows in zip(faults, (runs[:1], runs[1:2], runs[2:3], runs[3:6], runs[6:]), strict=True):
         count, row, first = max(((run[1], -row, run[0]) for row, run in rows if run is not None), default=(0, 0, 0))
         if count:
             yield fault.found(
@@ -255,7 +248,6 @@ AXIS_STUCK: Final = by_sensor(
     repeated_rows,
 )
 
-
 _TWICE: Final = 3.0
 """Fewest repeated samples for a finding, as one may be a data frame that was sent twice, and smallest ratio to their
 number by chance: pulses are not quite independent."""
@@ -290,7 +282,6 @@ SAMPLES_DUPLICATED: Final = Fault(
     "warning",
     duplicated_samples,
 )
-
 
 _LINE: Final = 8
 """Fewest samples on a straight line for a finding. With noise of one quantization step, a second difference is zero

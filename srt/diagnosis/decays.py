@@ -7,8 +7,7 @@ triad, and labels may be wrong or absent.
 
 The reading of an accelerometer that settles is ``f + s (L - f)``, where L follows f with a time constant τ and s is the
 share that settles. In the window after a rotation, the deviation is ``s (L0 - f) exp(-t/τ)`` with the value L0 of L at
-the start of the window. At the start of a sequence, L equals the mean reading of the first window. The scatter of the
-estimates of s from single windows and channels includes all other changes of the readings.
+the start of the window. At the start of a sequence, L equals the mean reading of the first window.
 """
 
 from __future__ import annotations
@@ -82,7 +81,6 @@ GRAVITY_REMOVED: Final = Fault(
     "exit 1",
     high_passed,
 )
-
 
 _TIMES_S: Final = np.exp2(range(4))
 """Time constants that are tried, 1 to 8 s: if the true value differs by a factor of up to 1.4, the pattern still has

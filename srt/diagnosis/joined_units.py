@@ -1,8 +1,7 @@
 """Steps of the sensor errors between two sequences: one recording of two units, a restart, or a switched range.
 
-Three sets of residuals show a step: the stationary rates, the magnitudes of the stationary specific force (which do not
-depend on the fixture's attitude), both weighted by white noise and the stated bias instability, and the angles of the
-rotations.
+The stationary rates, the magnitudes of the stationary specific force, which no attitude changes, and the angles of the
+rotations show a step.
 """
 
 from __future__ import annotations
@@ -51,8 +50,8 @@ def units_joined(evidence: Evidence) -> Iterator[Finding]:
     place[data.start[order]] = place[data.end[order]] = np.arange(data.K)
     drifts = _drifts(0.5 * (rates.start + rates.end))
     shapes = np.array([*drifts, *(place[rates.window] >= cut for cut in cuts)], dtype=np.float64)
-    every = (_gyros(evidence, rates), _forces(evidence, rates), _angles(evidence, rates))
-    ranked = [_explained(*parts[:2], parts[2] @ shapes.T, len(drifts)) for parts in every if parts]
+    every = _residuals(evidence, rates)
+    ranked = [_explained(values, fixed, own @ shapes.T, len(drifts)) for values, fixed, own in every]
     if not ranked or not cuts:
         return
     score = np.sum([[e.score for e in explained[1:]] for explained in ranked], axis=0)
@@ -97,45 +96,36 @@ def _explained(values: Array, nuisance: Array, changes: Array, drifts: int) -> l
     return explain(values, [Cause("", np.zeros((len(values), 0)), {}), *causes], nuisance)
 
 
-# Residuals of equal variance, nuisance columns, and the effect of a separate change in each window, (n, k, W).
+def _residuals(evidence: Evidence, rates: StationaryRates) -> Iterator[tuple[Array, Array, Array]]:
+    """Residuals of equal variance, nuisance columns, and the effect of a separate change in each window, (n, k, W).
 
-
-def _gyros(evidence: Evidence, rates: StationaryRates) -> tuple[Array, Array, Array] | None:
-    """Stationary rates, which a bias changes; None without a stated bias instability."""
-    if evidence.recording.noise.gyro_bias_instability is None:
-        return None
-    own = np.einsum("ij,wv->wijv", np.eye(3), np.eye(len(rates.rate)))
-    values, fixed, moved = (whitened(rates.covariance, table) for table in (rates.rate, rates.columns, own))
-    return values, fixed, moved
-
-
-def _forces(evidence: Evidence, rates: StationaryRates) -> tuple[Array, Array, Array] | None:
-    """Magnitudes of specific force with a mean for each upward face; None without a stated bias instability."""
-    data, instability = evidence.data, evidence.recording.noise.accel_bias_instability
+    With a stated bias instability, these are the stationary rates, which a bias changes, and the magnitudes of specific
+    force with a mean for each upward face; on a fixture, the measured angles, which a scale factor changes.
+    """
+    data, turns, noise = evidence.data, evidence.measured_angles, evidence.recording.noise
+    windows = np.eye(len(rates.rate))
+    if noise.gyro_bias_instability is not None:
+        own = np.einsum("ij,wv->wijv", np.eye(3), windows)
+        values, fixed, moved = (whitened(rates.covariance, table) for table in (rates.rate, rates.columns, own))
+        yield values, fixed, moved
     force = evidence.stationary_force[rates.window]
     size = np.linalg.norm(force, axis=1)
-    if data is None or instability is None or np.any(size == 0.0):
-        return None
-    up = force / size[:, None]
-    upward = np.abs(up) == np.abs(up).max(axis=1, keepdims=True)
-    faces = np.hstack([upward & (up > 0.0), upward & (up <= 0.0)]).astype(np.float64)
-    faces = faces[:, faces.any(axis=0)]
-    T = rates.end - rates.start
-    white = float(np.mean(data.noise.accel_white**2)) / T + 2.0 * (float(np.mean(data.noise.accel_edge)) / T) ** 2
-    # Attitude errors of the fixture act only through the misalignments: a relative sigma of 1e-8 allows for them.
-    covariance = instability**2 * (up @ up.T) * rates.flicker + np.diag(white + 1e-16 * size**2)
-    own = faces[:, :, None] * np.eye(len(up))[:, None, :]
-    values, fixed, moved = (whitened(covariance[None], table[:, None]) for table in (size, faces, own))
-    return values, fixed, moved
-
-
-def _angles(evidence: Evidence, rates: StationaryRates) -> tuple[Array, Array, Array] | None:
-    """Measured angles, which a scale factor changes; None without a fixture or with few rotations."""
-    data, turns = evidence.data, evidence.measured_angles
-    if data is None or turns is None:
-        return None
-    at = data.start[turns.sequence][:, None] == rates.window
-    return turns.measured, turns.fixed, turns.by_axis[:, :, None] * at[:, None, :]
+    if data is not None and noise.accel_bias_instability is not None and np.all(size > 0.0):
+        up = force / size[:, None]
+        upward = np.abs(up) == np.abs(up).max(axis=1, keepdims=True)
+        faces = np.hstack([upward & (up > 0.0), upward & (up <= 0.0)]).astype(np.float64)
+        faces = faces[:, faces.any(axis=0)]
+        T = rates.end - rates.start
+        white = float(np.mean(data.noise.accel_white**2)) / T + 2.0 * (float(np.mean(data.noise.accel_edge)) / T) ** 2
+        # Attitude errors of the fixture act only through the misalignments: a relative sigma of 1e-8 allows for them.
+        drift = noise.accel_bias_instability**2 * (up @ up.T) * rates.flicker
+        covariance = drift + np.diag(white + 1e-16 * size**2)
+        own = faces[:, :, None] * windows[:, None, :]
+        values, fixed, moved = (whitened(covariance[None], table[:, None]) for table in (size, faces, own))
+        yield values, fixed, moved
+    if data is not None and turns is not None:
+        at = data.start[turns.sequence][:, None] == rates.window
+        yield turns.measured, turns.fixed, turns.by_axis[:, :, None] * at[:, None, :]
 
 
 def gyro_scale_drift(evidence: Evidence) -> Iterator[Finding]:

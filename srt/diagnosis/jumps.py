@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from srt.sequences.preparation import PreparedRecording
     from srt.types import Array, Indices, Mask
 
-
 _SIGMAS: Final = 7.5
 """Smallest deviation of a spike, in sigma. p = 6e-14 for a known sigma, and p = 2e-11 for a sigma from 500 readings
 (known to 10 %): the false-alarm probability is 5e-6 for 300 000 readings, 4e-4 for twenty million."""
@@ -132,10 +131,6 @@ _BESIDE: Final = 20
 """Number of samples on each side of a jump with which it is compared."""
 _FLIPS: Final = 5
 """Fewest jumps per window, as noise about zero makes them if the sign is misread."""
-_STAYS: Final = 5
-"""Number of samples on each side of a jump over which a reading stays in its band: a shock swings back at once."""
-_FEWEST: Final = 10
-"""Fewest jumps with a misread sign after which the readings of an accelerometer stay in the other band."""
 
 
 def wrapped_readings(
@@ -154,13 +149,13 @@ def _jumps(column: Array, recording: Recording, data: PreparedRecording | None, 
     """Samples after a jump by the whole range against the slope, or between zero and one of the extremes.
 
     Signed words that are read as unsigned ones, or words of sign and magnitude as two's complement, show small values
-    of one sign at an extreme: gyros jump with the noise at rest, accelerometers as gravity changes sign in rotations.
+    of one sign at an extreme: noise about zero at rest makes them jump.
     """
     low, high = float(column.min()), float(column.max())
     step = np.diff(column)
     large = np.flatnonzero(np.abs(step) > 0.5 * max(-low, high)) + 1
     fastest = _MOTION[sensor] * recording.nominal_interval_s / rates_factor(recording)
-    for a, b in ((low, high), (0.0, low), (0.0, high)):
+    for a, b in ((0.0, low), (0.0, high), (low, high)):
         size = abs(b - a)
         if large.size == 0 or size < fastest or size < (1.0 - _EDGE) * max(-low, high):
             continue
@@ -187,10 +182,6 @@ def _jumps(column: Array, recording: Recording, data: PreparedRecording | None, 
         if wraps or data is None:
             continue
         if np.count_nonzero(_inside(jumps, *windows.T)) >= _FLIPS * len(windows):
-            return jumps
-        far = jumps[(jumps >= _STAYS) & (jumps <= len(column) - _STAYS)]
-        levels = [np.median(column[far[:, None] + np.arange(n, n + _STAYS)], axis=1) for n in (-_STAYS, 0)]
-        if sensor == "accel" and np.count_nonzero(np.abs(levels[1] - levels[0]) > 0.5 * size) >= _FEWEST:
             return jumps
     return np.zeros(0, dtype=np.intp)
 

@@ -1,7 +1,6 @@
 """Labels that are late or early: stationary windows in the samples, and rotation at the edges of labelled windows.
 
-A unit at rest begins to rotate within one or two samples. Samples of a rotation at the edge of a window therefore
-differ clearly from the others.
+A unit begins to rotate within one or two samples, which therefore differ clearly from those at rest.
 """
 
 from __future__ import annotations
@@ -82,10 +81,9 @@ def _spans(data: PreparedRecording) -> tuple[Array, Array]:
         rest = find_windows(data.recording)
     except DataError:
         rest = np.zeros((0, 2), dtype=np.intp)
-    labelled, found = (
-        np.stack([time[rows[:, 0]] - dt, time[rows[:, 1] - 1]], axis=1) for rows in (data.windows.samples, rest)
-    )
-    return labelled, found
+    parts = (data.windows.samples, rest)
+    spans = [np.stack([time[rows[:, 0]] - dt, time[rows[:, 1] - 1]], axis=1) for rows in parts]
+    return spans[0], spans[1]
 
 
 def _shared(labelled: Array, rest: Array) -> Array:
@@ -136,9 +134,8 @@ def _block_shift(data: PreparedRecording, turning: Mask) -> LabelShift | None:
     shared = _shared(labelled, rest)
     nearest, most = rest[shared.argmax(axis=1)], shared.max(axis=1)
     late, early = np.maximum(labelled[:, 1] - nearest[:, 1], 0.0), np.maximum(nearest[:, 0] - labelled[:, 0], 0.0)
-    # The label is not wrong if its window has a bump in it, or if it is too long on both sides.
-    beside, size = np.maximum(shared, 0.0).sum(axis=1) - most, np.maximum(late, early)
-    wrong = (most > 0.0) & (np.minimum(late, early) <= _BESIDE_S) & (beside < 0.5 * size) & (size > _BESIDE_S)
+    # The label is not wrong if it is too long on both sides.
+    wrong = (most > 0.0) & (np.minimum(late, early) <= _BESIDE_S) & (np.maximum(late, early) > _BESIDE_S)
     return LabelShift(float(np.median((late - early)[wrong])), int(wrong.sum())) if wrong.any() else None
 
 
@@ -177,12 +174,16 @@ def _edge(data: PreparedRecording, seen: RawIntegrals, sequence: int, sense: int
     inner = slice(a + most, b - most)
     near = recording.gyro[b - most : b][::-1] if sense > 0 else recording.gyro[a : a + most]
     off = (near - recording.gyro[inner].mean(axis=0)) * factor  # from the rotation into the window
-    # Slower motion is a disturbance of a window whose label is right.
+    # Slower motion is a disturbance of a window whose label is right. A single sample may be due to a channel that is
+    # sampled early or late.
+    slowest = ROTATING * seen.speed[sequence]
+    if np.abs(off[:2]).max(axis=1).min() <= slowest:
+        return np.zeros(7)
     tests = 3 * most * len(data.windows.samples)
     noise = limit("normal", tests=tests, both_sides=True) * recording.gyro[inner].std(axis=0) * factor
-    loud = np.any(np.abs(off) > np.maximum(noise, ROTATING * seen.speed[sequence]), axis=1)
+    loud = np.any(np.abs(off) > np.maximum(noise, slowest), axis=1)
     count = most if loud.all() else int(np.argmin(loud))
-    if count < 2:  # a single sample may be due to a channel that is sampled early or late
+    if count < 2:
         return np.zeros(7)
     turned = off[:count].sum(axis=0) * dt
     force = recording.accel[inner].mean(axis=0) * factor

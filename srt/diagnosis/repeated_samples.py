@@ -1,8 +1,8 @@
 """Repeated samples: runs that are longer than by chance, and single repeats that are more frequent.
 
-Sound readings repeat, too: coarse readings often, and those of a quantized gyro at a steady rate for long. The limit
-therefore follows from the recording itself. A run counts only if it is longer than the runs expected by chance at the
-frequency of repeats next to it, and more than twice as long as the longest runs of the other windows (or rotations).
+Sound readings repeat, too: coarse readings often, and those of a quantized gyro at a steady rate for long. A run
+therefore counts only if it is longer than by chance at the frequency of repeats next to it, and more than twice as long
+as the longest runs of the other windows (or rotations).
 """
 
 from __future__ import annotations
@@ -17,7 +17,6 @@ from srt.diagnosis.false_alarms import FALSE_ALARM
 if TYPE_CHECKING:
     from srt.diagnosis.evidence import Evidence
     from srt.types import Indices
-
 
 BY_CHANCE: Final = FALSE_ALARM / 11.0
 """False-alarm probability for one recording, for each of nine kinds of run and two kinds of single repeats. It assumes
@@ -116,7 +115,7 @@ def single_repeats(evidence: Evidence) -> list[tuple[Indices, float]]:
     """
     found: list[tuple[Indices, float]] = []
     for parts in () if evidence.data is None else (evidence.data.windows.samples, evidence.data.rotation):
-        at = np.unique(np.concatenate([np.arange(a, b - 1) for a, b in parts.tolist()]))
+        at = np.concatenate([np.arange(a, b - 1) for a, b in parts.tolist()])
         if at.size == 0:
             continue
         every, gyro, accel = evidence.repeats[:3, at]

@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-from functools import cache
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
 from srt.diagnosis.false_alarms import limit
-from srt.sequences.manoeuvres import MOVING, end_attitude, leg_borders
-from srt.sequences.preparation import nominal_attitude
+from srt.sequences.manoeuvres import MOVING, leg_borders
 from srt.sequences.rest_detection import BLOCK_S
 
 if TYPE_CHECKING:
-    from srt.model.table1 import RotationSequence
     from srt.recording.recording import Recording
     from srt.sequences.preparation import PreparedRecording
     from srt.types import Array, Indices, Mask
-
 
 _STEP_S: Final = 0.01
 """Length of a block of samples, s: at 1 rad/s the unit rotates by 10 mrad per block."""
@@ -38,8 +34,6 @@ AGREE: Final = 0.5
 blocks. Lost samples and asymmetric scale factors make a difference of the whole error."""
 _SLOWEST_RAD_S: Final = 0.05
 """Slowest rotation of a manoeuvre, rad/s: 180° in a minute."""
-_OTHER_UNIT: Final = 8.0
-"""Ratio of the largest rate of an axis to the median of the three axes, above which it is in another unit."""
 
 
 def rates_factor(recording: Recording) -> float:
@@ -78,14 +72,6 @@ def raw_integrals(data: PreparedRecording) -> RawIntegrals:
         absolute[k] = np.abs(angle, out=angle).sum(axis=0)
     duration = np.maximum(np.diff(data.rotation, axis=1)[:, 0], 1) * recording.nominal_interval_s
     return RawIntegrals(signed, absolute, absolute.sum(axis=1) / duration)
-
-
-@cache
-def nominal_integrals(sequence: RotationSequence) -> tuple[Array, Array, Array, Array]:
-    """Integrals of a sequence for a perfect IMU, signed and absolute (rad); unit vector up in B before and after."""
-    vectors = sequence.axes * sequence.angles_rad[:, None]
-    up = -nominal_attitude(sequence)[2]
-    return vectors.sum(axis=0), np.abs(vectors).sum(axis=0), up, end_attitude(sequence).T @ up
 
 
 def _bias_per_force(data: PreparedRecording) -> Array:
@@ -178,10 +164,7 @@ def find_rotations(data: PreparedRecording | None, path: BlockAverages | None) -
     """Rotations in the block averages."""
     found = [Rotations(np.zeros(0, dtype=np.intp), np.zeros((0, 3)), np.zeros((0, 3)))]
     if data is not None and path is not None:
-        largest = np.abs(path.rate).max(axis=0, initial=0.0)
-        typical = max(float(np.median(largest)), 1e-300)
-        # An axis in a smaller unit, as deg/s, would have the largest reading in rotations about the others.
-        size = np.abs(path.rate) / np.where(largest > _OTHER_UNIT * typical, largest / typical, 1.0)
+        size = np.abs(path.rate)
         speed, axis = size.max(axis=1), np.argmax(size, axis=1)
         for s, e in pairwise(path.starts.tolist()):
             sequence = data.catalogue[path.sequence[s]] if s < e else None

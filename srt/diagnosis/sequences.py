@@ -11,12 +11,14 @@ import numpy as np
 
 from srt.diagnosis.findings import Fault
 from srt.diagnosis.label_shift import lost_samples
-from srt.diagnosis.rotation_readings import AGREE, invert_readings, nominal_integrals
+from srt.diagnosis.rotation_readings import AGREE, invert_readings
 from srt.diagnosis.sensor_synchronisation import SAMPLES_LOST, samples_lost
 from srt.estimation.rotation_accuracy import SIGMAS, scatter_ratio
 from srt.model import closed_form
 from srt.model.table1 import SEQUENCES
+from srt.sequences.manoeuvres import end_attitude
 from srt.sequences.moves import recorded_moves
+from srt.sequences.preparation import nominal_attitude
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -24,7 +26,6 @@ if TYPE_CHECKING:
     from srt.diagnosis.evidence import Evidence
     from srt.diagnosis.findings import Finding
     from srt.types import Array, Mask
-
 
 _FAR: Final = 1.0
 """Squared distance above which a manoeuvre is another sequence; rotation angles in units of 180°, verticals as unit
@@ -135,8 +136,10 @@ def _exchanged(evidence: Evidence) -> dict[int, str]:
     places = [] if data is None else [k for k, name in enumerate(data.ids) if name in SEQUENCES]
     if data is None or seen is None or not places:
         return {}
-    table = [nominal_integrals(sequence) for sequence in SEQUENCES.values()]
-    signed, absolute, before, after = (np.array(column) for column in zip(*table, strict=True))
+    angles = [sequence.axes * sequence.angles_rad[:, None] for sequence in SEQUENCES.values()]
+    signed, absolute = (np.array([of(angle).sum(axis=0) for angle in angles]) for of in (np.asarray, np.abs))
+    before = np.array([-nominal_attitude(sequence)[2] for sequence in SEQUENCES.values()])
+    after = np.einsum("kab,ka->kb", [end_attitude(sequence) for sequence in SEQUENCES.values()], before)
     own = np.array([names.index(data.ids[k]) for k in places])
     # Exchanged labels do not change the total rotation about each axis, which gives the scales of the raw readings.
     stated = absolute[own].sum(axis=0)

@@ -1,7 +1,6 @@
 """Averages inside the stationary windows: block means, noise of single samples, and variance at the start.
 
-All values are rates (rad/s, m/s²) of the six uncompensated channels, gyros first. The checks compare each window with
-the other windows; they do not use the stated noise.
+All values are rates (rad/s, m/s²) of the six uncompensated channels, gyros first. No check uses the stated noise.
 """
 
 from __future__ import annotations

@@ -1,7 +1,6 @@
 """Disturbances of stationary windows: vibration in all of them; oscillation at the start, bumps, creep and noise.
 
-The last four tests run in this order, because each disturbance also affects the later tests: an oscillation contains
-steps, a step looks like a drift, and all of them increase the noise.
+The tests run in this order, because an oscillation contains steps, a step looks like a drift, and all increase noise.
 """
 
 from __future__ import annotations
@@ -52,11 +51,13 @@ def disturbed_windows(evidence: Evidence) -> Iterator[Finding]:
     rings[list(steps)], done[list(steps)] = False, True
     if rings.any():
         worst = int(np.argmax(np.where(rings, amplitude.max(axis=1), 0.0)))
-        yield UNSETTLED.found(
-            count=int(rings.sum()),
-            amplitude=_amplitude(averages, worst),
-            **evidence.window_place(averages.window[worst]),
-        )
+        late = averages.late_variance[worst]
+        excess = np.maximum(averages.head_power[worst, 0] - late, 0.0)
+        sensor = int(np.argmax(excess / np.maximum(late, averages.least_variance))) // 3
+        size = np.sqrt(2.0 * excess.reshape(2, 3)[sensor].sum())
+        text = (f"{1e3 * size:.2g} mrad/s", f"{size:.2g} m/s²")[sensor]
+        place = evidence.window_place(averages.window[worst])
+        yield UNSETTLED.found(count=int(rings.sum()), amplitude=text, **place)
     if steps:
         v = max(steps, key=lambda v: steps[v][1])
         block, angle = steps[v]
@@ -77,8 +78,8 @@ def disturbed_windows(evidence: Evidence) -> Iterator[Finding]:
     if loud.any():  # single samples first, then blocks
         kind = int(np.argmax(loud.any(axis=(1, 2))))
         sensor, v = divmod(int(np.argmax(np.where(loud[kind], power[kind], 0.0))), len(done))
-        named = {"sensor": ("gyros", "accelerometers")[sensor], "ratio": float(np.sqrt(power[kind, sensor, v]))}
-        yield NOISY_WINDOW.found(**named, **evidence.window_place(averages.window[v]))
+        ratio, name = float(np.sqrt(power[kind, sensor, v])), ("gyros", "accelerometers")[sensor]
+        yield NOISY_WINDOW.found(ratio=ratio, sensor=name, **evidence.window_place(averages.window[v]))
 
 
 UNSETTLED: Final = Fault(
@@ -170,15 +171,6 @@ def _oscillation(averages: WindowAverages, *, by_gyros: bool) -> tuple[Mask, Arr
     largest = limit("chi-square", freedom, tests=ratio.size, shared=FALSE_ALARM) / freedom
     loud = ratio > np.maximum(NOISY, largest)
     return np.asarray(loud[:, :, 0 if by_gyros else 1 :].any(axis=2)), np.asarray(ratio.max(axis=1))
-
-
-def _amplitude(averages: WindowAverages, v: int) -> str:
-    """Amplitude of the oscillation at the start of a window, with its unit, as text."""
-    excess = np.maximum(averages.head_power[v, 0] - averages.late_variance[v], 0.0)
-    sigma = excess / np.maximum(averages.late_variance[v], averages.least_variance)
-    by_gyros = sigma[GYRO].max() >= sigma[ACCEL].max()
-    size = np.sqrt(2.0 * excess[GYRO if by_gyros else ACCEL].sum())
-    return f"{1e3 * size:.2g} mrad/s" if by_gyros else f"{size:.2g} m/s²"
 
 
 def _steps(evidence: Evidence, averages: WindowAverages) -> dict[int, tuple[int, float]]:

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from srt.diagnosis.findings import Finding
     from srt.types import Array, Indices
 
-
 _MANY: Final = 20
 """Fewest readings or values that exclude chance: of as many independent ones, all have one bit set with p = 1e-6, and
 none lies in a band where as many are expected with p = 2e-9."""
@@ -176,9 +175,8 @@ def dead_bands(evidence: Evidence) -> Iterator[Finding]:
             common = float(values[np.argmax(counts > 0.5 * counts.max())])
             grid = max(steps[axis] * evidence.per_rate, pulse / evidence.dt, common * _on_grid(near, common))
             if threshold > (2.0 + OFF_GRID) * grid:
-                sizes = {"threshold": threshold, "step": grid}
-                if not gyro:
-                    sizes = {f"{name}_ug": value / MICRO_G for name, value in sizes.items()}
+                unit, mark = (1.0, "") if gyro else (MICRO_G, "_ug")
+                sizes = {f"threshold{mark}": threshold / unit, f"step{mark}": grid / unit}
                 yield DEAD_BAND[sensor].found(channel=f"{sensor}_{AXES[axis]}", count=int(zeros[axis]), **sizes)
                 break
 
