@@ -64,7 +64,7 @@ def dead_channels(evidence: Evidence) -> Iterator[Finding]:
 
 def _constant_part(evidence: Evidence, sensor: str) -> tuple[int, int, int] | None:
     """Axis with one reading through a whole rotation, far longer than elsewhere, and its first and last sample."""
-    if evidence.manoeuvres is None:
+    if evidence.manoeuvres is None or not evidence.noisy_channels.any():
         return None
     begin, end = evidence.manoeuvres.spans.T
     for axis, name in enumerate(AXES):
