@@ -97,7 +97,7 @@ def _dead_gyro(evidence: Evidence) -> tuple[int, int, int] | None:
 
 
 def unread(missed: Array, read: Array) -> Mask:
-    """True for each rotation, by axis, of which a gyro reads next to nothing, unlike the errors of other gyros."""
+    """True for each rotation, by axis, of which a gyro reads next to nothing, beyond the errors of the others."""
     size, most = np.abs(missed), np.abs(read).max(axis=1, initial=0.0, keepdims=True)
     return np.asarray((size > np.maximum(2.0 * MOVED, 2.0 * _ERROR * most)) & (np.abs(read) < _ERROR * size))
 

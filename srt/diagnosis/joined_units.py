@@ -50,8 +50,7 @@ def units_joined(evidence: Evidence) -> Iterator[Finding]:
     place[data.start[order]] = place[data.end[order]] = np.arange(data.K)
     drifts = _drifts(0.5 * (rates.start + rates.end))
     shapes = np.array([*drifts, *(place[rates.window] >= cut for cut in cuts)], dtype=np.float64)
-    every = _residuals(evidence, rates)
-    ranked = [_explained(values, fixed, own @ shapes.T, len(drifts)) for values, fixed, own in every]
+    ranked = [_explained(y, fixed, own @ shapes.T, len(drifts)) for y, fixed, own in _residuals(evidence, rates)]
     if not ranked or not cuts:
         return
     score = np.sum([[e.score for e in explained[1:]] for explained in ranked], axis=0)

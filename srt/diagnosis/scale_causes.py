@@ -190,7 +190,9 @@ def scale_cause(evidence: Evidence, scales: Scales | None = None) -> tuple[Scale
     single = {sensor: _of_one_triad(evidence, sensor, triad) for sensor, triad in triads.items()}
     pairs = chain(product(*single.values()), product(_of_clock(evidence, timed, triads[timed]), single[other]))
     causes = [*_of_both(evidence, gyro, accel), *(one & two for one, two in pairs)]
-    by_score = scores(causes, gyro, accel, evidence.earth_rate if len(causes) > 1 else None)
+    # The scale factors of saturated gyros, with which the Earth rate is measured, are those of part of the rotations.
+    measured = len(causes) > 1 and not _clipped(evidence, "gyro")
+    by_score = scores(causes, gyro, accel, evidence.earth_rate if measured else None)
     order = np.argsort(-by_score, kind="stable")
     best, lower = causes[order[0]], by_score[order[0]] - by_score
     sound = [k for k, cause in enumerate(causes) if not cause.faults]

@@ -126,9 +126,8 @@ def vibration(evidence: Evidence) -> Iterator[Finding]:
     if data is None or data.vibration is None:
         return
     gyro, accel, bias = evidence.raw_triads
-    none = np.zeros(3)
     # The mean of the stationary rates is the bias, because the Earth rate averages out over the poses.
-    triads = Triad(gyro, none, data.windows.gyro_mean.mean(axis=0)), Triad(accel, none, bias)
+    triads = Triad(gyro, np.zeros(3), data.windows.gyro_mean.mean(axis=0)), Triad(accel, np.zeros(3), bias)
     line = data.vibration
     # Median amplitude over the windows, along the direction of the vibration; the three channels are in phase.
     rate, force = (

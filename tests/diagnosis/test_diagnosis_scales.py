@@ -142,6 +142,13 @@ def test_a_wrong_sample_rate_says_which_is_right():
     assert finding.details["rate"] == pytest.approx(100.0, rel=1.2e-3)
 
 
+def test_saturated_gyros_are_no_sample_rate():
+    """Rates cut off at 0.986 of 1 rad/s: the Earth rate, measured by their scale factors, is off as by a clock."""
+    recording = Case("navigation-rlg", 1).recording
+    most = 0.986 * recording.nominal_interval_s
+    assert "sample_rate" not in {f.fault for f in examine(replace(recording, gyro=recording.gyro.clip(-most, most)))}
+
+
 # --- axes ------------------------------------------------------------------------------------------------------------
 
 
