@@ -152,7 +152,8 @@ class Evidence:
             return np.zeros(6, dtype=np.bool_)
         a, b = self.data.windows.samples[0].tolist()
         part = self.columns[:, a:b]
-        return np.asarray(np.std(np.diff(part), axis=1) > ROUNDING * np.abs(part).max(axis=1))
+        largest = np.abs(part).reshape(2, -1).max(axis=1).repeat(3)
+        return np.asarray(np.std(np.diff(part), axis=1) > ROUNDING * largest)
 
     # --- recognised and labelled sequences ---------------------------------------------------------------------------
 

@@ -78,7 +78,8 @@ def words_of_one_polarity(evidence: Evidence) -> Iterator[Finding]:
             if low * high != 0.0 or low == high:
                 continue
             size = np.abs(column[column != 0.0])
-            if both[axis] or not (np.count_nonzero(often) > 1 or _on_grid(size, float(size.min()))):
+            alone = np.count_nonzero(often) == 1 and evidence.noisy_channels.any()
+            if both[axis] or (alone and not _on_grid(size, float(size.min()))):
                 missing = "negative" if low == 0.0 else "positive"
                 channel, share = f"{sensor}_{AXES[axis]}", 100.0 * zeros[axis] / len(column)
                 yield ONE_POLARITY[sensor].found(channel=channel, missing=missing, share=share)
