@@ -221,6 +221,11 @@ def head(path: Path, size: int = HEAD_BYTES) -> bytes:
         return b""
 
 
+def starts_with(*magics: bytes) -> Callable[[Path], bool]:
+    """Recognition of a format by its first bytes."""
+    return lambda path: head(path, 16).startswith(magics)
+
+
 def _require(path: Path) -> None:
     try:
         if path.is_file() or path.is_dir():

@@ -8,7 +8,7 @@ from srt.exceptions import InputError, clipped, did_you_mean
 from srt.recording.array_files import HDF5_MAGIC, NUMBERS, ArrayFile, open_hdf5, open_npz, open_parquet
 from srt.recording.import_options import TRIADS, ImportOptions, option
 from srt.recording.imported_samples import ImportedSamples, StatedUnits, of_channels, samples_in_si
-from srt.recording.importer_registry import Importer, head
+from srt.recording.importer_registry import Importer, starts_with
 from srt.recording.importers.channels import assign, listed, with_temperature
 from srt.recording.samples import TEMPERATURE, TIME
 
@@ -193,18 +193,14 @@ def _reader(
     return read
 
 
-def _starts_with(*magics: bytes) -> Callable[[Path], bool]:
-    return lambda path: head(path, 16).startswith(magics)
-
-
-_NPZ_MAGICS: Final = _starts_with(b"\x93NUMPY", b"PK\x03\x04")
+_NPZ_MAGICS: Final = starts_with(b"\x93NUMPY", b"PK\x03\x04")
 
 NPZ: Final = Importer("npz", "NumPy arrays", (".npz", ".npy"), None, _NPZ_MAGICS, _reader(open_npz), ARRAY_OPTIONS)
 
 HDF5: Final = Importer(
-    "hdf5", "HDF5", (".h5", ".hdf5", ".hdf"), "io", _starts_with(HDF5_MAGIC), _reader(open_hdf5), ARRAY_OPTIONS
+    "hdf5", "HDF5", (".h5", ".hdf5", ".hdf"), "io", starts_with(HDF5_MAGIC), _reader(open_hdf5), ARRAY_OPTIONS
 )
 
 PARQUET: Final = Importer(
-    "parquet", "Parquet", (".parquet", ".pq"), "io", _starts_with(b"PAR1"), _reader(open_parquet), ARRAY_OPTIONS
+    "parquet", "Parquet", (".parquet", ".pq"), "io", starts_with(b"PAR1"), _reader(open_parquet), ARRAY_OPTIONS
 )

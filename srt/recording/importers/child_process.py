@@ -63,18 +63,10 @@ _LONGEST_ANSWER = 1 << 20
 
 
 class ProcessLimits(NamedTuple):
-    """Limits on a reader's process.
+    """Limits on a reader's process."""
 
-    Attributes
-    ----------
-    memory : int
-        Bytes reserved beyond those after the imports.
-    seconds : int
-        Computing time.
-    """
-
-    memory: int
-    seconds: int
+    memory: int  # bytes reserved beyond those after the imports
+    seconds: int  # computing time
 
 
 class Child(Protocol):
@@ -94,19 +86,9 @@ def in_child(
 ) -> Callable[[Path, ImportOptions], ImportedSamples]:
     """Make a reader that runs another one in a child process.
 
-    Parameters
-    ----------
-    reader : str
-        "module:function" of the other one, which takes a path and options and returns samples.
-    package : str, optional
-        The package that it needs, of the extra "formats".
-    purpose : str
-        The file, for the message if the package is absent.
-
-    Returns
-    -------
-    callable
-        Raises InputError, DataError or MissingExtraError, nothing else.
+    ``reader`` is the "module:function" of the other one, which takes a path and options and returns samples;
+    ``package`` is the package that it needs, of the extra "formats"; ``purpose`` is the file in the message if that is
+    absent.
     """
 
     def read(path: Path, options: ImportOptions) -> ImportedSamples:
@@ -118,27 +100,12 @@ def in_child(
 
 
 def read_in_child(reader: str, path: Path, options: ImportOptions) -> ImportedSamples:
-    """Read a file in a child process.
+    """Read a file in a child process by a "module:function".
 
-    Parameters
-    ----------
-    reader : str
-        "module:function".
-
-    Raises
-    ------
-    InputError
-        An error of the reader, a limit that was exceeded, or a crash.
-    DataError
+    Raises InputError or DataError: an error of the reader, a limit that was exceeded, or a crash.
     """
-    limits = limits_for(path)
-    request = {
-        "reader": reader,
-        "path": str(path.absolute()),
-        "shown": str(path),
-        "options": asdict(options),
-        "limits": limits,
-    }
+    limits, place = limits_for(path), str(path.absolute())
+    request = {"reader": reader, "path": place, "shown": str(path), "options": asdict(options), "limits": limits}
     with TemporaryDirectory(prefix="srt-", ignore_cleanup_errors=True) as scratch:
         child = spawn(json.dumps(request, default=str).encode("ascii"), Path(scratch))
         try:
@@ -155,31 +122,14 @@ def read_in_child(reader: str, path: Path, options: ImportOptions) -> ImportedSa
 
 
 def spawn(request: bytes, scratch: Path) -> Child:
-    """Start the child process and send it the request.
-
-    Parameters
-    ----------
-    scratch : Path
-        Folder for temporary files.
-    """
+    """Start the child process, with a folder for its temporary files, and send it the request."""
     # -P: a module in the current folder is not imported, unless the parent imports from there, too.
+    paths = os.pathsep.join(each or str(Path.cwd()) for each in sys.path)
     environment = (
-        os.environ
-        | _ONE_THREAD
-        | {
-            "PYTHONPATH": os.pathsep.join(each or str(Path.cwd()) for each in sys.path),
-            "TMPDIR": str(scratch),
-            "TEMP": str(scratch),
-            "TMP": str(scratch),
-        }
+        os.environ | _ONE_THREAD | {"PYTHONPATH": paths} | dict.fromkeys(("TMPDIR", "TEMP", "TMP"), str(scratch))
     )
-    child = subprocess.Popen(  # noqa: S603
-        [sys.executable, "-P", "-m", __name__],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        env=environment,
-    )
+    pipe, command = subprocess.PIPE, [sys.executable, "-P", "-m", __name__]
+    child = subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL, env=environment)  # noqa: S603
     assert child.stdin is not None
     with contextlib.suppress(BrokenPipeError), child.stdin:
         child.stdin.write(request)
@@ -187,13 +137,7 @@ def spawn(request: bytes, scratch: Path) -> Child:
 
 
 def answer(request: bytes, out: BinaryIO) -> None:
-    """Read a file and write the answer: the part of the child, in any process.
-
-    Raises
-    ------
-    MemoryError
-        The limit was reached.
-    """
+    """Read a file and write the answer: the part of the child, in any process. Raises MemoryError at the limit."""
     asked = json.loads(request)
     path, shown = Path(asked["path"]), asked["shown"]
     module, _, function = asked["reader"].partition(":")
