@@ -121,19 +121,9 @@ def _own(file: str, path: Path, main: Mapping[str, Any]) -> ImportedSamples:
 
 
 def read_metadata(file: str, document: Mapping[str, Any]) -> dict[str, Any]:
-    """Fields of a recording out of the sections [site], [fixture], [imu] and [[sequence]].
+    """Fields of a recording out of the sections [site], [fixture], [imu] and [[sequence]] of a file.
 
-    Parameters
-    ----------
-    file : str
-        Name of the file in messages.
-    document : mapping
-        Content of the TOML file.
-
-    Raises
-    ------
-    InputError
-        An unknown key, a wrong type or value, no site.
+    Raises InputError: an unknown key, a wrong type or value, no site.
     """
     if "site" not in document:
         raise InputError(f"{file}: the section [site] is missing: add it.")
@@ -149,24 +139,12 @@ def read_metadata(file: str, document: Mapping[str, Any]) -> dict[str, Any]:
         imu = {name: value for name, value in imu.items() if name != "applied"}
     noise = ImuNoise(**fields_of(read_section(file, "imu", imu, IMU_KEYS), IMU_KEYS))
     sequences = _read_sequences(file, document.get("sequence", []))
-    return {
-        "site": site,
-        "fixture": fixture,
-        "noise": noise,
-        "sequences": sequences,
-        "applied": applied,
-        "protocol": _read_protocol(file, document),
-    }
+    about = {"site": site, "fixture": fixture, "noise": noise, "sequences": sequences, "applied": applied}
+    return about | {"protocol": _read_protocol(file, document)}
 
 
 def _read_sequences(file: str, values: object) -> tuple[SequenceLabel, ...]:
-    """Labels of the tables [[sequence]]; one with ``static_s`` is a pose.
-
-    Raises
-    ------
-    InputError
-        An unknown key, a wrong type or value, a window that is missing.
-    """
+    """Labels of the tables [[sequence]]; one with ``static_s`` is a pose."""
     if not isinstance(values, list):
         raise InputError(f"{file}: sequence is no list: write each as [[sequence]], in double brackets.")
     labels = []
@@ -197,15 +175,7 @@ def _read_protocol(file: str, document: Mapping[str, Any]) -> Protocol | None:
 
 
 def read_document(toml: Path) -> dict[str, Any]:
-    """Read a ``recording.toml`` without checking its values; its sections are known ones.
-
-    Raises InputError.
-
-    Parameters
-    ----------
-    toml : Path
-        The file, or its folder.
-    """
+    """Read a ``recording.toml``, or that of a folder, without checking its values; its sections are known ones."""
     return _read_toml(_find_toml(toml))
 
 

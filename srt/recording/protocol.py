@@ -40,6 +40,7 @@ from srt.recording.schema import (
     LARGEST_TIME_S,
     Key,
     fields_of,
+    finite_numbers,
     number,
     read_section,
     text,
@@ -49,6 +50,7 @@ from srt.recording.toml_text import read_toml
 if TYPE_CHECKING:
     from srt.types import Array
 
+_Executed = tuple[str, str, tuple[tuple[str, float], ...]]
 _MOST_STEPS: Final = 1000
 """Largest number of steps of a protocol: no test has more, and a wrong ``repeat`` ends here."""
 _ALONG: Final = 1e-6
@@ -57,40 +59,18 @@ _ALONG: Final = 1e-6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Step:
-    """One step of a protocol.
+    """One step of a protocol."""
 
-    Attributes
-    ----------
-    number : int
-        Position in the file, from 1; repeats have the same.
-    id : str or None
-        Sequence of Table 1.
-    down : ndarray, shape (3,), or None
-        IMU components of the vertical in the pose that the unit is placed in; None: the step continues.
-    along_outer : str or None
-        IMU axis along the outer axis of a fixture, as "y" or "-x".
-    rotations : tuple of (ndarray of shape (3,), float)
-        Unit vector in IMU axes and angle, rad.
-    rest_s : (float, float)
-        Stationary windows before and after the rotations; a pose and a step that continues have only the second.
-    rate_rad_s, acceleration_rad_s2 : float
-        Peak rate and acceleration of the rotations.
-    turn_s : float or None
-        Duration of all rotations, with smooth ends, in place of rate and acceleration.
-    stated_rate_rad_s : float or None
-        Constant rate that a rate table states, with the sign of the angle.
-    """
-
-    number: int
-    id: str | None
-    down: Array | None
-    along_outer: str | None
-    rotations: tuple[tuple[Array, float], ...]
-    rest_s: tuple[float, float]
-    rate_rad_s: float
+    number: int  # position in the file, from 1; repeats have the same
+    id: str | None  # sequence of Table 1
+    down: Array | None  # vertical in the pose that the unit is placed in, IMU axes, shape (3,); None: continues
+    along_outer: str | None  # IMU axis along the outer axis of a fixture, as "y" or "-x"
+    rotations: tuple[tuple[Array, float], ...]  # unit vector in IMU axes, shape (3,), and angle, rad
+    rest_s: tuple[float, float]  # before and after the rotations; a pose and a step that continues have the second
+    rate_rad_s: float  # peak of the rotations
     acceleration_rad_s2: float
-    turn_s: float | None = None
-    stated_rate_rad_s: float | None = None
+    turn_s: float | None = None  # duration of all rotations, with smooth ends, in place of rate and acceleration
+    stated_rate_rad_s: float | None = None  # constant rate that a rate table states, with the sign of the angle
 
     @property
     def pose(self) -> bool:
@@ -126,25 +106,13 @@ class Step:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Protocol:
-    """Poses and turns of a test.
+    """Poses and turns of a test."""
 
-    Attributes
-    ----------
-    name : str
-        Name of a shipped protocol, or path of a file.
-    steps : tuple of Step
-        Repeats written out.
-    place_s : float
-        Time to place the unit in a pose, s.
-    rate_sigma : float or None
-        1-sigma relative error of the stated rates.
-    """
-
-    name: str
+    name: str  # of a shipped protocol, or path of a file
     description: str
-    steps: tuple[Step, ...]
-    place_s: float
-    rate_sigma: float | None = None
+    steps: tuple[Step, ...]  # repeats written out
+    place_s: float  # time to place the unit in a pose
+    rate_sigma: float | None = None  # 1-sigma relative error of the stated rates
 
     @property
     def total_s(self) -> float:
@@ -159,13 +127,7 @@ class Protocol:
         return placed * self.place_s + sum(sum(s.durations_s()) for s in self.steps)
 
     def lasting(self, total_s: float) -> Protocol:
-        """Protocol with all rests scaled so that the test lasts this long.
-
-        Raises
-        ------
-        InputError
-            If the turns alone last longer.
-        """
+        """Protocol with all rests scaled to this duration of the test. Raises InputError if the turns last longer."""
         left = total_s - self._others_s()
         if left <= 0.0:
             raise InputError(
@@ -182,22 +144,17 @@ class Protocol:
         """True if every placing states the IMU axis along the outer axis, so that attitudes on a fixture are known."""
         return all(step.along_outer is not None for step in self.steps if step.down is not None)
 
-    def on_fixture(self) -> tuple[tuple[str, str, tuple[tuple[str, float], ...]], ...]:
+    def on_fixture(self) -> tuple[_Executed, ...]:
         """Steps as a two-axis fixture executes them: IMU axes down and along the outer axis, and rotations (rad).
 
         Where a placing does not state the axis along the outer axis, it is one with which the fixture can execute the
-        steps up to the next placing.
-
-        Raises
-        ------
-        InputError
-            A step that the fixture cannot execute: which, and why.
+        steps up to the next placing. Raises InputError: which step the fixture cannot execute, and why.
         """
         placings = [number for number, step in enumerate(self.steps) if step.down is not None]
         chains = [self.steps[first:last] for first, last in pairwise([*placings, len(self.steps)])]
         return tuple(executed for chain in chains for executed in self._chain_on_fixture(chain))
 
-    def _chain_on_fixture(self, chain: tuple[Step, ...]) -> list[tuple[str, str, tuple[tuple[str, float], ...]]]:
+    def _chain_on_fixture(self, chain: tuple[Step, ...]) -> list[_Executed]:
         """Steps from a placing to the last one before the next."""
         placed, refused = chain[0], None
         down = None if placed.down is None else _axis_name(placed.down)
@@ -212,9 +169,7 @@ class Protocol:
         assert refused is not None
         raise refused
 
-    def _executed(
-        self, chain: tuple[Step, ...], down: str, outer: str
-    ) -> list[tuple[str, str, tuple[tuple[str, float], ...]]]:
+    def _executed(self, chain: tuple[Step, ...], down: str, outer: str) -> list[_Executed]:
         """Steps of a chain from the attitude with one IMU axis down, and another along the outer axis."""
         if outer[-1] in (down[-1], "z"):
             raise self._impossible(
@@ -253,9 +208,8 @@ class Protocol:
 def _axis_name(vector: Array) -> str | None:
     """Signed IMU axis along a unit vector, None if it lies between axes."""
     i = int(np.argmax(np.abs(vector)))
-    if abs(abs(float(vector[i])) - 1.0) > _ALONG:
-        return None
-    return ("-" if vector[i] < 0.0 else "") + AXES[i]
+    name = ("-" if vector[i] < 0.0 else "") + AXES[i]
+    return None if abs(abs(float(vector[i])) - 1.0) > _ALONG else name
 
 
 def _direction(vector: Array | None) -> str:
@@ -268,12 +222,11 @@ def _unit_vector(value: Any) -> Array:
     """IMU direction from a signed axis or three numbers; ValueError for anything else."""
     if isinstance(value, str) and value in SIGNED_AXES:
         return np.asarray(axis_vector(value))
-    if isinstance(value, list) and len(value) == 3 and all(isinstance(v, int | float) for v in value):
-        vector = np.array(value, dtype=np.float64)
-        size = float(np.linalg.norm(vector))
-        if math.isfinite(size) and size > 0.0:
-            return np.asarray(vector / size)
-    raise ValueError
+    vector = np.array(finite_numbers(value, 3))
+    size = float(np.linalg.norm(vector))
+    if not (math.isfinite(size) and size > 0.0):
+        raise ValueError
+    return np.asarray(vector / size)
 
 
 def _read_rotations(value: Any) -> tuple[tuple[Array, float], ...]:
@@ -281,20 +234,16 @@ def _read_rotations(value: Any) -> tuple[tuple[Array, float], ...]:
         raise ValueError
     out = []
     for item in value:
-        if not isinstance(item, list) or len(item) != 2 or isinstance(item[1], bool):
+        if not isinstance(item, list) or len(item) != 2:
             raise ValueError
-        angle = float(item[1])
-        if not math.isfinite(angle) or angle == 0.0:
-            raise ValueError
+        (angle,) = finite_numbers(item[1:], 1, bool)
         out.append((_unit_vector(item[0]), angle * DEG))
     return tuple(out)
 
 
 def _read_rests(value: Any) -> tuple[float, float]:
-    pair = value if isinstance(value, list) else [value, value]
-    if len(pair) != 2 or not all(isinstance(v, int | float) and not isinstance(v, bool) and v > 0.0 for v in pair):
-        raise ValueError
-    return float(pair[0]), float(pair[1])
+    before, after = finite_numbers(value if isinstance(value, list) else [value] * 2, 2, lambda v: v > 0.0)
+    return before, after
 
 
 def _read_repeat(value: Any) -> int:
@@ -355,19 +304,9 @@ def protocol_names() -> tuple[str, ...]:
 
 
 def load_protocol(name_or_path: str | Path, *, near: Path | None = None) -> Protocol:
-    """Read a protocol by its name among the shipped ones, or by the path of a TOML file.
+    """Read a protocol by its name among the shipped ones, or by the path of a TOML file, which ends in ".toml".
 
-    Parameters
-    ----------
-    name_or_path : str or Path
-        Anything that ends in ".toml" is a path.
-    near : Path, optional
-        Folder that a relative path starts from; default the working directory.
-
-    Raises
-    ------
-    InputError
-        In one sentence: what was found, where, what was expected, and what to do.
+    A relative path starts from ``near``, by default the working directory. Raises InputError.
     """
     name = str(name_or_path)
     path = Path(name) if near is None else near / name

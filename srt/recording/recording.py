@@ -307,12 +307,7 @@ class Recording(Presented):
     def memo(self, key: Hashable, make: Callable[[], Derived]) -> Derived:
         """Derived value of this recording, computed once and shared by diagnosis and estimators.
 
-        Parameters
-        ----------
-        key : hashable
-            Name of the value, with all options that it depends on.
-        make : callable
-            Function without arguments that computes the value; its exceptions are not stored.
+        ``key`` names the value, with all options that it depends on; exceptions of ``make`` are not stored.
         """
         if key not in self._memo:
             self._memo[key] = make()
@@ -348,19 +343,9 @@ class Recording(Presented):
         return self.timing.gaps
 
     def window_indices(self, a: float, b: float) -> slice:
-        """Indices of the samples of the window [a, b], those with a + dt/2 < t <= b + dt/2.
+        """Samples of the window [a, b], s: those with a + dt/2 < t <= b + dt/2; an empty slice if there are none.
 
         Adjacent windows have no sample in common and none between them, whatever the rounding of stamps and limits.
-
-        Parameters
-        ----------
-        a, b : float
-            Limits, s.
-
-        Returns
-        -------
-        slice
-            Slice of the samples; empty if there are none.
         """
         of_labels: dict[tuple[float, float], slice] = self.memo(_WINDOWS, dict)
         return of_labels.get((a, b)) or self._windows([(a, b)])[0]
@@ -378,18 +363,8 @@ class Recording(Presented):
 def by_length(values: Array, windows: Indices) -> Iterator[tuple[Indices, Array]]:
     """Samples of windows, those of one length together.
 
-    Parameters
-    ----------
-    values : ndarray, shape (n, ...)
-    windows : ndarray of int, shape (W, 2)
-        First sample and one past the last.
-
-    Yields
-    ------
-    which : ndarray of int, shape (w,)
-        Numbers of the windows.
-    ndarray, shape (w, samples, ...)
-        Their samples.
+    ``windows``, shape (W, 2), are the first samples and those one past the last. Yields the numbers of the windows,
+    shape (w,), and their samples, shape (w, samples, ...).
     """
     lengths = windows[:, 1] - windows[:, 0]
     for n in np.unique(lengths).tolist():

@@ -16,25 +16,10 @@ if TYPE_CHECKING:
 
 
 def as_samples(name: str, given: object, dimensions: int) -> Array:
-    """Read-only contiguous float64 view, copied only if needed.
+    """Read-only contiguous float64 view, copied only if needed, shape (n,) or (n, 3) by the number of dimensions.
 
-    Parameters
-    ----------
-    name : str
-        Name in messages.
-    given : array_like, shape (n,) or (n, 3)
-    dimensions : int
-        1 or 2.
-
-    Returns
-    -------
-    ndarray, shape (n,) or (n, 3)
-        A value broadcast to n samples remains one value in memory.
-
-    Raises
-    ------
-    InputError
-        If it has another shape, masked values, or does not consist of real numbers.
+    A value broadcast to n samples remains one value in memory. Raises InputError for another shape, masked values, or
+    what does not consist of real numbers; it names the array.
     """
     values = np.asarray(real_array(name, given), dtype=np.float64)
     if values.ndim != dimensions or (dimensions == 2 and values.shape[1] != 3):

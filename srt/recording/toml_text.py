@@ -7,7 +7,7 @@ import tomllib
 from typing import TYPE_CHECKING, Any, Final
 
 from srt.exceptions import InputError, clipped
-from srt.recording.bounded_file import read_bounded
+from srt.recording.file_guards import read_bounded
 
 if TYPE_CHECKING:
     from pathlib import Path

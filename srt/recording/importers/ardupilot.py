@@ -111,7 +111,7 @@ def read_log(path: Path, options: ImportOptions) -> ImportedSamples:
     )
     topic, instance = choose_topic(path, TOPICS, log.instances, options, notes, absent)
     streams = [log.stream(message, instance) for message in TOPICS[topic]]
-    stream = streams[0] if len(streams) == 1 else join(*streams, notes)
+    stream = streams[0] if len(streams) == 1 else join(streams[0], streams[1], notes)
     first = {name: values[0] for name, values in log.parameters.items()}
     changed = {name for name, values in log.parameters.items() if len(set(values)) > 1}
     applied = PARAMETERS.carried(first, changed, (instance, instance), notes)

@@ -126,7 +126,7 @@ def _load(bag: Bag, name: str, notes: list[str]) -> _Topic:
         notes.append(f"The messages of topic {name} have no stamps: the times at which they were recorded were taken.")
         time = np.array(received, dtype=np.int64)
     # A sensor is there if it is neither stated to be absent nor all exactly zero; without messages, nothing is known.
-    stated = np.array(absent).reshape(-1, 2).all(axis=0)
+    stated = [bool(each.all()) for each in np.array(absent).reshape(-1, 2).T]
     there = [not len(values) or bool(values[:, 3 * k : 3 * k + 3].any() and not stated[k]) for k in range(2)]
     return _Topic(Stream(name, time, _NS, values), there[0], there[1], tuple(frames))
 

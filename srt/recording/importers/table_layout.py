@@ -26,24 +26,13 @@ _FEWEST_NUMBERS = 3
 
 
 def find_layout(path: Path, options: ImportOptions) -> TableLayout:
-    """Find the layout of a table.
+    """Find the layout of a table; ``delimiter``, ``decimal_comma`` and ``skip`` are used without a check.
 
-    Parameters
-    ----------
-    options : ImportOptions
-        ``delimiter``, ``decimal_comma`` and ``skip`` are used without a check.
-
-    Raises
-    ------
-    InputError
-        No text, an unknown delimiter, or no row of numbers in the first 64 KiB.
+    Raises InputError: no text, an unknown delimiter, or no row of numbers in the first 64 KiB.
     """
     lines = _first_lines(path)
-    candidates = list(DELIMITERS.values())
-    if options.delimiter is not None:
-        candidates = [_delimiter(options.delimiter)]
-    if options.decimal_comma:
-        candidates = [mark for mark in candidates if mark != ","]
+    candidates = list(DELIMITERS.values()) if options.delimiter is None else [_delimiter(options.delimiter)]
+    candidates = [mark for mark in candidates if mark != "," or not options.decimal_comma]
     for number, line in enumerate(lines):
         if number < options.skip or line.lstrip().startswith(_COMMENT_MARKS):
             continue

@@ -222,7 +222,7 @@ def _apart(log: _LogTopics, instance: int, notes: list[str]) -> tuple[Stream, di
         temperature = log.column(topic, which, "temperature") if "temperature" in log.data[topic, which] else None
         values = log.column(topic, which, "x", "y", "z")
         streams.append(Stream(f"{topic} [{which}]", log.stamps(topic, which), _US, values, temperature))
-    return join(*streams, notes), {}
+    return join(streams[0], streams[1], notes), {}
 
 
 def _triad(name: str) -> tuple[str, ...]:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from srt.arguments import require_type
-from srt.recording.bounded_file import read_bounded
+from srt.recording.file_guards import read_bounded
 from srt.result.calibration import Calibration, load_calibration
 from srt.result.json_file import json_text
 
