@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from srt.exceptions import InputError
-from srt.recording.schema import APPLIED_KEYS, fields_of, read_section
+from srt.recording.schema import APPLIED_KEYS, read_fields
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -128,10 +128,10 @@ def applied_correction(file: str, document: Mapping[str, Any] | None) -> Applied
     """Read ``[imu.applied]`` of a file; None: not known. Raises InputError: an unknown key, a wrong type or value."""
     if document is None:
         return None
-    section = read_section(file, "imu.applied", document, APPLIED_KEYS)
-    if "system" not in section:
+    given = read_fields(file, "imu.applied", document)
+    if "system" not in given:
         raise InputError(f'{file}: imu.applied.system is missing: name the system, or "{NOTHING}" for raw readings.')
     try:
-        return AppliedCorrection(**fields_of(section, APPLIED_KEYS))
+        return AppliedCorrection(**given)
     except InputError as error:
         raise InputError(f"{file}: [imu.applied]: {error}") from None

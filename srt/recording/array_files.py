@@ -36,11 +36,8 @@ NPZ_EXPANSION_LIMIT: Final = 100
 NPZ_SLACK_BYTES: Final = 256 << 20
 """Size of arrays, bytes, accepted at any ratio: constant columns compress a thousandfold, and it loads in about 1 s."""
 
-_PANDAS_INDEX = "__index_level_0__"
-"""Column in which pandas writes an index without a name."""
-
-_MOST_ARRAYS = 10_000
-"""Datasets of an HDF5 file that are listed; those of a log number some hundreds."""
+_PANDAS_INDEX = "__index_level_0__"  # column in which pandas writes an index without a name
+_MOST_ARRAYS = 10_000  # datasets of an HDF5 file that are listed; those of a log number some hundreds
 
 
 @dataclass(frozen=True, slots=True)

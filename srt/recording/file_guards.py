@@ -17,8 +17,7 @@ if TYPE_CHECKING:
 MAX_BYTES: Final = 64 << 20
 """Largest document, bytes: a calibration takes a few kilobytes for each sequence, so thousands of sequences."""
 
-_PART: Final = 1 << 20
-"""Bytes read at once, between which an interruption is served."""
+_PART: Final = 1 << 20  # bytes read at once, between which an interruption is served
 
 DEFLATE_LIMIT: Final = 1032
 """Largest compression ratio of deflate; the limit for other compressors too."""
@@ -29,8 +28,7 @@ SLACK_BYTES: Final = 1 << 20
 _PYARROW_BYTES: Final = 256 << 20
 """Memory that loading pyarrow and reading a small file take, with the stacks of its threads."""
 
-_REASON_LENGTH = 160
-"""Characters of a library's message that a sentence quotes."""
+_REASON_LENGTH = 160  # characters of a library's message that a sentence quotes
 
 
 def read_bounded(path: str | PathLike[str], limit: int = MAX_BYTES) -> bytes:

@@ -24,15 +24,12 @@ from srt.recording.recording import Fixture, ImuNoise, Recording, Site
 from srt.recording.samples import read_samples
 from srt.recording.schema import (
     COUNTS,
-    FIXTURE_KEYS,
-    IMU_KEYS,
     POSE_KEYS,
-    RECORDING_KEYS,
     SECTIONS,
     SEQUENCE_KEYS,
-    SITE_KEYS,
     TIME_UNITS,
     fields_of,
+    read_fields,
     read_section,
 )
 from srt.recording.sequence_label import SequenceLabel
@@ -77,7 +74,7 @@ def load_recording(path: str | os.PathLike[str]) -> Recording:
     document = _read_toml(toml)
     if "recording" not in document:
         raise InputError(f"{toml}: the section [recording] is missing: add it.")
-    main = read_section(str(toml), "recording", document["recording"], RECORDING_KEYS)
+    main = read_section(str(toml), "recording", document["recording"], SECTIONS["recording"])
     about = read_metadata(str(toml), document)
     if "samples" not in main:
         raise InputError(f'{toml}: recording.samples is missing: name the samples file, as samples = "samples.csv".')
@@ -130,14 +127,13 @@ def read_metadata(file: str, document: Mapping[str, Any]) -> dict[str, Any]:
     site = _read_site(file, document)
     fixture = None
     if "fixture" in document:
-        given = fields_of(read_section(file, "fixture", document["fixture"], FIXTURE_KEYS), FIXTURE_KEYS)
-        fixture = Fixture(**{"heading_rad": None, **given})
+        fixture = Fixture(**{"heading_rad": None, **read_fields(file, "fixture", document["fixture"])})
     imu = document.get("imu", {})
     applied = None
     if isinstance(imu, dict) and "applied" in imu:
         applied = applied_correction(file, imu["applied"])
         imu = {name: value for name, value in imu.items() if name != "applied"}
-    noise = ImuNoise(**fields_of(read_section(file, "imu", imu, IMU_KEYS), IMU_KEYS))
+    noise = ImuNoise(**read_fields(file, "imu", imu))
     sequences = _read_sequences(file, document.get("sequence", []))
     about = {"site": site, "fixture": fixture, "noise": noise, "sequences": sequences, "applied": applied}
     return about | {"protocol": _read_protocol(file, document)}
@@ -238,8 +234,8 @@ def _read_toml(toml: Path) -> dict[str, Any]:
 
 
 def _read_site(file: str, document: Mapping[str, Any]) -> Site:
-    site = read_section(file, "site", document["site"], SITE_KEYS)
-    given = fields_of(site, SITE_KEYS)
+    site = read_section(file, "site", document["site"], SECTIONS["site"])
+    given = fields_of(site, SECTIONS["site"])
     if "gravity_m_s2" not in site:
         if "height_m" not in site:
             raise InputError(

@@ -49,8 +49,7 @@ _RAISED = str.maketrans({"²": "^2", "⁻": "-", "¹": "1"})
 _NEGATIVE_POWER = re.compile(r"[\s*·.]*s(?:\^?-|-\^)([12])(?=$|/)")
 """Seconds in the denominator, as in "rad s^-1" and "m s-2"."""
 
-_LSB = re.compile(r"([\d.,/eE+\- ]*[\d.])\s*(.*)")
-"""Numbers of the value of a count, and its unit."""
+_LSB = re.compile(r"([\d.,/eE+\- ]*[\d.])\s*(.*)")  # numbers of the value of a count, and its unit
 
 
 @dataclass(frozen=True, slots=True)

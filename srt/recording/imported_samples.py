@@ -28,8 +28,7 @@ REBASE_BEYOND_S: Final = 1e6
 
 _SI: Final = {"rate": {"gyro": "rad/s", "accel": "m/s²"}, "increment": {"gyro": "rad", "accel": "m/s"}}
 
-_PLAUSIBLE_EPOCH_S = (9e8, 7e9)
-"""Stamps, s, that a note shows as a date since 1970: the years 1998 to 2191."""
+_PLAUSIBLE_EPOCH_S = (9e8, 7e9)  # stamps, s, that a note shows as a date since 1970: the years 1998 to 2191
 
 
 @dataclass(frozen=True, slots=True)

@@ -39,10 +39,9 @@ from srt.recording.schema import (
     LARGEST_RATE_DEG_S,
     LARGEST_TIME_S,
     Key,
-    fields_of,
     finite_numbers,
     number,
-    read_section,
+    read_fields,
     text,
 )
 from srt.recording.toml_text import read_toml
@@ -51,10 +50,8 @@ if TYPE_CHECKING:
     from srt.types import Array
 
 _Executed = tuple[str, str, tuple[tuple[str, float], ...]]
-_MOST_STEPS: Final = 1000
-"""Largest number of steps of a protocol: no test has more, and a wrong ``repeat`` ends here."""
-_ALONG: Final = 1e-6
-"""Largest deviation of a nominal direction from an IMU axis, rad."""
+_MOST_STEPS: Final = 1000  # largest number of steps of a protocol: no test has more, and a wrong ``repeat`` ends here
+_ALONG: Final = 1e-6  # largest deviation of a nominal direction from an IMU axis, rad
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,13 +59,13 @@ class Step:
     """One step of a protocol."""
 
     number: int  # position in the file, from 1; repeats have the same
-    id: str | None  # sequence of Table 1
-    down: Array | None  # vertical in the pose that the unit is placed in, IMU axes, shape (3,); None: continues
-    along_outer: str | None  # IMU axis along the outer axis of a fixture, as "y" or "-x"
     rotations: tuple[tuple[Array, float], ...]  # unit vector in IMU axes, shape (3,), and angle, rad
     rest_s: tuple[float, float]  # before and after the rotations; a pose and a step that continues have the second
     rate_rad_s: float  # peak of the rotations
     acceleration_rad_s2: float
+    id: str | None = None  # sequence of Table 1
+    down: Array | None = None  # vertical in the pose that the unit is placed in, IMU axes, shape (3,); None: continues
+    along_outer: str | None = None  # IMU axis along the outer axis of a fixture, as "y" or "-x"
     turn_s: float | None = None  # duration of all rotations, with smooth ends, in place of rate and acceleration
     stated_rate_rad_s: float | None = None  # constant rate that a rate table states, with the sign of the angle
 
@@ -252,8 +249,7 @@ def _read_repeat(value: Any) -> int:
     return value
 
 
-_LARGEST_ACCELERATION_DEG_S2: Final = 1e9
-"""Bound of accelerations, °/s²: the largest rate within a millisecond."""
+_LARGEST_ACCELERATION_DEG_S2: Final = 1e9  # bound of accelerations, °/s²: the largest rate within a millisecond
 _RATE: Final = number("rate_deg_s", "deg/s", "rate_rad_s", factor=DEG, above=0.0, high=LARGEST_RATE_DEG_S)
 _RESTS: Final = Key("rest_s", "a positive number of seconds, or a pair [before, after]", _read_rests, "rest_s")
 PROTOCOL_KEYS: Final = (
@@ -326,13 +322,13 @@ def load_protocol(name_or_path: str | Path, *, near: Path | None = None) -> Prot
 def protocol_from_dict(document: dict[str, Any], *, name: str) -> Protocol:
     """Build a protocol from tables as TOML gives them; see :func:`load_protocol`."""
     main = {key: value for key, value in document.items() if key != "step"}
-    common = _DEFAULTS | fields_of(read_section(name, "the top level", main, PROTOCOL_KEYS), PROTOCOL_KEYS)
+    common = _DEFAULTS | read_fields(name, "the top level", main, PROTOCOL_KEYS)
     tables = document.get("step")
     if not isinstance(tables, list) or not tables:
         raise InputError(f"{name}: there is no step: add each as [[step]], in double brackets.")
     steps: list[Step] = []
     for count, table in enumerate(tables, start=1):
-        given = fields_of(read_section(name, f"step[{count}]", table, STEP_KEYS), STEP_KEYS)
+        given = read_fields(name, f"step[{count}]", table, STEP_KEYS)
         repeat = given.pop("repeat", 1)
         step = _step(name, count, given, common)
         if not steps and step.down is None:
@@ -376,18 +372,8 @@ def _step(name: str, count: int, given: dict[str, Any], common: dict[str, Any]) 
         )
     if "turn_s" in given and "rate_rad_s" in given:
         raise InputError(f"{where}: give either turn_s or rate_deg_s.")
-    step = Step(
-        number=count,
-        id=given.get("id"),
-        down=given.get("down"),
-        along_outer=given.get("along_outer"),
-        rotations=rotations,
-        rest_s=given.get("rest_s", common["rest_s"]),
-        rate_rad_s=given.get("rate_rad_s", common["rate_rad_s"]),
-        acceleration_rad_s2=common["acceleration_rad_s2"],
-        turn_s=given.get("turn_s"),
-        stated_rate_rad_s=given.get("stated_rate_rad_s"),
-    )
+    usual = {key: common[key] for key in ("rest_s", "rate_rad_s", "acceleration_rad_s2")}
+    step = Step(count, **({"rotations": (), **usual} | given))
     if stated is not None and sum(step.durations_s()) < 3.0 * stated / step.acceleration_rad_s2:
         raise InputError(
             f"{where}: the stated rate {stated / DEG:g}°/s lasts less than a third of the rotation: turn by a larger "

@@ -52,13 +52,11 @@ Rotary tables on air bearings, the best, are specified to less than one second o
 more. A navigation-grade unit would gain little with one second, and zero would be wrong (docs/design/joint.md).
 """
 
-_WINDOWS: Final = "windows of the labels"
-"""Name of their indices among the derived values."""
+_WINDOWS: Final = "windows of the labels"  # name of their indices among the derived values
 WINDOW_TOLERANCE: Final = 1e-6
 """Tolerance of window limits for the rounding of stamps, in intervals."""
 
-_NUMBERS = frozenset({"sample_rate_hz", "clock_sigma_ppm"})
-"""Keys of [recording] whose fields are numbers."""
+_NUMBERS = frozenset({"sample_rate_hz", "clock_sigma_ppm"})  # keys of [recording] whose fields are numbers
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,8 +23,7 @@ INFINITY: Final = math.inf
 
 LARGEST_RATE_DEG_S: Final = 1e6
 """Bound of rates, °/s: gyros of spinning projectiles read 1e5."""
-_LARGEST_ANGLE_DEG: Final = 3.6e5
-"""Bound of one rotation, degrees: a thousand revolutions."""
+_LARGEST_ANGLE_DEG: Final = 3.6e5  # bound of one rotation, degrees: a thousand revolutions
 LARGEST_SIGMA_MRAD: Final = 3200.0
 """Bound of the sigma of an angle, mrad: half a revolution, beyond which nothing is said of the direction."""
 LARGEST_ELEMENT: Final = 1e6
@@ -274,6 +273,15 @@ def read_section(file: str, section: str, values: object, keys: tuple[Key, ...])
                 f"{file}: {section}.{name} is {_shown(value)}, but {known[name].expected} is expected."
             ) from None
     return result
+
+
+def read_fields(file: str, section: str, values: object, keys: tuple[Key, ...] | None = None) -> dict[str, Any]:
+    """Values of a section, in SI, by field of its dataclass; checked as :func:`read_section` does.
+
+    The keys are those of the section, unless given.
+    """
+    keys = SECTIONS[section] if keys is None else keys
+    return fields_of(read_section(file, section, values, keys), keys)
 
 
 def check_fields(what: str, source: object, keys: Iterable[Key]) -> None:

@@ -30,11 +30,8 @@ if TYPE_CHECKING:
 _PYARROW_BYTES = 4 << 20
 """File size from which pyarrow reads, bytes: numpy takes 16 to 26 ms for 1 MB, pyarrow 4 to 6 and 27 for its import."""
 
-_ROWS_PER_WRITE = 4096
-"""Rows that one formatting call writes: their text fits into a processor's cache."""
-
-_TAIL_BYTES = 1 << 16
-"""Bytes at the end whose rows are compared with the last one: some hundred rows."""
+_ROWS_PER_WRITE = 4096  # rows that one formatting call writes: their text fits into a processor's cache
+_TAIL_BYTES = 1 << 16  # bytes at the end whose rows are compared with the last one: some hundred rows
 
 _INTEGER = re.compile(r"[+-]?\d{1,19}")
 

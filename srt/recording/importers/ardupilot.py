@@ -43,20 +43,14 @@ _COLUMNS: Final = {"IMU": (*GYRO_COLUMNS, *ACCEL_COLUMNS), "GYR": GYRO_COLUMNS, 
 
 _TITLE = "ArduPilot log"
 
-_VARIANTS = ("", "1", "2", "3")
-"""Suffixes of message names: old logs state the instance there, and not in a column."""
+_VARIANTS = ("", "1", "2", "3")  # suffixes of message names: old logs state the instance there, and not in a column
 
 _STAMPS = (("SampleUS", 10**6), ("TimeUS", 10**6), ("TimeMS", 10**3))
 """Columns of time, in order of preference, and their ticks in a second."""
 
-_LATEST_STAMP = 2**62
-"""Ticks; larger stamps are damage, and their differences would overflow 64 bits."""
-
-_HEADER_BYTES = 3
-"""Two fixed bytes and the type, before the fields of a message."""
-
-_LONGEST_LINE = 1 << 16
-"""Characters of a line in a log as text; ArduPilot's have at most some hundreds."""
+_LATEST_STAMP = 2**62  # ticks; larger stamps are damage, and their differences would overflow 64 bits
+_HEADER_BYTES = 3  # two fixed bytes and the type, before the fields of a message
+_LONGEST_LINE = 1 << 16  # characters of a line in a log as text; ArduPilot's have at most some hundreds
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -22,11 +22,8 @@ if TYPE_CHECKING:
 
 ARRAY_OPTIONS: Final = frozenset({"columns", "time_unit", "variable"})
 
-_MOST_COLUMNS = 64
-"""Columns of a table; a longer side of an array is its rows."""
-
-_SENSOR_COLUMNS = 6
-"""Columns of gyros and accelerometers together."""
+_MOST_COLUMNS = 64  # columns of a table; a longer side of an array is its rows
+_SENSOR_COLUMNS = 6  # columns of gyros and accelerometers together
 
 
 def samples_from_arrays(

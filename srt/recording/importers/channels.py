@@ -55,8 +55,7 @@ _SUFFIX_UNITS: Final = {
 _PREFIXES: Final = ("field", "imu")
 """First words of names that carry no meaning: "field.angular_velocity.x" of rostopic."""
 
-_LONGEST_LIST = 800
-"""Characters of the list of all columns, where some have to be chosen: names of some forty."""
+_LONGEST_LIST = 800  # characters of the list of all columns, where some have to be chosen: names of some forty
 
 _BRACKETS = re.compile(r"[\[(]([^\])]*)[\])]")
 

@@ -58,8 +58,7 @@ OUT_OF_MEMORY: Final = 77
 _ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 """Environment of the child: a reader multiplies no matrices, and threads take time to start."""
 
-_LONGEST_ANSWER = 1 << 20
-"""Bytes of the line of JSON in an answer; notes and units take a few hundred."""
+_LONGEST_ANSWER = 1 << 20  # bytes of the line of JSON in an answer; notes and units take a few hundred
 
 
 class ProcessLimits(NamedTuple):

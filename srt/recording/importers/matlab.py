@@ -30,11 +30,8 @@ if TYPE_CHECKING:
 
 _TITLE = "MATLAB file"
 
-_HDF5_OFFSET = 512
-"""Bytes of MATLAB's own header before that of HDF5."""
-
-_STRUCT_LEVELS = 4
-"""Structs within structs that are searched for arrays; loggers write one or two."""
+_HDF5_OFFSET = 512  # bytes of MATLAB's own header before that of HDF5
+_STRUCT_LEVELS = 4  # structs within structs that are searched for arrays; loggers write one or two
 
 
 @contextmanager

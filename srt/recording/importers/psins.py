@@ -47,8 +47,7 @@ _FEWEST_ROWS = 4
 _UNEVEN = 0.5
 """Largest relative deviation of a step of time from the median: rounding to 32 bits after an hour is 2 % of 10 ms."""
 
-_PLAUSIBLE_RATE_RAD_S = 100.0
-"""Rate beyond that of any gyro sold (4000 °/s), rad/s."""
+_PLAUSIBLE_RATE_RAD_S = 100.0  # rate beyond that of any gyro sold (4000 °/s), rad/s
 
 _PLAUSIBLE_FORCE_M_S2 = (5.0, 20.0)
 """Median specific force of an IMU that is turned or carried, half to twice gravity; rates in m/s² instead of increments

@@ -29,12 +29,10 @@ if TYPE_CHECKING:
 
 IMU: Final = "sensor_msgs/msg/Imu"
 
-_NS = 10**9
-"""Ticks of a ROS stamp in a second."""
+_NS = 10**9  # ticks of a ROS stamp in a second
 
-_FRAMES_LISTED = 4
-_FRAME_LENGTH = 40
-"""Coordinate frames that a note lists, and characters of each."""
+_FRAMES_LISTED = 4  # coordinate frames that a note lists
+_FRAME_LENGTH = 40  # characters of each
 
 
 class _Topic(NamedTuple):

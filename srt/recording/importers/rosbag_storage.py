@@ -28,11 +28,8 @@ _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
 _FIRST_BYTES = ((b"#ROSBAG V", BAG1), (b"\x89MCAP0\r\n", MCAP), (b"SQLite format 3\0", SQLITE))
 
-_PROFILE = 17
-"""Offset of the profile in an MCAP file: after the magic, the kind of the record and its length."""
-
-_TOPICS_LISTED = 8
-"""Topics that a message lists; a bag of a vehicle has hundreds."""
+_PROFILE = 17  # offset of the profile in an MCAP file: after the magic, the kind of the record and its length
+_TOPICS_LISTED = 8  # topics that a message lists; a bag of a vehicle has hundreds
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -16,13 +16,11 @@ if TYPE_CHECKING:
 DELIMITERS: Final = {"tab": "\t", "semicolon": ";", "comma": ",", "pipe": "|", "blank": None}
 """Names on the command line; blank stands for any run of blanks and tabs."""
 
-_HEAD_BYTES = 1 << 16
-"""Bytes in which the first row of numbers is searched: titles and notes take a few thousand."""
+_HEAD_BYTES = 1 << 16  # bytes in which the first row of numbers is searched: titles and notes take a few thousand
 
 _COMMENT_MARKS = ("#", "%", "//")
 
-_FEWEST_NUMBERS = 3
-"""Numbers in the first row; fewer may stand in a line of notes."""
+_FEWEST_NUMBERS = 3  # numbers in the first row; fewer may stand in a line of notes
 
 
 def find_layout(path: Path, options: ImportOptions) -> TableLayout:

@@ -48,14 +48,9 @@ TOPICS: Final = {COMBINED: (COMBINED,), INCREMENTS: (INCREMENTS,), GYRO: (GYRO, 
 
 _TITLE = "ULog"
 
-_US = 10**6
-"""Ticks of a stamp in a second."""
-
-_LATEST_STAMP_US = 2**62
-"""Stamps of 146 000 years and more are damage; their differences would overflow 64 bits."""
-
-_NOT_KNOWN_US = 0x7FFFFFFF
-"""PX4's value of accelerometer_timestamp_relative for "no reading yet", µs."""
+_US = 10**6  # ticks of a stamp in a second
+_LATEST_STAMP_US = 2**62  # stamps of 146 000 years and more are damage; their differences would overflow 64 bits
+_NOT_KNOWN_US = 0x7FFFFFFF  # PX4's value of accelerometer_timestamp_relative for "no reading yet", µs
 
 _UNCOVERED = 0.01
 """Share of the time that increments leave out from which they are no increments between stamps: durations in whole µs

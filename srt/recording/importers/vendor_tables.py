@@ -34,11 +34,9 @@ _MICROSTRAIN_UNITS: Final[Mapping[Kind, StatedUnits]] = {
 _XSENS_UNITS: Final[Mapping[Kind, StatedUnits]] = {"rate": StatedUnits("rad/s", "m/s^2", "0.1ms")}
 """Units of the MTi manual; SampleTimeFine counts at 10 kHz."""
 _XSENS_RATE: Final = re.compile(r"//\s*Update Rate:\s*([0-9]+(?:\.[0-9]+)?)\s*Hz")
-_WRAP_S: Final = 2**32 * 1e-4
-"""Period of SampleTimeFine, an unsigned integer of 32 bits."""
+_WRAP_S: Final = 2**32 * 1e-4  # period of SampleTimeFine, an unsigned integer of 32 bits
 _XSENS_COUNTER: Final = "PacketCounter"
-_XSENS_COUNTS: Final = 2**16
-"""Period of the packet counter, an unsigned integer of 16 bits."""
+_XSENS_COUNTS: Final = 2**16  # period of the packet counter, an unsigned integer of 16 bits
 _RATE_TOLERANCE: Final = 0.1
 """Share by which stamps and stated rate may differ; the next unit of time is a factor of 10 away."""
 
