@@ -47,28 +47,15 @@ _NORMAL_GRAVITY_SIGMA_M_S2 = 5e-4  # 1 sigma: local anomalies, which normal grav
 
 
 def load_recording(path: str | os.PathLike[str]) -> Recording:
-    """Read a recording.
+    """Read a recording, in SI units, from its folder or its ``recording.toml``.
 
-    Parameters
-    ----------
-    path : path-like
-        The folder, or its ``recording.toml``.
+    Gravity is ``gravity_m_s2`` if given, else normal gravity at ``height_m``. Without a column ``temperature``, all
+    samples have ``temperature_c``. Without a column ``time``, ``sample_rate_hz`` gives the time stamps; the first
+    interval starts at 0. Samples in a foreign format are imported; units that such a format defines can be omitted.
 
-    Returns
-    -------
-    Recording
-        In SI units. Gravity is ``gravity_m_s2`` if given, else normal gravity at ``height_m``. Without a column
-        ``temperature``, all samples have ``temperature_c``. Without a column ``time``, ``sample_rate_hz`` gives the
-        time stamps; the first interval starts at 0. Samples in a foreign format are imported; units that such a format
-        defines can be omitted.
-
-    Raises
-    ------
-    InputError
-        A file that is absent, unreadable or damaged, an unknown key, a wrong type, unit or value, samples outside the
-        recording's folder, or samples that :class:`~srt.recording.recording.Recording` refuses.
-    MissingExtraError
-        If the samples format needs a package that is not installed.
+    Raises InputError: a file that is absent, unreadable or damaged, an unknown key, a wrong type, unit or value,
+    samples outside the recording's folder, or samples that :class:`~srt.recording.recording.Recording` refuses;
+    MissingExtraError if the samples format needs a package that is not installed.
     """
     toml = _find_toml(Path(path))
     document = _read_toml(toml)

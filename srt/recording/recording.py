@@ -17,9 +17,8 @@ import numpy as np
 
 from srt.arguments import require_type
 from srt.exceptions import InputError
-from srt.model.table1 import AXES
 from srt.presentation import Presented
-from srt.recording.sample_checks import as_samples, require_finite, require_increasing
+from srt.recording.sample_checks import as_samples, place_of, require_finite, require_increasing
 from srt.recording.schema import FIXTURE_KEYS, IMU_KEYS, RECORDING_KEYS, SITE_KEYS, check_fields
 from srt.recording.sequence_label import SequenceLabel
 from srt.recording.timing import SampleTiming, sample_timing
@@ -379,10 +378,8 @@ def require_bounded(recording: Recording) -> None:
         values = getattr(recording, name)
         if values is None or max(values.max(), -values.min()) < LARGEST_VALUE:
             continue
-        row, column = divmod(int(np.flatnonzero(np.abs(values) >= LARGEST_VALUE)[0]), values.size // len(values))
-        full_name = f"{name}_{AXES[column]}" if values.ndim == 2 else name
-        value = values.flat[row * values[0].size + column]
+        index = int(np.flatnonzero(np.abs(values) >= LARGEST_VALUE)[0])
         raise InputError(
-            f"Column {full_name}: sample {row + 1} of {len(values)} is {value:.3g} in SI units, but every value must "
-            f"be smaller than {LARGEST_VALUE:.0e}: correct the unit, or repair or remove the sample."
+            f"{place_of(name, values, index)[0]} is {values.flat[index]:.3g} in SI units, but every value must be "
+            f"smaller than {LARGEST_VALUE:.0e}: correct the unit, or repair or remove the sample."
         )

@@ -23,7 +23,7 @@ import warnings
 from dataclasses import asdict, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any, BinaryIO, Final, NamedTuple, Protocol
+from typing import IO, TYPE_CHECKING, Any, BinaryIO, Final, NamedTuple
 
 import numpy as np
 
@@ -68,18 +68,6 @@ class ProcessLimits(NamedTuple):
     seconds: int  # computing time
 
 
-class Child(Protocol):
-    """A running child, as subprocess.Popen has it."""
-
-    stdout: BinaryIO
-
-    def wait(self) -> int:
-        """Wait for its end; the exit code, negative for a signal."""
-
-    def kill(self) -> None:
-        """End it."""
-
-
 def in_child(
     reader: str, package: str | None = None, purpose: str = ""
 ) -> Callable[[Path, ImportOptions], ImportedSamples]:
@@ -107,6 +95,7 @@ def read_in_child(reader: str, path: Path, options: ImportOptions) -> ImportedSa
     request = {"reader": reader, "path": place, "shown": str(path), "options": asdict(options), "limits": limits}
     with TemporaryDirectory(prefix="srt-", ignore_cleanup_errors=True) as scratch:
         child = spawn(json.dumps(request, default=str).encode("ascii"), Path(scratch))
+        assert child.stdout is not None
         try:
             answer = _received(child.stdout)
         except BaseException:
@@ -120,7 +109,7 @@ def read_in_child(reader: str, path: Path, options: ImportOptions) -> ImportedSa
     return answer
 
 
-def spawn(request: bytes, scratch: Path) -> Child:
+def spawn(request: bytes, scratch: Path) -> subprocess.Popen[bytes]:
     """Start the child process, with a folder for its temporary files, and send it the request."""
     # -P: a module in the current folder is not imported, unless the parent imports from there, too.
     paths = os.pathsep.join(each or str(Path.cwd()) for each in sys.path)
@@ -132,7 +121,7 @@ def spawn(request: bytes, scratch: Path) -> Child:
     assert child.stdin is not None
     with contextlib.suppress(BrokenPipeError), child.stdin:
         child.stdin.write(request)
-    return child  # type: ignore[return-value]  # its stdout is a pipe
+    return child
 
 
 def answer(request: bytes, out: BinaryIO) -> None:
@@ -209,7 +198,7 @@ def _send(out: BinaryIO, header: dict[str, Any], arrays: list[np.ndarray[Any, An
     out.flush()
 
 
-def _received(stream: BinaryIO) -> ImportedSamples | None:
+def _received(stream: IO[bytes]) -> ImportedSamples | None:
     """Read an answer; None if it is not complete. Raises the error that it states."""
     line = stream.readline(_LONGEST_ANSWER)
     if not line.endswith(b"\n"):
