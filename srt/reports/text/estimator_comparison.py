@@ -118,7 +118,6 @@ def truth_table(comparison: Comparison) -> str:
 
 
 def _legend(comparison: Comparison) -> Iterable[str]:
-
     pair = next(iter(comparison.differences.values()), None)
     if pair is None:
         return []
