@@ -6,59 +6,45 @@ and imported on first use.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from importlib import import_module
 from typing import Any, Final
 
 from srt.exceptions import InputError
 
-
-@dataclass(frozen=True, slots=True)
-class Presentation:
-    """Functions that present objects of one class, as "module:function" below ``srt``.
-
-    Attributes
-    ----------
-    text : str
-        Gives a text of at most 80 columns.
-    html : str or None
-        Gives HTML; None: the text, with its line ends.
-    figure : str or None
-        Gives a matplotlib figure.
-    frame : str or None
-        Gives a pandas DataFrame.
-    """
-
-    text: str
-    html: str | None = None
-    figure: str | None = None
-    frame: str | None = None
-
-
 PRESENTATIONS: Final = {
-    "Recording": Presentation(
-        "reports.text.recording:recording_text", "reports.text.recording:recording_html",
-        "reports.figures.inspection:inspection_figure", "reports.frames:samples_frame",
-    ),
-    "Calibration": Presentation(
-        "reports.text.calibration_summary:calibration_summary", "reports.text.calibration_summary:calibration_html",
-        "reports.figures.calibration:calibration_figure", "reports.frames:parameter_frame",
-    ),
-    "Inspection": Presentation(
-        "reports.text.inspection:inspection_report", frame="reports.frames:manoeuvre_frame",
-    ),
-    "Comparison": Presentation(
-        "reports.text.estimator_comparison:comparison_text", None, "reports.figures.comparison:comparison_figure",
-        "reports.frames:comparison_frame",
-    ),
-    "Plan": Presentation(
-        "planning.plan_text:plan_text", None, "planning.plan_figure:plan_figure", "planning.plan_document:plan_frame"
-    ),
-    "Certificate": Presentation(
-        "reports.certificate.content:certificate_text", frame="reports.frames:certificate_frame",
-    ),
-}  # fmt: skip
-"""Presentations by the name of the class."""
+    "Recording": {
+        "text": "reports.text.recording:recording_text",
+        "html": "reports.text.recording:recording_html",
+        "figure": "reports.figures.inspection:inspection_figure",
+        "frame": "reports.frames:samples_frame",
+    },
+    "Calibration": {
+        "text": "reports.text.calibration_summary:calibration_summary",
+        "html": "reports.text.calibration_summary:calibration_html",
+        "figure": "reports.figures.calibration:calibration_figure",
+        "frame": "reports.frames:parameter_frame",
+    },
+    "Inspection": {
+        "text": "reports.text.inspection:inspection_report",
+        "frame": "reports.frames:manoeuvre_frame",
+    },
+    "Comparison": {
+        "text": "reports.text.estimator_comparison:comparison_text",
+        "figure": "reports.figures.comparison:comparison_figure",
+        "frame": "reports.frames:comparison_frame",
+    },
+    "Plan": {
+        "text": "planning.plan_text:plan_text",
+        "figure": "planning.plan_figure:plan_figure",
+        "frame": "planning.plan_document:plan_frame",
+    },
+    "Certificate": {
+        "text": "reports.certificate.content:certificate_text",
+        "frame": "reports.frames:certificate_frame",
+    },
+}
+"""By the name of the class, functions "module:function" below ``srt`` that give a text of at most 80 columns, HTML (or
+else the text, with its line ends), a matplotlib figure, or a pandas DataFrame."""
 
 
 class Presented:
@@ -73,14 +59,14 @@ class Presented:
     def _repr_html_(self) -> str:
         from html import escape  # on use: notebooks alone need it
 
-        own = _presentation(self)
-        page: str = f"<pre>{escape(repr(self))}</pre>" if own is None or own.html is None else present(self, "html")
+        page: str = present(self, "html") if "html" in _forms(self) else f"<pre>{escape(repr(self))}</pre>"
         return page
 
 
-def _presentation(result: object) -> Presentation | None:
-    """Presentation of the class of an object, or of its nearest base class that has one."""
-    return next((PRESENTATIONS[each.__name__] for each in type(result).__mro__ if each.__name__ in PRESENTATIONS), None)
+def _forms(result: object) -> dict[str, str]:
+    """Presentations of the class of an object, or of its nearest base class that has some."""
+    names = (each.__name__ for each in type(result).__mro__)
+    return next((PRESENTATIONS[name] for name in names if name in PRESENTATIONS), {})
 
 
 def present(result: object, form: str, **choices: Any) -> Any:
@@ -100,9 +86,9 @@ def present(result: object, form: str, **choices: Any) -> Any:
     MissingExtraError
         If the form needs a package that is not installed.
     """
-    target = getattr(_presentation(result), form, None)
+    target = _forms(result).get(form)
     if target is None:
-        known = ", ".join(name for name, each in PRESENTATIONS.items() if getattr(each, form) is not None)
+        known = ", ".join(name for name, forms in PRESENTATIONS.items() if form in forms)
         raise InputError(f"There is no {form} of a {type(result).__name__}: it is made of {known}.")
     module, _, function = target.partition(":")
     return getattr(import_module(f"srt.{module}"), function)(result, **choices)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import click
 
@@ -35,12 +35,6 @@ _GYRO_UNITS = ("rad/s", "deg/s", "deg/h", "rad", "deg", "counts")
 _ACCEL_UNITS = ("m/s^2", "g", "mg", "m/s", "g*s", "counts")
 _TIME_UNITS = ("s", "ms", "0.1ms", "us", "ns")
 
-_SITE_KEYS = ("latitude_deg", "gravity_m_s2", "height_m", "gravity_sigma_m_s2", "latitude_sigma_deg")
-_NOISE_KEYS = (
-    "gyro_noise_deg_per_sqrt_h", "accel_noise_ug_per_sqrt_hz", "gyro_quantization_arcsec", "accel_quantization_m_s",
-    "gyro_bias_instability_deg_per_h", "accel_bias_instability_ug", "gyro_range_deg_s", "accel_range_g",
-)  # fmt: skip
-_FIXTURE_KEYS = ("heading_deg", "alignment_sigma_mrad", "rotation_sigma_mrad", "wobble_sigma_mrad")
 _READING = (
     "kind", "time_unit", "gyro_unit", "accel_unit", "sample_rate_hz", "topic", "instance", "delimiter",
     "decimal_comma", "skip", "variable", "map_gyro", "map_accel",
@@ -100,25 +94,36 @@ _READ = [
     click.option("--skip", type=click.IntRange(min=0), default=0, help="Lines to skip at the top of a text file."),
 ]
 
+_STATED: Final = {
+    "Site": {
+        "latitude-deg": "Latitude of the site.",
+        "gravity-m-s2": "Gravity at the site, positive.",
+        "height-m": "Height of the site: normal gravity, with the latitude.",
+        "gravity-sigma-m-s2": "1-sigma of gravity.",
+    },
+    "Fixture": {
+        "heading-deg": "Heading of the fixture's x axis, clockwise from north.",
+        "alignment-sigma-mrad": "1-sigma of levelling, north, mounting and squareness.",
+        "rotation-sigma-mrad": "1-sigma of each rotation of the fixture.",
+        "wobble-sigma-mrad": "1-sigma of the inner axis tilt, from pose to pose.",
+    },
+    "Noise of the unit": {
+        "gyro-noise-deg-per-sqrt-h": "Angle random walk.",
+        "accel-noise-ug-per-sqrt-hz": "Noise density of the accelerometers.",
+        "gyro-quantization-arcsec": "Angle quantization.",
+        "accel-quantization-m-s": "Velocity quantization.",
+        "gyro-bias-instability-deg-per-h": "Bias instability of the gyros.",
+        "accel-bias-instability-ug": "Bias instability of the accelerometers.",
+        "gyro-range-deg-s": "Range of the gyros.",
+        "accel-range-g": "Range of the accelerometers.",
+    },
+}
+"""Keys of recording.toml as options, with their help, by groups of it."""
+
 _SAY = [
     click.option("--like", type=PATH, metavar="RECORDING", help="Take site, fixture, imu and "
                  "sequences from this recording; options take precedence."),
-    click.option("--latitude-deg", type=float, help="Latitude of the site."),
-    click.option("--gravity-m-s2", type=float, help="Gravity at the site, positive."),
-    click.option("--height-m", type=float, help="Height of the site: normal gravity, with the latitude."),
-    click.option("--gravity-sigma-m-s2", type=float, help="1-sigma of gravity."),
-    click.option("--heading-deg", type=float, help="Heading of the fixture's x axis, clockwise from north."),
-    click.option("--alignment-sigma-mrad", type=float, help="1-sigma of levelling, north, mounting and squareness."),
-    click.option("--rotation-sigma-mrad", type=float, help="1-sigma of each rotation of the fixture."),
-    click.option("--wobble-sigma-mrad", type=float, help="1-sigma of the inner axis tilt, from pose to pose."),
-    click.option("--gyro-noise-deg-per-sqrt-h", type=float, help="Angle random walk."),
-    click.option("--accel-noise-ug-per-sqrt-hz", type=float, help="Noise density of the accelerometers."),
-    click.option("--gyro-quantization-arcsec", type=float, help="Angle quantization."),
-    click.option("--accel-quantization-m-s", type=float, help="Velocity quantization."),
-    click.option("--gyro-bias-instability-deg-per-h", type=float, help="Bias instability of the gyros."),
-    click.option("--accel-bias-instability-ug", type=float, help="Bias instability of the accelerometers."),
-    click.option("--gyro-range-deg-s", type=float, help="Range of the gyros."),
-    click.option("--accel-range-g", type=float, help="Range of the accelerometers."),
+    *(click.option(f"--{key}", type=float, help=text) for keys in _STATED.values() for key, text in keys.items()),
     click.option("--applied", metavar="FORMAT:FILE", help="Correction that the readings had before they were logged, "
                  "as px4:vehicle.params or imucal:unit.json, or none; default: that in the log."),
     click.option("--serial", help="Serial of the unit."),
@@ -138,9 +143,7 @@ _WRITE = [
 
 _GROUPS = {
     "Reading of SOURCE": (*_READING, "name", "columns", "gyro_lsb", "accel_lsb", "gyro_offset", "accel_offset"),
-    "Site": _SITE_KEYS,
-    "Fixture": _FIXTURE_KEYS,
-    "Noise of the unit": _NOISE_KEYS,
+    **{title: tuple(key.replace("-", "_") for key in keys) for title, keys in _STATED.items()},
     "Identification": ("serial", "date", "temperature_c", "applied"),
 }
 """Groups of options in the help."""

@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, fields
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from srt.exceptions import InputError
-from srt.recording.schema import APPLIED_KEYS, read_section
+from srt.recording.schema import APPLIED_KEYS, read_fields
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -28,12 +29,7 @@ _ORTHOGONAL_WITHIN: Final = 1e-6
 """Largest departure from orthogonality of a rotation: parameters have single precision, and files seven digits."""
 
 
-def _identity() -> Array:
-    return np.eye(3)
-
-
-def _zero(*shape: int) -> Array:
-    return np.zeros(shape)
+_IDENTITY: Final = partial(np.eye, 3)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,12 +68,12 @@ class AppliedCorrection:
     gyro_id: int | None = None
     accel_id: int | None = None
     gyro_instance: int | None = None
-    rotation: Array = field(default_factory=_identity)
-    gyro_matrix: Array = field(default_factory=_identity)
-    gyro_offset: Array = field(default_factory=lambda: _zero(3))
-    accel_matrix: Array = field(default_factory=_identity)
-    accel_offset: Array = field(default_factory=lambda: _zero(3))
-    g_sensitivity: Array = field(default_factory=lambda: _zero(3, 3))
+    rotation: Array = field(default_factory=_IDENTITY)
+    gyro_matrix: Array = field(default_factory=_IDENTITY)
+    gyro_offset: Array = field(default_factory=partial(np.zeros, 3))
+    accel_matrix: Array = field(default_factory=_IDENTITY)
+    accel_offset: Array = field(default_factory=partial(np.zeros, 3))
+    g_sensitivity: Array = field(default_factory=partial(np.zeros, (3, 3)))
 
     def __post_init__(self) -> None:
         for key in APPLIED_KEYS:
@@ -129,31 +125,13 @@ _DEFAULTS: Final = {
 
 
 def applied_correction(file: str, document: Mapping[str, Any] | None) -> AppliedCorrection | None:
-    """Read ``[imu.applied]``.
-
-    Parameters
-    ----------
-    file : str
-        Name of the file in messages.
-
-    Returns
-    -------
-    AppliedCorrection or None
-        None: not known.
-
-    Raises
-    ------
-    InputError
-        An unknown key, a wrong type or value.
-    """
+    """Read ``[imu.applied]`` of a file; None: not known. Raises InputError: an unknown key, a wrong type or value."""
     if document is None:
         return None
-    section = read_section(file, "imu.applied", document, APPLIED_KEYS)
-    if "system" not in section:
+    given = read_fields(file, "imu.applied", document)
+    if "system" not in given:
         raise InputError(f'{file}: imu.applied.system is missing: name the system, or "{NOTHING}" for raw readings.')
     try:
-        return AppliedCorrection(
-            **{str(key.attribute): section[key.name] for key in APPLIED_KEYS if key.name in section}
-        )
+        return AppliedCorrection(**given)
     except InputError as error:
         raise InputError(f"{file}: [imu.applied]: {error}") from None

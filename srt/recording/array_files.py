@@ -36,34 +36,19 @@ NPZ_EXPANSION_LIMIT: Final = 100
 NPZ_SLACK_BYTES: Final = 256 << 20
 """Size of arrays, bytes, accepted at any ratio: constant columns compress a thousandfold, and it loads in about 1 s."""
 
-_PANDAS_INDEX = "__index_level_0__"
-"""Column in which pandas writes an index without a name."""
-
-_MOST_ARRAYS = 10_000
-"""Datasets of an HDF5 file that are listed; those of a log number some hundreds."""
+_PANDAS_INDEX = "__index_level_0__"  # column in which pandas writes an index without a name
+_MOST_ARRAYS = 10_000  # datasets of an HDF5 file that are listed; those of a log number some hundreds
 
 
 @dataclass(frozen=True, slots=True)
 class ArrayFile:
-    """Named arrays of an open file.
-
-    Attributes
-    ----------
-    shapes : mapping of str to tuple of int
-        Shapes of all arrays of numbers; nested names are separated by "/". A single array without a name has "".
-    read : callable
-        Returns an array by its name. Raises InputError.
-    units : mapping of str to str
-        Units that the file states for its arrays, as it spells them.
-    others : tuple of str
-        Names of what is no array of numbers.
-    """
+    """Named arrays of an open file; nested names are separated by "/", a single array without a name has ""."""
 
     path: Path
-    shapes: Mapping[str, tuple[int, ...]]
-    read: Callable[[str], NDArray[Any]]
-    units: Mapping[str, str] = field(default_factory=dict)
-    others: tuple[str, ...] = ()
+    shapes: Mapping[str, tuple[int, ...]]  # of all arrays of numbers
+    read: Callable[[str], NDArray[Any]]  # returns an array by its name; raises InputError
+    units: Mapping[str, str] = field(default_factory=dict)  # that the file states for its arrays, as it spells them
+    others: tuple[str, ...] = ()  # names of what is no array of numbers
 
 
 @contextmanager
@@ -133,14 +118,9 @@ def _require_plain(path: Path, what: str, shape: tuple[int, ...], dtype: np.dtyp
 
 @contextmanager
 def open_hdf5(path: Path, title: str = "HDF5 file", *, matlab: bool = False) -> Iterator[ArrayFile]:
-    """Open the arrays of an HDF5 file; links are not followed. Raises InputError.
+    """Open the arrays of an HDF5 file; links are not followed. ``title`` is the kind of file in messages.
 
-    Parameters
-    ----------
-    title : str
-        Kind of file, for messages.
-    matlab : bool
-        True for a file written by MATLAB, which stores arrays with their axes in reverse.
+    MATLAB stores arrays with their axes in reverse. Raises InputError, MissingExtraError.
     """
     h5py = load_h5py(f"The {title}" if matlab else "An HDF5 file")
     size = path.stat().st_size

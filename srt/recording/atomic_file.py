@@ -57,20 +57,7 @@ def _lives(process: int) -> bool:
 def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Context with a temporary path of the same suffix, renamed to the file if the block ends without an error.
 
-    Parameters
-    ----------
-    path : path-like
-        File to write. An existing file is replaced; a symbolic link is followed.
-
-    Yields
-    ------
-    Path
-        Temporary path to write to.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be written.
+    An existing file is replaced; a symbolic link is followed. Raises InputError if the file cannot be written.
     """
     # A symbolic link remains, and its target is replaced.
     target = Path(os.path.realpath(path))
@@ -97,13 +84,7 @@ def atomic_write_bytes(path: str | os.PathLike[str], data: bytes) -> None:
 
 
 def atomic_write_text(path: str | os.PathLike[str], text: str) -> None:
-    """Write a UTF-8 text file, with line feeds on every system, completely or not at all.
-
-    Raises
-    ------
-    InputError
-        If it cannot be written.
-    """
+    """Write UTF-8, with line feeds on every system, completely or not at all. Raises InputError if it cannot."""
     atomic_write_bytes(path, text.encode("utf-8"))
 
 

@@ -56,49 +56,25 @@ def orientation(number: float, name: str) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class Autopilot:
-    """Names of an autopilot's parameters.
+    """Names of an autopilot's parameters, from its slots: the instance of the IMU where they do not differ."""
 
-    Attributes
-    ----------
-    name, title : str
-        Name of its export format, and in text.
-    instances : int
-        Number of IMUs that have parameters.
-    names : callable
-        From the slots to the parameters of "accel_offset", "accel_scale" and "gyro_offset", three names each. Slots are
-        the numbers of the parameters of accelerometers and gyros, the instance of the IMU where they do not differ.
-    ids : callable
-        From the slots to the parameters that identify the devices: gyro, accelerometer.
-    rotation : callable
-        From parameters and slots to C.
-    advice : str
-        How to list the parameters of a log or a vehicle.
-    """
-
-    name: str
+    name: str  # of its export format
     title: str
-    instances: int
-    names: Callable[[Slots], dict[str, tuple[str, ...]]]
-    ids: Callable[[Slots], tuple[str, str]]
-    rotation: Callable[[Mapping[str, float], Slots], Array]
-    advice: str
+    instances: int  # IMUs that have parameters
+    names: Callable[[Slots], dict[str, tuple[str, ...]]]  # of "accel_offset", "accel_scale", "gyro_offset", three each
+    ids: Callable[[Slots], tuple[str, str]]  # names of what identifies the devices: gyro, accelerometer
+    rotation: Callable[[Mapping[str, float], Slots], Array]  # C
+    orientation: tuple[str, ...]  # names of the parameters of C that matter to all
+    advice: str  # how to list the parameters of a log or a vehicle
 
     def relevant(self, slots: Slots) -> tuple[str, ...]:
         """Parameters whose change changes the correction."""
-        return (*(name for group in self.names(slots).values() for name in group), *_ORIENTATION[self.name])
+        return (*(name for group in self.names(slots).values() for name in group), *self.orientation)
 
     def carried(
         self, parameters: Mapping[str, float], changed: Container[str], slots: Slots, notes: list[str]
     ) -> AppliedCorrection | None:
-        """Correction by the parameters of a log; None, with a note, if they do not state one for the whole log.
-
-        Parameters
-        ----------
-        changed : container of str
-            Parameters that changed within the log.
-        slots : (int, int)
-            Of accelerometers and gyros.
-        """
+        """Correction by the parameters of a log; None, with a note, if they do not state one for the whole log."""
         moved = [name for name in self.relevant(slots) if name in changed]
         if moved:
             notes.append(f"{', '.join(moved)} changed within the log: {self.title}'s calibration is not carried.")
@@ -157,24 +133,14 @@ def _px4_rotation(parameters: Mapping[str, float], slots: Slots) -> Array:
     return level @ orientation(number, accel)
 
 
+def _ardupilot_number(slots: Slots) -> str:
+    return "" if slots[0] == 0 else str(slots[0] + 1)
+
+
 def _ardupilot_names(slots: Slots) -> dict[str, tuple[str, ...]]:
-    n = "" if slots[0] == 0 else str(slots[0] + 1)
+    n = _ardupilot_number(slots)
     return _names(f"INS_ACC{n}OFFS_{{}}", f"INS_ACC{n}SCAL_{{}}", f"INS_GYR{n}OFFS_{{}}")
 
-
-def _ardupilot_ids(slots: Slots) -> tuple[str, str]:
-    n = "" if slots[0] == 0 else str(slots[0] + 1)
-    return f"INS_GYR{n}_ID", f"INS_ACC{n}_ID"
-
-
-def _ardupilot_rotation(parameters: Mapping[str, float], _: Slots) -> Array:
-    return orientation(parameters.get("AHRS_ORIENTATION", 0), "AHRS_ORIENTATION")
-
-
-_ORIENTATION: Final = {
-    "px4": ("SENS_BOARD_ROT", *(f"SENS_BOARD_{axis}_OFF" for axis in "XYZ")),
-    "ardupilot": ("AHRS_ORIENTATION",),
-}
 
 PX4: Final = Autopilot(
     "px4",
@@ -183,6 +149,7 @@ PX4: Final = Autopilot(
     _px4_names,
     lambda slots: (f"CAL_GYRO{slots[1]}_ID", f"CAL_ACC{slots[0]}_ID"),
     _px4_rotation,
+    ("SENS_BOARD_ROT", *(f"SENS_BOARD_{axis}_OFF" for axis in "XYZ")),
     "'ulog_params LOG.ulg' lists CAL_ACCn_*, CAL_GYROn_* and SENS_BOARD_*; QGroundControl saves those of a vehicle",
 )
 
@@ -191,8 +158,9 @@ ARDUPILOT: Final = Autopilot(
     "ArduPilot",
     3,
     _ardupilot_names,
-    _ardupilot_ids,
-    _ardupilot_rotation,
+    lambda slots: (f"INS_GYR{_ardupilot_number(slots)}_ID", f"INS_ACC{_ardupilot_number(slots)}_ID"),
+    lambda parameters, _: orientation(parameters.get("AHRS_ORIENTATION", 0), "AHRS_ORIENTATION"),
+    ("AHRS_ORIENTATION",),
     "'mavparms.py LOG.bin' lists INS_* and AHRS_ORIENTATION; ground stations save those of a vehicle",
 )
 

@@ -1,7 +1,8 @@
-"""Guards around the libraries that read files: their errors as sentences, stated sizes, limits of memory."""
+"""Guards of reading: bounds of whole files, errors of libraries as sentences, stated sizes, limits of memory."""
 
 from __future__ import annotations
 
+import errno
 from contextlib import contextmanager
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
@@ -10,7 +11,13 @@ from srt.exceptions import InputError, MissingExtraError, SrtError, clipped
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+    from os import PathLike
     from pathlib import Path
+
+MAX_BYTES: Final = 64 << 20
+"""Largest document, bytes: a calibration takes a few kilobytes for each sequence, so thousands of sequences."""
+
+_PART: Final = 1 << 20  # bytes read at once, between which an interruption is served
 
 DEFLATE_LIMIT: Final = 1032
 """Largest compression ratio of deflate; the limit for other compressors too."""
@@ -21,22 +28,28 @@ SLACK_BYTES: Final = 1 << 20
 _PYARROW_BYTES: Final = 256 << 20
 """Memory that loading pyarrow and reading a small file take, with the stacks of its threads."""
 
-_REASON_LENGTH = 160
-"""Characters of a library's message that a sentence quotes."""
+_REASON_LENGTH = 160  # characters of a library's message that a sentence quotes
+
+
+def read_bounded(path: str | PathLike[str], limit: int = MAX_BYTES) -> bytes:
+    """Read a whole file of at most ``limit`` bytes: a device such as /dev/full has no size, and no end.
+
+    Raises OSError for a file that cannot be read, or is longer; its ``strerror`` is a clause that says why.
+    """
+    data = bytearray()
+    with open(path, "rb", buffering=0) as file:  # noqa: PTH123 - any path-like is welcome
+        while part := file.read(_PART):
+            data += part
+            if len(data) > limit:
+                raise OSError(errno.EFBIG, f"it is larger than {limit >> 20} MB")
+    return bytes(data)
 
 
 @contextmanager
 def clear_errors(path: Path, title: str) -> Iterator[None]:
-    """Turn any error of a library into an InputError that names the file.
+    """Turn any error of a library into an InputError that names the file; ``title`` is its kind, as "ROS 1 bag".
 
     Only calls of the library belong into the block. A lack of memory passes through: the caller knows the limit.
-
-    Raises InputError.
-
-    Parameters
-    ----------
-    title : str
-        The kind of file, such as "ROS 1 bag".
     """
     try:
         yield
@@ -56,20 +69,9 @@ def reason_of(error: BaseException) -> str:
 
 
 def require_size(path: Path, what: str, promised: int, present: int, factor: int = DEFLATE_LIMIT) -> None:
-    """Refuse an array that is larger than its bytes in the file can expand to.
+    """Refuse an array, named ``what``, whose stated size is larger than its bytes in the file can expand to.
 
-    Raises InputError.
-
-    Parameters
-    ----------
-    what : str
-        Name of the array in the message.
-    promised : int
-        Size stated in the header, bytes.
-    present : int
-        Size in the file, bytes.
-    factor : int
-        Largest ratio of the two.
+    ``promised`` and ``present`` are bytes, ``factor`` is the largest ratio of the two. Raises InputError.
     """
     if not 0 <= promised <= factor * present + SLACK_BYTES:
         raise InputError(
@@ -81,11 +83,8 @@ def require_size(path: Path, what: str, promised: int, present: int, factor: int
 def load_pyarrow(module: str, what: str = "A Parquet file") -> tuple[Any, Any]:
     """Import pyarrow and one of its modules, which the file ``what`` needs.
 
-    Raises
-    ------
-    MissingExtraError
-    MemoryError
-        If a limit leaves too little memory: pyarrow's own code then ends the process.
+    Raises MissingExtraError, or MemoryError if a limit leaves too little memory: pyarrow's own code then ends the
+    process.
     """
     require_memory(_PYARROW_BYTES)
     try:
@@ -95,10 +94,7 @@ def load_pyarrow(module: str, what: str = "A Parquet file") -> tuple[Any, Any]:
 
 
 def require_memory(size: int) -> None:
-    """Require memory, bytes, for a library that ends badly without it, if the system limits that of the process.
-
-    Raises MemoryError.
-    """
+    """Require bytes for a library that ends badly without them, where the system limits memory. Raises MemoryError."""
     if memory_is_limited():
         bytearray(size)
 

@@ -24,15 +24,12 @@ from srt.recording.recording import Fixture, ImuNoise, Recording, Site
 from srt.recording.samples import read_samples
 from srt.recording.schema import (
     COUNTS,
-    FIXTURE_KEYS,
-    IMU_KEYS,
     POSE_KEYS,
-    RECORDING_KEYS,
     SECTIONS,
     SEQUENCE_KEYS,
-    SITE_KEYS,
     TIME_UNITS,
     fields_of,
+    read_fields,
     read_section,
 )
 from srt.recording.sequence_label import SequenceLabel
@@ -50,34 +47,21 @@ _NORMAL_GRAVITY_SIGMA_M_S2 = 5e-4  # 1 sigma: local anomalies, which normal grav
 
 
 def load_recording(path: str | os.PathLike[str]) -> Recording:
-    """Read a recording.
+    """Read a recording, in SI units, from its folder or its ``recording.toml``.
 
-    Parameters
-    ----------
-    path : path-like
-        The folder, or its ``recording.toml``.
+    Gravity is ``gravity_m_s2`` if given, else normal gravity at ``height_m``. Without a column ``temperature``, all
+    samples have ``temperature_c``. Without a column ``time``, ``sample_rate_hz`` gives the time stamps; the first
+    interval starts at 0. Samples in a foreign format are imported; units that such a format defines can be omitted.
 
-    Returns
-    -------
-    Recording
-        In SI units. Gravity is ``gravity_m_s2`` if given, else normal gravity at ``height_m``. Without a column
-        ``temperature``, all samples have ``temperature_c``. Without a column ``time``, ``sample_rate_hz`` gives the
-        time stamps; the first interval starts at 0. Samples in a foreign format are imported; units that such a format
-        defines can be omitted.
-
-    Raises
-    ------
-    InputError
-        A file that is absent, unreadable or damaged, an unknown key, a wrong type, unit or value, samples outside the
-        recording's folder, or samples that :class:`~srt.recording.recording.Recording` refuses.
-    MissingExtraError
-        If the samples format needs a package that is not installed.
+    Raises InputError: a file that is absent, unreadable or damaged, an unknown key, a wrong type, unit or value,
+    samples outside the recording's folder, or samples that :class:`~srt.recording.recording.Recording` refuses;
+    MissingExtraError if the samples format needs a package that is not installed.
     """
     toml = _find_toml(Path(path))
     document = _read_toml(toml)
     if "recording" not in document:
         raise InputError(f"{toml}: the section [recording] is missing: add it.")
-    main = read_section(str(toml), "recording", document["recording"], RECORDING_KEYS)
+    main = read_section(str(toml), "recording", document["recording"], SECTIONS["recording"])
     about = read_metadata(str(toml), document)
     if "samples" not in main:
         raise InputError(f'{toml}: recording.samples is missing: name the samples file, as samples = "samples.csv".')
@@ -121,52 +105,29 @@ def _own(file: str, path: Path, main: Mapping[str, Any]) -> ImportedSamples:
 
 
 def read_metadata(file: str, document: Mapping[str, Any]) -> dict[str, Any]:
-    """Fields of a recording out of the sections [site], [fixture], [imu] and [[sequence]].
+    """Fields of a recording out of the sections [site], [fixture], [imu] and [[sequence]] of a file.
 
-    Parameters
-    ----------
-    file : str
-        Name of the file in messages.
-    document : mapping
-        Content of the TOML file.
-
-    Raises
-    ------
-    InputError
-        An unknown key, a wrong type or value, no site.
+    Raises InputError: an unknown key, a wrong type or value, no site.
     """
     if "site" not in document:
         raise InputError(f"{file}: the section [site] is missing: add it.")
     site = _read_site(file, document)
     fixture = None
     if "fixture" in document:
-        given = fields_of(read_section(file, "fixture", document["fixture"], FIXTURE_KEYS), FIXTURE_KEYS)
-        fixture = Fixture(**{"heading_rad": None, **given})
+        fixture = Fixture(**{"heading_rad": None, **read_fields(file, "fixture", document["fixture"])})
     imu = document.get("imu", {})
     applied = None
     if isinstance(imu, dict) and "applied" in imu:
         applied = applied_correction(file, imu["applied"])
         imu = {name: value for name, value in imu.items() if name != "applied"}
-    noise = ImuNoise(**fields_of(read_section(file, "imu", imu, IMU_KEYS), IMU_KEYS))
+    noise = ImuNoise(**read_fields(file, "imu", imu))
     sequences = _read_sequences(file, document.get("sequence", []))
-    return {
-        "site": site,
-        "fixture": fixture,
-        "noise": noise,
-        "sequences": sequences,
-        "applied": applied,
-        "protocol": _read_protocol(file, document),
-    }
+    about = {"site": site, "fixture": fixture, "noise": noise, "sequences": sequences, "applied": applied}
+    return about | {"protocol": _read_protocol(file, document)}
 
 
 def _read_sequences(file: str, values: object) -> tuple[SequenceLabel, ...]:
-    """Labels of the tables [[sequence]]; one with ``static_s`` is a pose.
-
-    Raises
-    ------
-    InputError
-        An unknown key, a wrong type or value, a window that is missing.
-    """
+    """Labels of the tables [[sequence]]; one with ``static_s`` is a pose."""
     if not isinstance(values, list):
         raise InputError(f"{file}: sequence is no list: write each as [[sequence]], in double brackets.")
     labels = []
@@ -197,15 +158,7 @@ def _read_protocol(file: str, document: Mapping[str, Any]) -> Protocol | None:
 
 
 def read_document(toml: Path) -> dict[str, Any]:
-    """Read a ``recording.toml`` without checking its values; its sections are known ones.
-
-    Raises InputError.
-
-    Parameters
-    ----------
-    toml : Path
-        The file, or its folder.
-    """
+    """Read a ``recording.toml``, or that of a folder, without checking its values; its sections are known ones."""
     return _read_toml(_find_toml(toml))
 
 
@@ -268,8 +221,8 @@ def _read_toml(toml: Path) -> dict[str, Any]:
 
 
 def _read_site(file: str, document: Mapping[str, Any]) -> Site:
-    site = read_section(file, "site", document["site"], SITE_KEYS)
-    given = fields_of(site, SITE_KEYS)
+    site = read_section(file, "site", document["site"], SECTIONS["site"])
+    given = fields_of(site, SECTIONS["site"])
     if "gravity_m_s2" not in site:
         if "height_m" not in site:
             raise InputError(

@@ -49,8 +49,7 @@ _RAISED = str.maketrans({"²": "^2", "⁻": "-", "¹": "1"})
 _NEGATIVE_POWER = re.compile(r"[\s*·.]*s(?:\^?-|-\^)([12])(?=$|/)")
 """Seconds in the denominator, as in "rad s^-1" and "m s-2"."""
 
-_LSB = re.compile(r"([\d.,/eE+\- ]*[\d.])\s*(.*)")
-"""Numbers of the value of a count, and its unit."""
+_LSB = re.compile(r"([\d.,/eE+\- ]*[\d.])\s*(.*)")  # numbers of the value of a count, and its unit
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,10 +127,9 @@ class ImportOptions:
                         f"{getattr(self, f'{sensor}_unit')}: leave it out, or state the unit counts."
                     )
         self._set_unit("time_unit", tuple(TIME_UNITS))
-        rate = self.sample_rate_hz
-        if rate is not None:
-            require_type(option("sample_rate_hz"), "a number in Hz", rate, Real)
-        if rate is not None and not (math.isfinite(rate) and rate > 0.0):
+        rate = 1.0 if self.sample_rate_hz is None else self.sample_rate_hz
+        require_type(option("sample_rate_hz"), "a number in Hz", rate, Real)
+        if not (math.isfinite(rate) and rate > 0.0):
             raise InputError(f"{option('sample_rate_hz')} is {rate:g}, but a positive number in Hz is expected.")
         if self.skip < 0:
             raise InputError(f"{option('skip')} is {self.skip}, but a number of lines is expected.")
@@ -158,8 +156,7 @@ class ImportOptions:
     @property
     def given(self) -> frozenset[str]:
         """Names of the fields that are not at their defaults."""
-        default = _DEFAULT
-        return frozenset(item.name for item in fields(self) if getattr(self, item.name) != getattr(default, item.name))
+        return frozenset(item.name for item in fields(self) if getattr(self, item.name) != getattr(_DEFAULT, item.name))
 
 
 def option(name: str) -> str:
@@ -168,12 +165,9 @@ def option(name: str) -> str:
 
 
 def normal_unit(text: str) -> str:
-    """Convert the spelling of a unit to that of ``recording.toml``; an unknown one is returned unchanged.
+    """Unit as ``recording.toml`` spells it; an unknown one is returned unchanged.
 
-    Parameters
-    ----------
-    text : str
-        Such as "dps", "rad s^-1", "degrees per second" or "m/s²".
+    The text is such as "dps", "rad s^-1", "degrees per second" or "m/s²".
     """
     folded = " ".join(text.lower().replace("**", "^").replace(" per ", "/").translate(_RAISED).split())
     folded = _NEGATIVE_POWER.sub(lambda power: "/s" if power[1] == "1" else "/s^2", folded)
@@ -182,23 +176,11 @@ def normal_unit(text: str) -> str:
 
 
 def parse_columns(text: str) -> dict[str, str | int]:
-    """Read a column map from one line of text.
+    """Read a column map, as :attr:`ImportOptions.columns`, from one line of text.
 
-    Parameters
-    ----------
-    text : str
-        Channels in the order of the columns ("time,gyro,accel", with "-" for a column that is not read), or channels
-        with their columns ("gyro_x=wx,gyro_y=wy", "gyro_x=4"), or both.
-
-    Returns
-    -------
-    dict
-        As :attr:`ImportOptions.columns`.
-
-    Raises
-    ------
-    InputError
-        A channel that is unknown or named twice.
+    The text has channels in the order of the columns ("time,gyro,accel", with "-" for a column that is not read), or
+    channels with their columns ("gyro_x=wx,gyro_y=wy", "gyro_x=4"), or both. Raises InputError for a channel that is
+    unknown or named twice.
     """
     result: dict[str, str | int] = {}
     position = 1
@@ -223,57 +205,30 @@ def parse_columns(text: str) -> dict[str, str | int]:
 
 
 def parse_axis_map(text: str | None, name: str = "map_gyro") -> Array | None:
-    """Read an axis map such as "x,-y,z".
+    """Read an axis map such as "x,-y,z": the axes of the file that become x, y and z of the IMU, with their signs.
 
-    Parameters
-    ----------
-    text : str or None
-        Axes of the file that become x, y and z of the IMU, with their signs.
-    name : str
-        Field of the options, for messages.
-
-    Returns
-    -------
-    ndarray, shape (3, 3), or None
-        Signed permutation P with IMU = P @ file.
-
-    Raises
-    ------
-    InputError
-        Text that is not the three axes, each once.
+    Returns the signed permutation P, shape (3, 3), with IMU = P @ file; None for None. Raises InputError for a text
+    that is not the three axes, each once; it names the option ``name``.
     """
     if text is None:
         return None
+    signs = (("", 1.0), ("+", 1.0), ("-", -1.0))
+    rows = {
+        f"{mark}{axis}": sign * row + 0.0 for axis, row in zip(AXES, np.eye(3), strict=True) for mark, sign in signs
+    }
     parts = [part.strip().lower() for part in text.split(",")]
-    axes = [part.lstrip("+-") for part in parts]
-    if sorted(axes) != list(AXES) or any(
-        part not in (axis, f"+{axis}", f"-{axis}") for part, axis in zip(parts, axes, strict=True)
-    ):
+    if sorted(part.lstrip("+-") for part in parts) != list(AXES) or not rows.keys() >= set(parts):
         raise InputError(
             f"{option(name)} is {text!r}, but three axes, each once, are expected, such as x,-y,z or y,x,-z."
         )
-    matrix = np.zeros((3, 3))
-    for row, (part, axis) in enumerate(zip(parts, axes, strict=True)):
-        matrix[row, AXES.index(axis)] = -1.0 if part.startswith("-") else 1.0
-    return matrix
+    return np.array([rows[part] for part in parts])
 
 
 def parse_lsb(text: str, sensor: str) -> Triple:
-    """Read the scale factor of counts.
+    """Read the scale factor of counts, SI units per count.
 
-    Raises InputError.
-
-    Parameters
-    ----------
-    text : str
-        One number or three, each also as 1/N, and a unit: "1/131 deg/s", "1/415,1/413,1/415 m/s^2", "0.061 mg/LSB".
-        The units are those of ``gyro_unit`` and ``accel_unit``; the default is SI.
-    sensor : "gyro" or "accel"
-
-    Returns
-    -------
-    (float, float, float)
-        SI units per count.
+    The text has one number or three, each also as 1/N, and a unit: "1/131 deg/s", "1/415,1/413,1/415 m/s^2", "0.061
+    mg/LSB". The units are those of ``gyro_unit`` and ``accel_unit``; the default is SI. Raises InputError.
     """
     name = f"{sensor}_lsb"
     split = _LSB.fullmatch(text.strip())

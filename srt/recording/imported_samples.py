@@ -28,19 +28,12 @@ REBASE_BEYOND_S: Final = 1e6
 
 _SI: Final = {"rate": {"gyro": "rad/s", "accel": "m/s²"}, "increment": {"gyro": "rad", "accel": "m/s"}}
 
-_PLAUSIBLE_EPOCH_S = (9e8, 7e9)
-"""Stamps, s, that a note shows as a date since 1970: the years 1998 to 2191."""
+_PLAUSIBLE_EPOCH_S = (9e8, 7e9)  # stamps, s, that a note shows as a date since 1970: the years 1998 to 2191
 
 
 @dataclass(frozen=True, slots=True)
 class StatedUnits:
-    """Units that a format or the header of a file states; None: the user has to state them.
-
-    Attributes
-    ----------
-    gyro, accel, time : str or None
-        As in ``recording.toml``.
-    """
+    """Units that a format or the header of a file states, as in ``recording.toml``; None: the user states them."""
 
     gyro: str | None = None
     accel: str | None = None
@@ -110,23 +103,14 @@ def samples_in_si(
     time : ndarray, shape (n,), or None
         Integers stay exact: they are counted from the first one before the conversion to seconds. Dates and durations
         of NumPy state their unit.
-    stated : StatedUnits
-        Units by the format or the header.
-    kind : "rate" or "increment", optional
-        Kind by the format.
-    sample_rate_hz : float, optional
-        Rate by the file.
+    stated, kind, sample_rate_hz
+        By the format or the header of the file.
     temperature : ndarray, shape (n,), °C, optional
-    notes : tuple of str
-        Notes of the reader.
     **others
         Serial, date and applied correction, where the file states them.
 
-    Raises
-    ------
-    InputError
-        A unit that is not stated or that does not fit the kind, a kind that the format does not have, arrays of
-        different lengths.
+    Raises InputError for a unit that is not stated or that does not fit the kind, a kind that the format does not have,
+    arrays of different lengths.
     """
     if None not in (kind, options.kind) and kind != options.kind:
         raise InputError(
@@ -184,20 +168,9 @@ def _ticks(stamps: NDArray[Any], options: ImportOptions) -> tuple[NDArray[Any], 
 
 
 def seconds_of(stamps: NDArray[Any], unit: str, notes: list[str]) -> Array:
-    """Convert stamps to seconds, counted from the first where they are too large for a double.
+    """Convert stamps, shape (n,), to seconds, counted from the first where they are too large for a double.
 
-    Parameters
-    ----------
-    stamps : ndarray, shape (n,)
-        Integers or floats.
-    unit : str
-        "s", "ms", "us" or "ns".
-    notes : list of str
-        A sentence is appended if the stamps are counted from the first.
-
-    Returns
-    -------
-    ndarray, shape (n,), s
+    A sentence is appended to the notes in this case.
     """
     factor = TIME_UNITS[unit]
     # Division by a power of ten rounds once; the reciprocal of a power of ten is no double.
@@ -217,16 +190,9 @@ def seconds_of(stamps: NDArray[Any], unit: str, notes: list[str]) -> Array:
 
 
 def join_streams(gyro_time: Array, accel_time: Array, accel: Array, notes: list[str]) -> tuple[slice | Indices, Array]:
-    """Interpolate accelerometer readings linearly to the stamps of the gyros, where the stamps differ.
+    """Interpolate accelerometer readings, shape (m, 3), linearly to the stamps of the gyros, where the stamps differ.
 
-    Parameters
-    ----------
-    gyro_time : ndarray, shape (n,), s
-    accel_time : ndarray, shape (m,), s
-        Both strictly increasing, from the same clock.
-    accel : ndarray, shape (m, 3)
-    notes : list of str
-        Sentences on the changes are appended.
+    Both stamps, s, are of the same clock and strictly increasing; sentences on the changes are appended to the notes.
 
     Returns
     -------
@@ -234,10 +200,7 @@ def join_streams(gyro_time: Array, accel_time: Array, accel: Array, notes: list[
         Gyro samples between two accelerometer readings; gaps of that stream stay gaps.
     accel : ndarray, shape (k, 3)
 
-    Raises
-    ------
-    InputError
-        Streams without time in common, or stamps that do not increase.
+    Raises InputError for streams without time in common, or stamps that do not increase.
     """
     if gyro_time.shape == accel_time.shape and np.array_equal(gyro_time, accel_time):
         return slice(None), accel
@@ -299,15 +262,13 @@ def in_imu_axes(imported: ImportedSamples, options: ImportOptions) -> ImportedSa
     """Convert samples to the axes of the IMU by the axis maps of the options, with notes."""
     changes: dict[str, Any] = {}
     notes = list(imported.notes)
-    handedness = []
-    for sensor in ("gyro", "accel"):
-        text = getattr(options, f"map_{sensor}")
-        matrix = parse_axis_map(text, f"map_{sensor}")
-        handedness.append(1.0 if matrix is None else float(np.linalg.det(matrix)))
+    maps = [parse_axis_map(getattr(options, f"map_{sensor}"), f"map_{sensor}") for sensor in TRIADS]
+    handedness = [1.0 if matrix is None else float(np.linalg.det(matrix)) for matrix in maps]
+    for sensor, matrix in zip(TRIADS, maps, strict=True):
         if matrix is not None:
             # Adding zero turns the -0.0 of a sign change into 0.0.
             changes[sensor] = getattr(imported, sensor) @ matrix.T + 0.0
-            notes.append(f"{sensor} x, y, z are {text} of the file.")
+            notes.append(f"{sensor} x, y, z are {getattr(options, f'map_{sensor}')} of the file.")
     if handedness[0] * handedness[1] < 0.0:
         notes.append(
             "The axis maps make one triad of gyros and accelerometers right-handed and the other left-handed: check "
@@ -318,9 +279,8 @@ def in_imu_axes(imported: ImportedSamples, options: ImportOptions) -> ImportedSa
     applied = imported.applied
     if applied is not None:
         # A rotation of both triads together is one more rotation of the log's axes; anything else it cannot state.
-        turn = parse_axis_map(options.map_gyro, "map_gyro")
-        if options.map_gyro == options.map_accel and turn is not None and handedness[0] > 0.0:
-            applied = replace(applied, rotation=turn @ applied.rotation)
+        if options.map_gyro == options.map_accel and maps[0] is not None and handedness[0] > 0.0:
+            applied = replace(applied, rotation=maps[0] @ applied.rotation)
         else:
             applied = None
             notes.append("The calibration of the log is not carried, as the axis maps are no common rotation.")
@@ -330,24 +290,11 @@ def in_imu_axes(imported: ImportedSamples, options: ImportOptions) -> ImportedSa
 def to_recording(
     imported: ImportedSamples, site: Site, *, temperature_c: float | None = None, **others: Any
 ) -> Recording:
-    """Make a recording of imported samples.
+    """Make a recording of imported samples; without stamps, the rate gives them, and the first interval starts at 0.
 
-    Parameters
-    ----------
-    temperature_c : float, optional
-        Temperature of all samples, if the file has none.
-    **others
-        Further fields of :class:`~srt.recording.recording.Recording`; those that are not None override the file's.
-
-    Returns
-    -------
-    Recording
-        Without stamps, they follow from the rate; the first interval starts at 0.
-
-    Raises
-    ------
-    InputError
-        Neither stamps nor a rate, or samples that :class:`~srt.recording.recording.Recording` refuses.
+    ``temperature_c`` is that of all samples, if the file has none. ``others`` are further fields of
+    :class:`~srt.recording.recording.Recording`; those that are not None override the file's. Raises InputError: neither
+    stamps nor a rate, or samples that a recording refuses.
     """
     time, rate = imported.time, imported.sample_rate_hz
     if time is None:
@@ -409,11 +356,9 @@ def _require_units(options: ImportOptions, stated: dict[str, str | None]) -> Non
 def _unit(options: ImportOptions, name: str, stated: str | None, notes: list[str]) -> tuple[str, str]:
     """Unit of a sensor or of time, and its text with its origin; a contradiction becomes a note."""
     given: str | None = getattr(options, name)
-    if given is None and stated is None:
-        return COUNTS, f"{COUNTS} (as given)"
-    if given is None:
-        assert stated is not None
+    if given is None and stated is not None:
         return stated, f"{stated} (as in the file)"
+    given = given or COUNTS
     if stated is not None and given != stated:
         notes.append(
             f"The file states {stated} for {name.removesuffix('_unit')}; read as {given}, as stated by the user."

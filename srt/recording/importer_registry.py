@@ -123,19 +123,10 @@ def importer(name: str) -> Importer:
 
 
 def find_importer(path: Path, name: str = AUTO) -> Importer:
-    """Find the format of a file by its content, then by its suffix.
+    """Find the format of a file, or of a folder for formats that are folders, by its content, then by its suffix.
 
-    Parameters
-    ----------
-    path : Path
-        File, or folder for formats that are folders.
-    name : str
-        Name of a format, which is not checked, or "auto".
-
-    Raises
-    ------
-    InputError
-        A file that is absent, an unknown name, or no format that fits.
+    A name other than "auto" is not checked against the content. Raises InputError: a file that is absent, an unknown
+    name, or no format that fits.
     """
     if name != AUTO:
         found = importer(name)
@@ -156,28 +147,11 @@ def find_importer(path: Path, name: str = AUTO) -> Importer:
 
 
 def import_file(path: Path, options: ImportOptions | None = None, name: str = AUTO) -> tuple[Importer, ImportedSamples]:
-    """Read a foreign file.
+    """Read a foreign file: its format, and its samples in the axes of the IMU, without repeated records.
 
-    Parameters
-    ----------
-    name : str
-        Name of a format, or "auto".
-
-    Returns
-    -------
-    importer : Importer
-        The format.
-    imported : ImportedSamples
-        In the axes of the IMU, without repeated records.
-
-    Raises
-    ------
-    InputError
-        Errors of :func:`find_importer`, an option that the format does not take, or a fault of the file; one sentence
-        that names the file.
-    DataError
-    MissingExtraError
-        If the format needs a package that is not installed.
+    Raises InputError as :func:`find_importer` does, for an option that the format does not take, or a fault of the
+    file, in one sentence that names the file; DataError; MissingExtraError if the format needs a package that is not
+    installed.
     """
     options = options or ImportOptions()
     if name == AUTO and options.second is not None:
@@ -219,6 +193,11 @@ def head(path: Path, size: int = HEAD_BYTES) -> bytes:
             return file.read(size)
     except (OSError, ValueError):
         return b""
+
+
+def starts_with(*magics: bytes) -> Callable[[Path], bool]:
+    """Recognition of a format by its first bytes."""
+    return lambda path: head(path, 16).startswith(magics)
 
 
 def _require(path: Path) -> None:

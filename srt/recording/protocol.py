@@ -39,9 +39,9 @@ from srt.recording.schema import (
     LARGEST_RATE_DEG_S,
     LARGEST_TIME_S,
     Key,
-    fields_of,
+    finite_numbers,
     number,
-    read_section,
+    read_fields,
     text,
 )
 from srt.recording.toml_text import read_toml
@@ -49,48 +49,25 @@ from srt.recording.toml_text import read_toml
 if TYPE_CHECKING:
     from srt.types import Array
 
-_MOST_STEPS: Final = 1000
-"""Largest number of steps of a protocol: no test has more, and a wrong ``repeat`` ends here."""
-_ALONG: Final = 1e-6
-"""Largest deviation of a nominal direction from an IMU axis, rad."""
+_Executed = tuple[str, str, tuple[tuple[str, float], ...]]
+_MOST_STEPS: Final = 1000  # largest number of steps of a protocol: no test has more, and a wrong ``repeat`` ends here
+_ALONG: Final = 1e-6  # largest deviation of a nominal direction from an IMU axis, rad
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Step:
-    """One step of a protocol.
+    """One step of a protocol."""
 
-    Attributes
-    ----------
-    number : int
-        Position in the file, from 1; repeats have the same.
-    id : str or None
-        Sequence of Table 1.
-    down : ndarray, shape (3,), or None
-        IMU components of the vertical in the pose that the unit is placed in; None: the step continues.
-    along_outer : str or None
-        IMU axis along the outer axis of a fixture, as "y" or "-x".
-    rotations : tuple of (ndarray of shape (3,), float)
-        Unit vector in IMU axes and angle, rad.
-    rest_s : (float, float)
-        Stationary windows before and after the rotations; a pose and a step that continues have only the second.
-    rate_rad_s, acceleration_rad_s2 : float
-        Peak rate and acceleration of the rotations.
-    turn_s : float or None
-        Duration of all rotations, with smooth ends, in place of rate and acceleration.
-    stated_rate_rad_s : float or None
-        Constant rate that a rate table states, with the sign of the angle.
-    """
-
-    number: int
-    id: str | None
-    down: Array | None
-    along_outer: str | None
-    rotations: tuple[tuple[Array, float], ...]
-    rest_s: tuple[float, float]
-    rate_rad_s: float
+    number: int  # position in the file, from 1; repeats have the same
+    rotations: tuple[tuple[Array, float], ...]  # unit vector in IMU axes, shape (3,), and angle, rad
+    rest_s: tuple[float, float]  # before and after the rotations; a pose and a step that continues have the second
+    rate_rad_s: float  # peak of the rotations
     acceleration_rad_s2: float
-    turn_s: float | None = None
-    stated_rate_rad_s: float | None = None
+    id: str | None = None  # sequence of Table 1
+    down: Array | None = None  # vertical in the pose that the unit is placed in, IMU axes, shape (3,); None: continues
+    along_outer: str | None = None  # IMU axis along the outer axis of a fixture, as "y" or "-x"
+    turn_s: float | None = None  # duration of all rotations, with smooth ends, in place of rate and acceleration
+    stated_rate_rad_s: float | None = None  # constant rate that a rate table states, with the sign of the angle
 
     @property
     def pose(self) -> bool:
@@ -126,25 +103,13 @@ class Step:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Protocol:
-    """Poses and turns of a test.
+    """Poses and turns of a test."""
 
-    Attributes
-    ----------
-    name : str
-        Name of a shipped protocol, or path of a file.
-    steps : tuple of Step
-        Repeats written out.
-    place_s : float
-        Time to place the unit in a pose, s.
-    rate_sigma : float or None
-        1-sigma relative error of the stated rates.
-    """
-
-    name: str
+    name: str  # of a shipped protocol, or path of a file
     description: str
-    steps: tuple[Step, ...]
-    place_s: float
-    rate_sigma: float | None = None
+    steps: tuple[Step, ...]  # repeats written out
+    place_s: float  # time to place the unit in a pose
+    rate_sigma: float | None = None  # 1-sigma relative error of the stated rates
 
     @property
     def total_s(self) -> float:
@@ -159,13 +124,7 @@ class Protocol:
         return placed * self.place_s + sum(sum(s.durations_s()) for s in self.steps)
 
     def lasting(self, total_s: float) -> Protocol:
-        """Protocol with all rests scaled so that the test lasts this long.
-
-        Raises
-        ------
-        InputError
-            If the turns alone last longer.
-        """
+        """Protocol with all rests scaled to this duration of the test. Raises InputError if the turns last longer."""
         left = total_s - self._others_s()
         if left <= 0.0:
             raise InputError(
@@ -182,22 +141,17 @@ class Protocol:
         """True if every placing states the IMU axis along the outer axis, so that attitudes on a fixture are known."""
         return all(step.along_outer is not None for step in self.steps if step.down is not None)
 
-    def on_fixture(self) -> tuple[tuple[str, str, tuple[tuple[str, float], ...]], ...]:
+    def on_fixture(self) -> tuple[_Executed, ...]:
         """Steps as a two-axis fixture executes them: IMU axes down and along the outer axis, and rotations (rad).
 
         Where a placing does not state the axis along the outer axis, it is one with which the fixture can execute the
-        steps up to the next placing.
-
-        Raises
-        ------
-        InputError
-            A step that the fixture cannot execute: which, and why.
+        steps up to the next placing. Raises InputError: which step the fixture cannot execute, and why.
         """
         placings = [number for number, step in enumerate(self.steps) if step.down is not None]
         chains = [self.steps[first:last] for first, last in pairwise([*placings, len(self.steps)])]
         return tuple(executed for chain in chains for executed in self._chain_on_fixture(chain))
 
-    def _chain_on_fixture(self, chain: tuple[Step, ...]) -> list[tuple[str, str, tuple[tuple[str, float], ...]]]:
+    def _chain_on_fixture(self, chain: tuple[Step, ...]) -> list[_Executed]:
         """Steps from a placing to the last one before the next."""
         placed, refused = chain[0], None
         down = None if placed.down is None else _axis_name(placed.down)
@@ -212,9 +166,7 @@ class Protocol:
         assert refused is not None
         raise refused
 
-    def _executed(
-        self, chain: tuple[Step, ...], down: str, outer: str
-    ) -> list[tuple[str, str, tuple[tuple[str, float], ...]]]:
+    def _executed(self, chain: tuple[Step, ...], down: str, outer: str) -> list[_Executed]:
         """Steps of a chain from the attitude with one IMU axis down, and another along the outer axis."""
         if outer[-1] in (down[-1], "z"):
             raise self._impossible(
@@ -253,9 +205,8 @@ class Protocol:
 def _axis_name(vector: Array) -> str | None:
     """Signed IMU axis along a unit vector, None if it lies between axes."""
     i = int(np.argmax(np.abs(vector)))
-    if abs(abs(float(vector[i])) - 1.0) > _ALONG:
-        return None
-    return ("-" if vector[i] < 0.0 else "") + AXES[i]
+    name = ("-" if vector[i] < 0.0 else "") + AXES[i]
+    return None if abs(abs(float(vector[i])) - 1.0) > _ALONG else name
 
 
 def _direction(vector: Array | None) -> str:
@@ -268,12 +219,11 @@ def _unit_vector(value: Any) -> Array:
     """IMU direction from a signed axis or three numbers; ValueError for anything else."""
     if isinstance(value, str) and value in SIGNED_AXES:
         return np.asarray(axis_vector(value))
-    if isinstance(value, list) and len(value) == 3 and all(isinstance(v, int | float) for v in value):
-        vector = np.array(value, dtype=np.float64)
-        size = float(np.linalg.norm(vector))
-        if math.isfinite(size) and size > 0.0:
-            return np.asarray(vector / size)
-    raise ValueError
+    vector = np.array(finite_numbers(value, 3))
+    size = float(np.linalg.norm(vector))
+    if not (math.isfinite(size) and size > 0.0):
+        raise ValueError
+    return np.asarray(vector / size)
 
 
 def _read_rotations(value: Any) -> tuple[tuple[Array, float], ...]:
@@ -281,20 +231,16 @@ def _read_rotations(value: Any) -> tuple[tuple[Array, float], ...]:
         raise ValueError
     out = []
     for item in value:
-        if not isinstance(item, list) or len(item) != 2 or isinstance(item[1], bool):
+        if not isinstance(item, list) or len(item) != 2:
             raise ValueError
-        angle = float(item[1])
-        if not math.isfinite(angle) or angle == 0.0:
-            raise ValueError
+        (angle,) = finite_numbers(item[1:], 1, bool)
         out.append((_unit_vector(item[0]), angle * DEG))
     return tuple(out)
 
 
 def _read_rests(value: Any) -> tuple[float, float]:
-    pair = value if isinstance(value, list) else [value, value]
-    if len(pair) != 2 or not all(isinstance(v, int | float) and not isinstance(v, bool) and v > 0.0 for v in pair):
-        raise ValueError
-    return float(pair[0]), float(pair[1])
+    before, after = finite_numbers(value if isinstance(value, list) else [value] * 2, 2, lambda v: v > 0.0)
+    return before, after
 
 
 def _read_repeat(value: Any) -> int:
@@ -303,8 +249,7 @@ def _read_repeat(value: Any) -> int:
     return value
 
 
-_LARGEST_ACCELERATION_DEG_S2: Final = 1e9
-"""Bound of accelerations, °/s²: the largest rate within a millisecond."""
+_LARGEST_ACCELERATION_DEG_S2: Final = 1e9  # bound of accelerations, °/s²: the largest rate within a millisecond
 _RATE: Final = number("rate_deg_s", "deg/s", "rate_rad_s", factor=DEG, above=0.0, high=LARGEST_RATE_DEG_S)
 _RESTS: Final = Key("rest_s", "a positive number of seconds, or a pair [before, after]", _read_rests, "rest_s")
 PROTOCOL_KEYS: Final = (
@@ -355,19 +300,9 @@ def protocol_names() -> tuple[str, ...]:
 
 
 def load_protocol(name_or_path: str | Path, *, near: Path | None = None) -> Protocol:
-    """Read a protocol by its name among the shipped ones, or by the path of a TOML file.
+    """Read a protocol by its name among the shipped ones, or by the path of a TOML file, which ends in ".toml".
 
-    Parameters
-    ----------
-    name_or_path : str or Path
-        Anything that ends in ".toml" is a path.
-    near : Path, optional
-        Folder that a relative path starts from; default the working directory.
-
-    Raises
-    ------
-    InputError
-        In one sentence: what was found, where, what was expected, and what to do.
+    A relative path starts from ``near``, by default the working directory. Raises InputError.
     """
     name = str(name_or_path)
     path = Path(name) if near is None else near / name
@@ -387,13 +322,13 @@ def load_protocol(name_or_path: str | Path, *, near: Path | None = None) -> Prot
 def protocol_from_dict(document: dict[str, Any], *, name: str) -> Protocol:
     """Build a protocol from tables as TOML gives them; see :func:`load_protocol`."""
     main = {key: value for key, value in document.items() if key != "step"}
-    common = _DEFAULTS | fields_of(read_section(name, "the top level", main, PROTOCOL_KEYS), PROTOCOL_KEYS)
+    common = _DEFAULTS | read_fields(name, "the top level", main, PROTOCOL_KEYS)
     tables = document.get("step")
     if not isinstance(tables, list) or not tables:
         raise InputError(f"{name}: there is no step: add each as [[step]], in double brackets.")
     steps: list[Step] = []
     for count, table in enumerate(tables, start=1):
-        given = fields_of(read_section(name, f"step[{count}]", table, STEP_KEYS), STEP_KEYS)
+        given = read_fields(name, f"step[{count}]", table, STEP_KEYS)
         repeat = given.pop("repeat", 1)
         step = _step(name, count, given, common)
         if not steps and step.down is None:
@@ -437,18 +372,8 @@ def _step(name: str, count: int, given: dict[str, Any], common: dict[str, Any]) 
         )
     if "turn_s" in given and "rate_rad_s" in given:
         raise InputError(f"{where}: give either turn_s or rate_deg_s.")
-    step = Step(
-        number=count,
-        id=given.get("id"),
-        down=given.get("down"),
-        along_outer=given.get("along_outer"),
-        rotations=rotations,
-        rest_s=given.get("rest_s", common["rest_s"]),
-        rate_rad_s=given.get("rate_rad_s", common["rate_rad_s"]),
-        acceleration_rad_s2=common["acceleration_rad_s2"],
-        turn_s=given.get("turn_s"),
-        stated_rate_rad_s=given.get("stated_rate_rad_s"),
-    )
+    usual = {key: common[key] for key in ("rest_s", "rate_rad_s", "acceleration_rad_s2")}
+    step = Step(count, **({"rotations": (), **usual} | given))
     if stated is not None and sum(step.durations_s()) < 3.0 * stated / step.acceleration_rad_s2:
         raise InputError(
             f"{where}: the stated rate {stated / DEG:g}°/s lasts less than a third of the rotation: turn by a larger "

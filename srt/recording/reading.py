@@ -119,21 +119,7 @@ def read_log(
     format: str = AUTO,  # noqa: A002
     like: str | os.PathLike[str] | Recording | None = None,
 ) -> tuple[Recording, ImportedSamples, Importer]:
-    """Read a log in another format.
-
-    Raises InputError.
-
-    Parameters
-    ----------
-    given : mapping
-        As the keywords of :func:`read`, without None.
-
-    Returns
-    -------
-    recording : Recording
-    imported : ImportedSamples
-    importer : Importer
-    """
+    """Read a log in another format, with keywords of :func:`read` that are not None. Raises InputError."""
     options = import_options(given)
     try:
         about = surroundings(given, like)
@@ -167,17 +153,9 @@ def import_options(given: Mapping[str, Any]) -> ImportOptions:
 
 
 def surroundings(given: Mapping[str, Any], like: str | os.PathLike[str] | Recording | None = None) -> dict[str, Any]:
-    """Fields site, fixture, noise and sequences, as stated and of another recording.
+    """Fields site, fixture, noise and sequences, as stated by keywords of :func:`read`, else as in another recording.
 
-    Parameters
-    ----------
-    given : mapping
-        As the keywords of :func:`read`; they override the other recording.
-
-    Raises
-    ------
-    InputError
-        Gravity is not given, a wrong value, or a file that cannot be read.
+    Raises InputError: gravity is not given, a wrong value, or a file that cannot be read.
     """
     if isinstance(like, Recording):
         document = sections_of(like)
@@ -203,10 +181,7 @@ def restated(
 ) -> Recording:
     """Recording with another site, fixture, noise or identification, as stated.
 
-    Raises
-    ------
-    InputError
-        A keyword on the samples, which a recording states itself.
+    Raises InputError for a keyword on the samples, which a recording states itself.
     """
     samples = sorted(set(given) & {*SAMPLES_KEYS, "temperature_c"} - {"sample_rate_hz"})
     if samples:

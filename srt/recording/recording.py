@@ -17,9 +17,8 @@ import numpy as np
 
 from srt.arguments import require_type
 from srt.exceptions import InputError
-from srt.model.table1 import AXES
 from srt.presentation import Presented
-from srt.recording.sample_checks import as_samples, require_finite, require_increasing
+from srt.recording.sample_checks import as_samples, place_of, require_finite, require_increasing
 from srt.recording.schema import FIXTURE_KEYS, IMU_KEYS, RECORDING_KEYS, SITE_KEYS, check_fields
 from srt.recording.sequence_label import SequenceLabel
 from srt.recording.timing import SampleTiming, sample_timing
@@ -52,13 +51,11 @@ Rotary tables on air bearings, the best, are specified to less than one second o
 more. A navigation-grade unit would gain little with one second, and zero would be wrong (docs/design/joint.md).
 """
 
-_WINDOWS: Final = "windows of the labels"
-"""Name of their indices among the derived values."""
+_WINDOWS: Final = "windows of the labels"  # name of their indices among the derived values
 WINDOW_TOLERANCE: Final = 1e-6
 """Tolerance of window limits for the rounding of stamps, in intervals."""
 
-_NUMBERS = frozenset({"sample_rate_hz", "clock_sigma_ppm"})
-"""Keys of [recording] whose fields are numbers."""
+_NUMBERS = frozenset({"sample_rate_hz", "clock_sigma_ppm"})  # keys of [recording] whose fields are numbers
 
 
 @dataclass(frozen=True, slots=True)
@@ -307,12 +304,7 @@ class Recording(Presented):
     def memo(self, key: Hashable, make: Callable[[], Derived]) -> Derived:
         """Derived value of this recording, computed once and shared by diagnosis and estimators.
 
-        Parameters
-        ----------
-        key : hashable
-            Name of the value, with all options that it depends on.
-        make : callable
-            Function without arguments that computes the value; its exceptions are not stored.
+        ``key`` names the value, with all options that it depends on; exceptions of ``make`` are not stored.
         """
         if key not in self._memo:
             self._memo[key] = make()
@@ -348,19 +340,9 @@ class Recording(Presented):
         return self.timing.gaps
 
     def window_indices(self, a: float, b: float) -> slice:
-        """Indices of the samples of the window [a, b], those with a + dt/2 < t <= b + dt/2.
+        """Samples of the window [a, b], s: those with a + dt/2 < t <= b + dt/2; an empty slice if there are none.
 
         Adjacent windows have no sample in common and none between them, whatever the rounding of stamps and limits.
-
-        Parameters
-        ----------
-        a, b : float
-            Limits, s.
-
-        Returns
-        -------
-        slice
-            Slice of the samples; empty if there are none.
         """
         of_labels: dict[tuple[float, float], slice] = self.memo(_WINDOWS, dict)
         return of_labels.get((a, b)) or self._windows([(a, b)])[0]
@@ -378,18 +360,8 @@ class Recording(Presented):
 def by_length(values: Array, windows: Indices) -> Iterator[tuple[Indices, Array]]:
     """Samples of windows, those of one length together.
 
-    Parameters
-    ----------
-    values : ndarray, shape (n, ...)
-    windows : ndarray of int, shape (W, 2)
-        First sample and one past the last.
-
-    Yields
-    ------
-    which : ndarray of int, shape (w,)
-        Numbers of the windows.
-    ndarray, shape (w, samples, ...)
-        Their samples.
+    ``windows``, shape (W, 2), are the first samples and those one past the last. Yields the numbers of the windows,
+    shape (w,), and their samples, shape (w, samples, ...).
     """
     lengths = windows[:, 1] - windows[:, 0]
     for n in np.unique(lengths).tolist():
@@ -406,10 +378,8 @@ def require_bounded(recording: Recording) -> None:
         values = getattr(recording, name)
         if values is None or max(values.max(), -values.min()) < LARGEST_VALUE:
             continue
-        row, column = divmod(int(np.flatnonzero(np.abs(values) >= LARGEST_VALUE)[0]), values.size // len(values))
-        full_name = f"{name}_{AXES[column]}" if values.ndim == 2 else name
-        value = values.flat[row * values[0].size + column]
+        index = int(np.flatnonzero(np.abs(values) >= LARGEST_VALUE)[0])
         raise InputError(
-            f"Column {full_name}: sample {row + 1} of {len(values)} is {value:.3g} in SI units, but every value must "
-            f"be smaller than {LARGEST_VALUE:.0e}: correct the unit, or repair or remove the sample."
+            f"{place_of(name, values, index)[0]} is {values.flat[index]:.3g} in SI units, but every value must be "
+            f"smaller than {LARGEST_VALUE:.0e}: correct the unit, or repair or remove the sample."
         )

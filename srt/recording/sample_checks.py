@@ -16,25 +16,10 @@ if TYPE_CHECKING:
 
 
 def as_samples(name: str, given: object, dimensions: int) -> Array:
-    """Read-only contiguous float64 view, copied only if needed.
+    """Read-only contiguous float64 view, copied only if needed, shape (n,) or (n, 3) by the number of dimensions.
 
-    Parameters
-    ----------
-    name : str
-        Name in messages.
-    given : array_like, shape (n,) or (n, 3)
-    dimensions : int
-        1 or 2.
-
-    Returns
-    -------
-    ndarray, shape (n,) or (n, 3)
-        A value broadcast to n samples remains one value in memory.
-
-    Raises
-    ------
-    InputError
-        If it has another shape, masked values, or does not consist of real numbers.
+    A value broadcast to n samples remains one value in memory. Raises InputError for another shape, masked values, or
+    what does not consist of real numbers; it names the array.
     """
     values = np.asarray(real_array(name, given), dtype=np.float64)
     if values.ndim != dimensions or (dimensions == 2 and values.shape[1] != 3):
@@ -57,15 +42,21 @@ def require_finite(name: str, values: Array, time: Array | None) -> None:
     bad = np.flatnonzero(~np.isfinite(values))
     if bad.size == 0:
         return
-    row, column = divmod(int(bad[0]), values.size // len(values))
-    full_name = f"{name}_{AXES[column]}" if values.ndim == 2 else name
+    where, row = place_of(name, values, int(bad[0]))
     when = "" if time is None else f", at {time[row]:.9g} s,"
     raise InputError(
-        f"Column {full_name}: sample {row + 1} of {len(values)}{when} is {values.flat[bad[0]]} "
+        f"{where}{when} is {values.flat[bad[0]]} "
         f"({bad.size} such in this sensor), but every reading must be a finite number: "
         "repair or remove the sample.",
         fault="not_finite",
     )
+
+
+def place_of(name: str, values: Array, index: int) -> tuple[str, int]:
+    """Column and sample of a value by its flat index, as the start of a sentence, and the row."""
+    row, column = divmod(index, values.size // len(values))
+    full_name = f"{name}_{AXES[column]}" if values.ndim == 2 else name
+    return f"Column {full_name}: sample {row + 1} of {len(values)}", row
 
 
 def require_increasing(time: Array) -> None:

@@ -37,19 +37,11 @@ TEMPERATURE: Final = "temperature"
 
 @dataclass(slots=True)
 class Samples:
-    """Samples in the units of their file; their values are not yet checked.
+    """Samples in the units of their file; their values are not yet checked."""
 
-    Attributes
-    ----------
-    gyro, accel : ndarray, shape (n, 3)
-    time : ndarray, shape (n,), or None
-        None: the file has no time column.
-    temperature : ndarray, shape (n,), or None
-    """
-
-    gyro: Array
+    gyro: Array  # shape (n, 3)
     accel: Array
-    time: Array | None = None
+    time: Array | None = None  # shape (n,); None: the file has no time column
     temperature: Array | None = None
 
     @classmethod
@@ -81,22 +73,10 @@ class Samples:
 
 
 def read_samples(path: str | Path, *, time_required: bool = True) -> Samples:
-    """Read a samples file; its extension gives the format.
+    """Read a samples file: .csv, .npz, .parquet or .h5.
 
-    Parameters
-    ----------
-    path : path-like
-        A .csv, .npz, .parquet or .h5 file.
-    time_required : bool
-        Refuse a table without a time column.
-
-    Raises
-    ------
-    InputError
-        A file that is absent, of an unknown kind, damaged, without a column, or with cells that are not
-        numbers.
-    MissingExtraError
-        If the format needs a package that is not installed.
+    ``time_required`` refuses a table without a time column. Raises InputError for a file that is absent, of an unknown
+    kind, damaged, without a column, or with cells that are not numbers; MissingExtraError.
     """
     path = Path(path)
     reader = _format(path)[0]
@@ -111,19 +91,9 @@ def read_samples(path: str | Path, *, time_required: bool = True) -> Samples:
 
 
 def write_samples(path: str | Path, samples: Samples) -> None:
-    """Write a samples file completely or not at all; reading returns the same bits.
+    """Write a samples file (.csv, .npz, .parquet, .h5) completely or not at all; reading returns the same bits.
 
-    Parameters
-    ----------
-    path : path-like
-        A .csv, .npz, .parquet or .h5 file; an existing file is replaced.
-
-    Raises
-    ------
-    InputError
-        An unknown extension, or a path that cannot be written.
-    MissingExtraError
-        If the format needs a package that is not installed.
+    Raises InputError for an unknown extension, or a path that cannot be written; MissingExtraError.
     """
     path = Path(path)
     writer = _format(path)[1]
@@ -132,18 +102,7 @@ def write_samples(path: str | Path, samples: Samples) -> None:
 
 
 def select_columns(path: Path, available: Sequence[str], *, time_required: bool) -> tuple[str, ...]:
-    """Columns to read, out of those that a file has.
-
-    Parameters
-    ----------
-    path : Path
-        Named in messages.
-
-    Raises
-    ------
-    InputError
-        If a column is missing or present twice.
-    """
+    """Columns to read, out of those that a file has. Raises InputError if one is missing or present twice."""
     required = ((TIME,) if time_required else ()) + GYRO_COLUMNS + ACCEL_COLUMNS
     missing = [name for name in required if name not in available]
     if missing:
@@ -221,8 +180,7 @@ def _csv_layout(path: Path) -> TableLayout:
 
 
 def _write_csv(path: Path, samples: Samples) -> None:
-    names = samples.names
-    write_csv(path, names, [samples.column(name) for name in names])
+    write_csv(path, samples.names, [samples.column(name) for name in samples.names])
 
 
 def _fill(path: Path, names: Sequence[str], read: Callable[[str], NDArray[Any]]) -> Samples:

@@ -23,8 +23,7 @@ INFINITY: Final = math.inf
 
 LARGEST_RATE_DEG_S: Final = 1e6
 """Bound of rates, °/s: gyros of spinning projectiles read 1e5."""
-_LARGEST_ANGLE_DEG: Final = 3.6e5
-"""Bound of one rotation, degrees: a thousand revolutions."""
+_LARGEST_ANGLE_DEG: Final = 3.6e5  # bound of one rotation, degrees: a thousand revolutions
 LARGEST_SIGMA_MRAD: Final = 3200.0
 """Bound of the sigma of an angle, mrad: half a revolution, beyond which nothing is said of the direction."""
 LARGEST_ELEMENT: Final = 1e6
@@ -37,31 +36,23 @@ LARGEST_TIME_S: Final = 1e5
 
 @dataclass(frozen=True, slots=True)
 class Key:
-    """One key of a section.
-
-    Attributes
-    ----------
-    name : str
-        Name in the file.
-    expected : str
-        Expected value in words, for messages.
-    read : callable
-        Conversion of a TOML value to SI; raises ValueError for an unexpected value.
-    attribute : str or None
-        Field of the dataclass of the section; None: for the reader only.
-    factor : float
-        SI units per unit of the file; the writer divides by it.
-    """
+    """One key of a section."""
 
     name: str
-    expected: str
-    read: Callable[[Any], Any]
-    attribute: str | None = None
-    factor: float = 1.0
+    expected: str  # value in words, for messages
+    read: Callable[[Any], Any]  # conversion of a TOML value to SI; raises ValueError for an unexpected one
+    attribute: str | None = None  # field of the dataclass of the section; None: for the reader only
+    factor: float = 1.0  # SI units per unit of the file; the writer divides by it
 
 
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+def finite_numbers(value: Any, count: int, allowed: Callable[[float], bool] = lambda _: True) -> tuple[float, ...]:
+    """Floats of a list of ``count`` finite, allowed numbers. Raises ValueError for anything else."""
+    if not isinstance(value, list) or len(value) != count:
+        raise ValueError
+    for each in value:
+        if not isinstance(each, int | float) or isinstance(each, bool) or not math.isfinite(each) or not allowed(each):
+            raise ValueError
+    return tuple(map(float, value))
 
 
 def number(
@@ -77,10 +68,7 @@ def number(
     """Key of a finite number within [low, high] and greater than ``above``, in units of the file."""
 
     def read(value: Any) -> float:
-        if not _is_number(value) or not low <= value <= high or not value > above:
-            raise ValueError
-        # The conversion also turns integers into floats.
-        return float(value) * factor
+        return finite_numbers([value], 1, lambda v: low <= v <= high and v > above)[0] * factor
 
     limits = f"a positive number of at most {high:g}" if above == 0.0 else f"a number from {low:g} to {high:g}"
     return Key(name, f"{limits} in {unit}", read, attribute, factor)
@@ -104,10 +92,8 @@ def one_or_three(name: str, unit: str, *, zero: bool, high: float) -> Key:
     """Key of a number, or a list of three for x, y, z, of magnitudes up to ``high``; read as a tuple of three."""
 
     def read(value: Any) -> tuple[float, ...]:
-        numbers = value if isinstance(value, list) else [value] * 3
-        if len(numbers) != 3 or not all(_is_number(v) and abs(v) <= high and (zero or v != 0) for v in numbers):
-            raise ValueError
-        return tuple(float(v) for v in numbers)
+        three = value if isinstance(value, list) else [value] * 3
+        return finite_numbers(three, 3, lambda v: abs(v) <= high and (zero or v != 0))
 
     limits = f"a number {'' if zero else 'other than 0 '}or a list of three"
     return Key(name, f"{limits}, of magnitudes up to {high:g}, in {unit}", read)
@@ -128,35 +114,20 @@ def numbers(name: str, unit: str, attribute: str, count: int) -> Key:
     """Key of a list of finite numbers, matrices by rows."""
 
     def read(value: Any) -> tuple[float, ...]:
-        if not isinstance(value, list) or len(value) != count:
-            raise ValueError
-        if not all(_is_number(v) and abs(v) <= LARGEST_ELEMENT for v in value):
-            raise ValueError
-        return tuple(map(float, value))
+        return finite_numbers(value, count, lambda v: abs(v) <= LARGEST_ELEMENT)
 
     return Key(name, f"a list of {count} numbers of magnitudes up to {LARGEST_ELEMENT:g}, {unit},", read, attribute)
 
 
 def _window(name: str) -> Key:
-    def read(value: Any) -> tuple[float, float]:
-        if not isinstance(value, list) or len(value) != 2 or not all(_is_number(v) for v in value):
-            raise ValueError
-        return float(value[0]), float(value[1])
-
-    return Key(name, "a window [from, to] in s", read, name)
+    return Key(name, "a window [from, to] in s", lambda value: finite_numbers(value, 2), name)
 
 
 def _about_axis(value: Any, largest: float) -> tuple[str, float]:
     """Axis, and angle or rate about it: rad and rad/s from degrees up to ``largest``."""
     if not (isinstance(value, list) and len(value) == 2 and value[0] in ("x", "y", "z")):
         raise ValueError
-    if not _is_number(value[1]) or abs(value[1]) > largest:
-        raise ValueError
-    return value[0], float(value[1]) * DEG
-
-
-def _read_rate(value: Any) -> tuple[str, float]:
-    return _about_axis(value, LARGEST_RATE_DEG_S)
+    return value[0], finite_numbers(value[1:], 1, lambda v: abs(v) <= largest)[0] * DEG
 
 
 def _read_rotations(value: Any) -> tuple[tuple[str, float], ...]:
@@ -251,7 +222,13 @@ SEQUENCE_KEYS: Final = (
     text("down", "down", SIGNED_AXES),
     text("along_outer", "along_outer", SIGNED_AXES),
     Key("rotations", 'a list like [["y", 180.0], ["z", 90.0]] in degrees', _read_rotations, "rotations", DEG),
-    Key("rate_deg_s", 'an axis and a rate like ["z", -100.0] in deg/s', _read_rate, "rate", DEG),
+    Key(
+        "rate_deg_s",
+        'an axis and a rate like ["z", -100.0] in deg/s',
+        lambda value: _about_axis(value, LARGEST_RATE_DEG_S),
+        "rate",
+        DEG,
+    ),
     number("rate_sigma_ppm", "ppm", "rate_sigma", factor=1e-6, above=0.0, high=LARGEST_PPM),
     _window("steady_s"),
 )
@@ -275,24 +252,9 @@ SECTIONS: Final = {
 
 
 def read_section(file: str, section: str, values: object, keys: tuple[Key, ...]) -> dict[str, Any]:
-    """Check one section against its keys and convert it to SI.
+    """Check one section of a file against its keys: values in SI by key, without the keys that are absent.
 
-    Parameters
-    ----------
-    file, section : str
-        Named in messages.
-    values : object
-        Value of the section in TOML.
-
-    Returns
-    -------
-    dict
-        Values in SI by key; without the keys that are absent.
-
-    Raises
-    ------
-    InputError
-        Unknown keys, wrong types, values out of range.
+    Raises InputError for unknown keys, wrong types, values out of range.
     """
     if not isinstance(values, dict):
         raise InputError(f"{file}: {section} is {_shown(values)}, but a section of keys is expected.")
@@ -313,20 +275,20 @@ def read_section(file: str, section: str, values: object, keys: tuple[Key, ...])
     return result
 
 
+def read_fields(file: str, section: str, values: object, keys: tuple[Key, ...] | None = None) -> dict[str, Any]:
+    """Values of a section, in SI, by field of its dataclass; checked as :func:`read_section` does.
+
+    The keys are those of the section, unless given.
+    """
+    keys = SECTIONS[section] if keys is None else keys
+    return fields_of(read_section(file, section, values, keys), keys)
+
+
 def check_fields(what: str, source: object, keys: Iterable[Key]) -> None:
-    """Check the numbers of a dataclass against the ranges of their keys.
+    """Check the numbers of a Site, Fixture, ImuNoise or Recording, as far as stated, against the ranges of their keys.
 
-    Parameters
-    ----------
-    what : str
-        Owner of the fields, as the start of a sentence: "The unit's".
-    source : object
-        Site, Fixture, ImuNoise or Recording; fields that are None are not checked.
-
-    Raises
-    ------
-    InputError
-        A field that is no number, or out of range.
+    ``what`` is the owner of the fields, as the start of a sentence: "The unit's". Raises InputError for a field that is
+    no number, or out of range.
     """
     for key in keys:
         value = None if key.attribute is None else getattr(source, key.attribute)
@@ -349,13 +311,7 @@ def fields_of(section: Mapping[str, Any], keys: tuple[Key, ...]) -> dict[str, An
 
 
 def section_of(source: object, keys: Iterable[Key]) -> dict[str, Any]:
-    """Fields of a dataclass that are neither None nor empty, by key, in the units of the file.
-
-    Parameters
-    ----------
-    source : object
-        Site, Fixture, ImuNoise, SequenceLabel or Recording.
-    """
+    """Fields of a dataclass that are neither None nor empty, by key, in the units of the file."""
     values = {key: getattr(source, key.attribute) for key in keys if key.attribute is not None}
     return {key.name: _in_file(value, key.factor) for key, value in values.items() if value not in (None, ())}
 

@@ -20,7 +20,7 @@ from srt.exceptions import InputError, MissingExtraError
 from srt.recording.file_guards import load_pyarrow
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -30,11 +30,8 @@ if TYPE_CHECKING:
 _PYARROW_BYTES = 4 << 20
 """File size from which pyarrow reads, bytes: numpy takes 16 to 26 ms for 1 MB, pyarrow 4 to 6 and 27 for its import."""
 
-_ROWS_PER_WRITE = 4096
-"""Rows that one formatting call writes: their text fits into a processor's cache."""
-
-_TAIL_BYTES = 1 << 16
-"""Bytes at the end whose rows are compared with the last one: some hundred rows."""
+_ROWS_PER_WRITE = 4096  # rows that one formatting call writes: their text fits into a processor's cache
+_TAIL_BYTES = 1 << 16  # bytes at the end whose rows are compared with the last one: some hundred rows
 
 _INTEGER = re.compile(r"[+-]?\d{1,19}")
 
@@ -48,31 +45,15 @@ _EPOCH = datetime.datetime(1970, 1, 1, tzinfo=datetime.UTC)
 
 @dataclass(frozen=True, slots=True)
 class TableLayout:
-    """Layout of a text table.
+    """Layout of a text table."""
 
-    Attributes
-    ----------
-    delimiter : str or None
-        None: any run of blanks.
-    header : tuple of str
-        Names of the columns; empty without a header.
-    first_row : int
-        Lines before the first row of numbers.
-    cells : tuple of str
-        Cells of that row; of a samples file, those of the header.
-    comment : str
-        The mark of lines that are not read.
-    own : bool
-        True for the samples file of a recording: UTF-8, columns known by name, no rows of empty cells at its end.
-    """
-
-    delimiter: str | None
+    delimiter: str | None  # None: any run of blanks
     decimal_comma: bool
-    header: tuple[str, ...]
-    first_row: int
-    cells: tuple[str, ...]
-    comment: str
-    own: bool = False
+    header: tuple[str, ...]  # names of the columns; empty without a header
+    first_row: int  # lines before the first row of numbers
+    cells: tuple[str, ...]  # of that row; of a samples file, those of the header
+    comment: str  # mark of lines that are not read
+    own: bool = False  # samples file: UTF-8, columns known by name, no rows of empty cells at its end
 
     @property
     def encoding(self) -> str:
@@ -104,12 +85,8 @@ def read_table(
     dict of str to ndarray, shape (n,)
         Dates are in UTC, of type ``datetime64[ns]``; without a time zone they are taken as UTC.
 
-    Raises
-    ------
-    InputError
-        Cells that are no numbers, rows of unequal length, a file that is cut off; the line is named.
-    UnicodeDecodeError, csv.Error
-        A samples file that is not UTF-8, or has a cell of more than 131072 characters.
+    Raises InputError for cells that are no numbers, rows of unequal length, a file that is cut off; the line is named.
+    Of a samples file, UnicodeDecodeError if it is not UTF-8, and csv.Error for a cell of more than 131072 characters.
     """
     empty = b"" if layout.own else _empty_rows(path, layout)
     if not empty:
@@ -154,17 +131,17 @@ def write_csv(path: Path, names: Sequence[str], columns: Sequence[Array]) -> Non
 
 def is_number(cell: str) -> bool:
     """True for a cell that holds a number; Python's 1_000 is none."""
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return "_" not in cell
+    return "_" not in cell and _is_read(float, cell)
 
 
 def is_date(cell: str) -> bool:
     """True for a cell that holds a date and time by ISO 8601."""
+    return _is_read(_nanoseconds, cell)
+
+
+def _is_read(read: Callable[[str], float], cell: str) -> bool:
     try:
-        _nanoseconds(cell)
+        read(cell)
     except ValueError:
         return False
     return True
@@ -225,34 +202,27 @@ def _load(
 def _read_with_pyarrow(
     path: Path, layout: TableLayout, columns: Mapping[str, int], types: Mapping[str, Any]
 ) -> dict[str, NDArray[Any]] | None:
-    """Columns by pyarrow's reader, three times faster than numpy's.
+    """Columns by pyarrow's reader, three times faster than numpy's; both round correctly, so the values are equal.
 
     None for small files, if pyarrow is not installed or lacks memory, and for files that it would read otherwise or not
-    at all: numpy's reader then gives the values or the reason. Both round numbers correctly, so the values are equal.
+    at all: numpy's reader then gives the values or the reason.
     """
-    if layout.delimiter is None or layout.decimal_comma:
+    if layout.delimiter is None or layout.decimal_comma or path.stat().st_size < _PYARROW_BYTES:
         return None
-    if path.stat().st_size < _PYARROW_BYTES or not _is_plain(path, layout):
+    if not _is_plain(path, layout):
         return None
     try:
         pa, arrow_csv = load_pyarrow("csv", "A CSV file")
     except (MissingExtraError, MemoryError):
         return None
     # Numbered names, because a file may have several unused columns of one name.
-    wanted = {str(i): types[name] for name, i in columns.items()}
+    numbered = [str(i) for i in range(len(layout.cells))]
+    wanted = {str(i): pa.from_numpy_dtype(types[name]) for name, i in columns.items()}
+    reading = arrow_csv.ReadOptions(skip_rows=layout.first_row, column_names=numbered)
+    parsing = arrow_csv.ParseOptions(delimiter=layout.delimiter, quote_char=False)
+    converting = arrow_csv.ConvertOptions(column_types=wanted, include_columns=list(wanted), null_values=[])
     try:
-        table = arrow_csv.read_csv(
-            path,
-            read_options=arrow_csv.ReadOptions(
-                skip_rows=layout.first_row, column_names=[str(i) for i in range(len(layout.cells))]
-            ),
-            parse_options=arrow_csv.ParseOptions(delimiter=layout.delimiter, quote_char=False),
-            convert_options=arrow_csv.ConvertOptions(
-                column_types={name: pa.from_numpy_dtype(kind) for name, kind in wanted.items()},
-                include_columns=list(wanted),
-                null_values=[],
-            ),
-        )
+        table = arrow_csv.read_csv(path, reading, parsing, converting)
     except pa.ArrowException:
         return None
     # Not to_numpy(), which imports pandas to ask whether it is there: 0.3 s.

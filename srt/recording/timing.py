@@ -38,37 +38,17 @@ _RATE_MISMATCH = 0.2  # relative; MEMS oscillators deviate by up to 10 %, so mor
 
 @dataclass(frozen=True, slots=True)
 class SampleTiming:
-    """Intervals and gaps of one recording.
+    """Intervals and gaps of one recording."""
 
-    Attributes
-    ----------
-    interval_s : float or ndarray, shape (n,), s
-        Duration of each sample; one number for a uniform recording.
-    nominal_interval_s : float
-        The typical interval, s.
-    gaps : ndarray of int
-        Indices of the first samples of contiguous pieces, without the first piece.
-    """
-
-    interval_s: float | Array
-    nominal_interval_s: float
-    gaps: Indices
+    interval_s: float | Array  # duration of each sample, shape (n,), s; one number for a uniform recording
+    nominal_interval_s: float  # the typical interval, s
+    gaps: Indices  # first samples of contiguous pieces, without the first piece
 
 
 def sample_timing(time: Array, sample_rate_hz: float | None = None) -> SampleTiming:
-    """Sampling intervals and gaps of a recording.
+    """Sampling intervals and gaps of strictly increasing stamps, shape (n,), s, n >= 2.
 
-    Parameters
-    ----------
-    time : ndarray, shape (n,), s
-        Strictly increasing stamps, n >= 2.
-    sample_rate_hz : float, optional
-        Sample rate that overrides the spacing of the stamps.
-
-    Raises
-    ------
-    InputError
-        If the given rate differs from that of the stamps by more than 20 %.
+    A given rate overrides the spacing of the stamps; InputError if it differs from theirs by more than 20 %.
     """
     steps = np.diff(time)
     if sample_rate_hz is not None:
@@ -96,26 +76,14 @@ def sample_timing(time: Array, sample_rate_hz: float | None = None) -> SampleTim
     coarse = _coarse_clock(time, steps)
     if coarse is not None:
         return coarse
-    interval_s = np.empty(time.size)
-    interval_s[1:] = steps
-    interval_s[0] = slope
+    interval_s = np.concatenate(([slope], steps))
     interval_s[gaps] = slope
     interval_s.flags.writeable = False
     return SampleTiming(interval_s, slope, _read_only(gaps))
 
 
 def stamp_resolution(time: Array) -> float:
-    """Coarsest decimal unit (1 s ... 1 ns) of which all stamps are multiples.
-
-    Parameters
-    ----------
-    time : ndarray, shape (n,), s
-
-    Returns
-    -------
-    float
-        Unit, s; without such a unit, the floating-point spacing of the stamps.
-    """
+    """Coarsest decimal unit (1 s ... 1 ns) of which all stamps, shape (n,), s, are multiples; else their spacing."""
     floor = float(np.spacing(max(abs(time[0]), abs(time[-1]))))
     probe = time[:: max(1, time.size // 1000)]
     for decimals in range(10):

@@ -7,7 +7,7 @@ import tomllib
 from typing import TYPE_CHECKING, Any, Final
 
 from srt.exceptions import InputError, clipped
-from srt.recording.bounded_file import read_bounded
+from srt.recording.file_guards import read_bounded
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -18,8 +18,7 @@ MAX_BYTES: Final = 16 << 20
 MAX_KEY_PARTS: Final = 32
 """Largest number of parts of a dotted key: no known key has more than two, and parsing time grows with the square."""
 
-_CLAUSE: Final = 160
-"""Characters of a reason that a sentence quotes."""
+_CLAUSE: Final = 160  # characters of a reason that a sentence quotes
 
 _PART = r"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')"""
 _LONG_KEY: Final = re.compile(rf"(?<![\w-])(?:{_PART}[ \t]*+\.[ \t]*+){{{MAX_KEY_PARTS}}}".encode())

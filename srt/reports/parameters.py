@@ -16,12 +16,9 @@ if TYPE_CHECKING:
 
 GROUP_STARTS: Final = frozenset(part.start for part in GROUP_SLICES.values())
 """Parameters that begin a group."""
-_DIGITS: Final = 7
-"""Largest number of significant digits of a value; the sigma of noise-free data would require more."""
-_DECIMALS_FIXED: Final = 2
-"""Decimals of a fixed parameter, which has no sigma."""
-_SOLVED: Final = 1e-3
-"""Fraction of sigma below which a component is solved exactly: solvers stop at 1e-2 sigma or less."""
+_DIGITS: Final = 7  # largest number of significant digits of a value; the sigma of noise-free data would require more
+_DECIMALS_FIXED: Final = 2  # decimals of a fixed parameter, which has no sigma
+_SOLVED: Final = 1e-3  # fraction of sigma below which a component is solved exactly: solvers stop at 1e-2 sigma or less
 _HEADS: Final = {
     "gyro_scale": "gyro\nscale",
     "gyro_asymmetry": "gyro\nasym.",

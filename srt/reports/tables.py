@@ -6,7 +6,7 @@ import math
 import textwrap
 from dataclasses import dataclass
 from html import escape
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from srt.exceptions import clipped
 
@@ -18,53 +18,30 @@ WIDTH: Final = 80
 """Width of all text, characters: that of the customary terminal."""
 _GAP: Final = 2
 _MOST_DECIMALS: Final = 6
-_FIXED_BELOW: Final = 1e7
-"""Value from which a number has an exponent: columns are about ten characters wide."""
+_FIXED_BELOW: Final = 1e7  # value from which a number has an exponent: columns are about ten characters wide
 _SIDES: Final = {"l": "left", "r": "right"}
-_LONGEST: Final = 400
-"""Largest number of characters of a text out of a file."""
+_LONGEST: Final = 400  # largest number of characters of a text out of a file
 
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """Cell of a table.
-
-    Attributes
-    ----------
-    value : float or None
-        Unrounded number of the text, SI, for programs that read the page.
-    mark : str
-        "passed", "failed", "changed" or "held"; the text says the same.
-    """
+    """Cell of a table."""
 
     text: str
-    value: float | None = None
-    mark: str = ""
+    value: float | None = None  # unrounded number of the text, SI, for programs that read the page
+    mark: str = ""  # "passed", "failed", "changed" or "held"; the text says the same
 
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """Table of a result; see :func:`table`.
+    """Table of a result; see :func:`table`."""
 
-    Attributes
-    ----------
-    head : tuple of str
-        Column headings; may hold line feeds.
-    rows : tuple of tuple of Cell
-    alignment : str
-        One letter per column: "l" or "r".
-    note : str
-        Legend.
-    breaks : set of int
-        Rows that begin a group.
-    """
-
-    head: tuple[str, ...]
+    head: tuple[str, ...]  # may hold line feeds
     rows: tuple[tuple[Cell, ...], ...]
-    alignment: str
+    alignment: str  # one letter per column: "l" or "r"
     title: str = ""
-    note: str = ""
-    breaks: AbstractSet[int] = frozenset()
+    note: str = ""  # legend
+    breaks: AbstractSet[int] = frozenset()  # rows that begin a group
 
     @property
     def texts(self) -> list[list[str]]:
@@ -89,18 +66,10 @@ class Table:
         return f"<table><thead><tr>{line(self.head, 'th')}</tr></thead><tbody>{body}</tbody></table>"
 
 
-def table(
-    head: Iterable[str],
-    rows: Iterable[Iterable[Cell | str]],
-    alignment: str,
-    *,
-    title: str = "",
-    note: str = "",
-    breaks: AbstractSet[int] = frozenset(),
-) -> Table:
-    """Table of cells; a text stands for a cell without a number or mark."""
+def table(head: Iterable[str], rows: Iterable[Iterable[Cell | str]], alignment: str, **others: Any) -> Table:
+    """Table of cells; a text stands for a cell without a number or mark. ``others`` are further fields."""
     cells = tuple(tuple(cell if isinstance(cell, Cell) else Cell(cell) for cell in row) for row in rows)
-    return Table(tuple(head), cells, alignment, title, note, breaks)
+    return Table(tuple(head), cells, alignment, **others)
 
 
 def plain(text: object, length: int = _LONGEST) -> str:
@@ -109,10 +78,7 @@ def plain(text: object, length: int = _LONGEST) -> str:
 
 
 def decimals_for(sigma: float) -> int:
-    """Number of decimals, 0 to 6, that shows two significant digits of a sigma.
-
-    A sigma that is not positive and finite gives as many decimals as a table has room for.
-    """
+    """Number of decimals, 0 to 6, that shows two significant digits of a sigma; 6 unless it is positive and finite."""
     if not (math.isfinite(sigma) and sigma > 0.0):
         return _MOST_DECIMALS
     return min(max(1 - math.floor(math.log10(sigma)), 0), _MOST_DECIMALS)
@@ -132,23 +98,10 @@ def fixed(value: float, decimals: int) -> str:
 
 
 def text_table(headers: Sequence[str], rows: Sequence[Sequence[str] | None], alignment: str, *, gap: int = _GAP) -> str:
-    """Text of a table.
+    """Text of a table: lines without blanks at their ends, and without a line feed at the end.
 
-    Parameters
-    ----------
-    headers : sequence of str
-        May hold line feeds; headings of fewer lines stand at the bottom.
-    rows : sequence of sequences of str, or None
-        None makes an empty line, between groups of rows.
-    alignment : str
-        One letter per column: "l" or "r".
-    gap : int
-        Blanks between columns.
-
-    Returns
-    -------
-    str
-        Lines without blanks at their ends, joined, without a line feed at the end.
+    Headings may hold line feeds; those of fewer lines stand at the bottom. A row None makes an empty line, between
+    groups. ``alignment`` has one letter per column: "l" or "r"; ``gap`` is the number of blanks between columns.
     """
     heads = [header.split("\n") for header in headers]
     height = max(len(lines) for lines in heads)
@@ -173,16 +126,8 @@ def continued_tables(
 ) -> list[str]:
     """Tables of groups of columns side by side, as many as fit; the others continue in further tables.
 
-    Parameters
-    ----------
-    first : sequence of str
-        Headings of the columns that every table begins with.
-    left : sequence of sequences of str
-        Rows of these columns.
-    groups : sequence of sequences of (str, list of str)
-        Columns that stay together, each a heading and its cells.
-    sides : str
-        Alignment of the first columns; the others are flush right.
+    ``first`` and ``left`` are headings and rows of the columns that every table begins with, ``sides`` is their
+    alignment; the others are flush right. The columns of a group, each a heading and its cells, stay together.
     """
     texts = []
     start = sum(max(map(len, cells)) + 1 for cells in zip(*left, first, strict=True))

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar
 from srt.arguments import require_path
 from srt.exceptions import InputError
 from srt.recording.atomic_file import atomic_write_text
-from srt.recording.bounded_file import read_bounded
+from srt.recording.file_guards import read_bounded
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping

@@ -6,6 +6,7 @@ the calibration and orientation that ArduPilot applied.
 
 from __future__ import annotations
 
+import re
 import struct
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
@@ -15,10 +16,9 @@ import numpy as np
 from srt.exceptions import InputError
 from srt.recording.autopilots import ARDUPILOT as PARAMETERS
 from srt.recording.file_guards import clear_errors
-from srt.recording.import_options import option
 from srt.recording.importer_registry import Importer, head
 from srt.recording.importers.child_process import in_child
-from srt.recording.importers.log_streams import Stream, choose_instance, join, require_topic, to_imported
+from srt.recording.importers.log_streams import Stream, choose_topic, join, to_imported
 from srt.recording.text_tables import is_number
 
 if TYPE_CHECKING:
@@ -36,44 +36,30 @@ MAGIC: Final = b"\xa3\x95\x80"  # the first message of a log defines the message
 GYRO_COLUMNS: Final = ("GyrX", "GyrY", "GyrZ")
 ACCEL_COLUMNS: Final = ("AccX", "AccY", "AccZ")
 
-TOPICS: Final = {
-    "IMU": (("IMU", (*GYRO_COLUMNS, *ACCEL_COLUMNS)),),
-    "GYR": (("GYR", GYRO_COLUMNS), ("ACC", ACCEL_COLUMNS)),
-}
-"""Values of the option ``topic``, and the messages and columns that each stands for, in order of preference."""
+TOPICS: Final = {"IMU": ("IMU",), "GYR": ("GYR", "ACC")}
+"""Values of the option ``topic``, and the messages that each stands for, in order of preference."""
+
+_COLUMNS: Final = {"IMU": (*GYRO_COLUMNS, *ACCEL_COLUMNS), "GYR": GYRO_COLUMNS, "ACC": ACCEL_COLUMNS}
 
 _TITLE = "ArduPilot log"
 
-_VARIANTS = ("", "1", "2", "3")
-"""Suffixes of message names: old logs state the instance there, and not in a column."""
+_VARIANTS = ("", "1", "2", "3")  # suffixes of message names: old logs state the instance there, and not in a column
 
 _STAMPS = (("SampleUS", 10**6), ("TimeUS", 10**6), ("TimeMS", 10**3))
 """Columns of time, in order of preference, and their ticks in a second."""
 
-_LATEST_STAMP = 2**62
-"""Ticks; larger stamps are damage, and their differences would overflow 64 bits."""
-
-_HEADER_BYTES = 3
-"""Two fixed bytes and the type, before the fields of a message."""
-
-_LONGEST_LINE = 1 << 16
-"""Characters of a line in a log as text; ArduPilot's have at most some hundreds."""
+_LATEST_STAMP = 2**62  # ticks; larger stamps are damage, and their differences would overflow 64 bits
+_HEADER_BYTES = 3  # two fixed bytes and the type, before the fields of a message
+_LONGEST_LINE = 1 << 16  # characters of a line in a log as text; ArduPilot's have at most some hundreds
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _LogMessages:
-    """Messages of a log that hold samples of an IMU.
-
-    Attributes
-    ----------
-    tables : dict of message name to dict of column to ndarray, shape (n,)
-    parameters : dict of str to list of float
-        Values of each parameter, in their order in the log.
-    """
+    """Messages of a log that hold samples of an IMU."""
 
     path: Path
-    tables: dict[str, dict[str, NDArray[Any]]]
-    parameters: dict[str, list[float]]
+    tables: dict[str, dict[str, NDArray[Any]]]  # columns by message, shape (n,)
+    parameters: dict[str, list[float]]  # values of each, in their order in the log
 
     def instances(self, message: str) -> dict[int, tuple[str, Mask | slice]]:
         """Name and rows of the messages of each instance."""
@@ -89,9 +75,11 @@ class _LogMessages:
                 found.setdefault(max(int(variant or 1) - 1, 0), (message + variant, slice(None)))
         return dict(sorted(found.items()))
 
-    def stream(self, message: str, instance: int, columns: tuple[str, ...]) -> Stream:
-        """One instance's samples."""
-        name, rows = self.instances(message)[instance]
+    def stream(self, message: str, instance: int) -> Stream:
+        """Samples of an instance, or of the first one if a message lacks it."""
+        there, columns = self.instances(message), _COLUMNS[message]
+        instance = instance if instance in there else next(iter(there))
+        name, rows = there[instance]
         table = self.tables[name]
         missing = next((column for column in columns if column not in table), None)
         if missing is not None:
@@ -109,25 +97,14 @@ class _LogMessages:
 
 def read_log(path: Path, options: ImportOptions) -> ImportedSamples:
     """Read the IMU of a log, in this process. Raises InputError."""
-    wanted = options.topic
-    require_topic(wanted, TOPICS)
     log = _LogMessages(path, *_tables(path))
-    complete = [topic for topic, parts in TOPICS.items() if all(log.instances(message) for message, _ in parts)]
-    if not complete or wanted not in (None, *complete):
-        there = ", ".join(sorted(log.tables)) or "none of them"
-        raise InputError(
-            f"{path} holds no samples in messages {'IMU, or GYR with ACC' if wanted is None else wanted} "
-            f"(found: {there}): log the IMU (LOG_BITMASK), or the raw IMU (GYR, ACC)."
-        )
-    topic = wanted or complete[0]
     notes = ["ArduPilot has applied its own calibration: a calibration of this log finds the remaining errors."]
-    if len(complete) > 1 and wanted is None:
-        notes.append(f"Read from {topic}; {', '.join(complete[1:])} would be read with {option('topic')}.")
-    instance = choose_instance(path, topic, list(log.instances(TOPICS[topic][0][0])), options.instance, notes)
-    streams = []
-    for message, columns in TOPICS[topic]:
-        others = log.instances(message)
-        streams.append(log.stream(message, instance if instance in others else next(iter(others)), columns))
+    absent = (
+        f"in messages {options.topic or 'IMU, or GYR with ACC'} (found: "
+        f"{', '.join(sorted(log.tables)) or 'none of them'}): log the IMU (LOG_BITMASK), or the raw IMU (GYR, ACC)."
+    )
+    topic, instance = choose_topic(path, TOPICS, log.instances, options, notes, absent)
+    streams = [log.stream(message, instance) for message in TOPICS[topic]]
     stream = streams[0] if len(streams) == 1 else join(streams[0], streams[1], notes)
     first = {name: values[0] for name, values in log.parameters.items()}
     changed = {name for name, values in log.parameters.items() if len(set(values)) > 1}
@@ -136,7 +113,7 @@ def read_log(path: Path, options: ImportOptions) -> ImportedSamples:
 
 
 def _tables(path: Path) -> tuple[dict[str, dict[str, NDArray[Any]]], dict[str, list[float]]]:
-    names = [message + variant for parts in TOPICS.values() for message, _ in parts for variant in _VARIANTS]
+    names = [message + variant for message in _COLUMNS for variant in _VARIANTS]
     take = _from_text if _is_text(path) else _from_binary
     reader = _indexed(path, binary=take is _from_binary)
     tables = {name: take(path, reader, name) for name in names}
@@ -155,24 +132,19 @@ def _from_binary(path: Path, reader: Any, name: str, *, texts: bool = False) -> 
         return {}
     kind = reader.name_to_id[name]
     layout = reader.formats[kind]
-    columns, codes = layout.columns, layout.msg_struct.lstrip("<")
-    units = [struct.Struct("<" + code).size for code in _codes(codes)]
-    if len(columns) != len(units) or len({*columns, ""}) <= len(columns) or sum(units) + _HEADER_BYTES != layout.len:
+    columns, codes = layout.columns, re.findall(r"\d*\D", layout.msg_struct.lstrip("<"))
+    size = struct.calcsize(layout.msg_struct)
+    if len(columns) != len(codes) or len({*columns, ""}) <= len(columns) or size + _HEADER_BYTES != layout.len:
         raise InputError(f"{path}: the definition of the message {name} contradicts itself: the log is damaged.")
     places = np.array(reader.offsets[kind], dtype=np.int64) + _HEADER_BYTES
-    size = sum(units)
     raw = np.frombuffer(reader.data_map, dtype=np.uint8)
     places = places[(places >= 0) & (places + size <= raw.size)]
     if not places.size:
         return {}
     # Every window of a message's length is a view; taking those at the messages' places copies once.
     rows = np.lib.stride_tricks.sliding_window_view(raw, size)[places]
-    fields = zip(columns, (f"<{code}" for code in _codes(codes)), strict=True)
-    table = rows.view(
-        np.dtype(
-            [(column, code.replace("s", "").replace("<", "S") if "s" in code else code) for column, code in fields]
-        )
-    )[:, 0]
+    kinds = [f"S{code.removesuffix('s')}" if "s" in code else f"<{code}" for code in codes]
+    table = rows.view(np.dtype(list(zip(columns, kinds, strict=True))))[:, 0]
     factors = dict(zip(columns, layout.msg_mults, strict=True))
     return {
         column: table[column] if factors[column] is None else table[column] * factors[column]
@@ -181,44 +153,28 @@ def _from_binary(path: Path, reader: Any, name: str, *, texts: bool = False) -> 
     }
 
 
-def _codes(codes: str) -> list[str]:
-    """Split "QB64sf" into the code of each column."""
-    result, digits = [], ""
-    for code in codes:
-        if code.isdigit():
-            digits += code
-        else:
-            result.append(digits + code)
-            digits = ""
-    return result
-
-
 def _from_text(path: Path, reader: Any, name: str, *, texts: bool = False) -> dict[str, NDArray[Any]]:
     """Columns of a message in a log as text, those of numbers and, if asked for, of text."""
     if name not in reader.formats or name not in reader.offsets:
         return {}
     layout = reader.formats[name]
-    wanted = [
-        column for column, code in zip(layout.columns, layout.format, strict=False) if texts or code not in "nNZa"
-    ]
-    places = [layout.columns.index(column) + 1 for column in wanted]
+    kinds = dict(zip(layout.columns, layout.format, strict=False))
+    wanted = [column for column, code in kinds.items() if texts or code not in "nNZa"]
     lines = [_line(reader.data_map, start) for start in reader.offsets[name]]
     full = [line for line in lines if line.count(",") >= len(layout.columns)]
-    if len(full) < len(lines) - 1 or not wanted or len(set(wanted)) != len(wanted):
+    if len(full) < len(lines) - 1 or not wanted or len(kinds) != min(len(layout.columns), len(layout.format)):
         raise InputError(f"{path}: messages {name} do not have the columns of their definition: the log is damaged.")
     if not full:
         return {}
-    whole = {"Q", "q", "I", "i", "B", "b", "H", "h"}
-    kinds = dict(zip(layout.columns, layout.format, strict=False))
     table = {}
-    for column, place in zip(wanted, places, strict=True):
-        cells = [line.split(",")[place] for line in full]
+    for column in wanted:
+        cells = [line.split(",")[layout.columns.index(column) + 1] for line in full]
         if kinds[column] in "nNZa":
             table[column] = np.array(cells)
             continue
         try:
             # Integers of 64 bits do not fit into a double.
-            table[column] = np.array(cells).astype(np.int64 if kinds[column] in whole else np.float64)
+            table[column] = np.array(cells).astype(np.int64 if kinds[column] in "QqIiBbHh" else np.float64)
         except (ValueError, OverflowError):
             bad = next((cell for cell in cells if not is_number(cell)), cells[0]).strip()[:40]
             raise InputError(f"{path}: column {column} of {name} holds {bad!r}, which is no number there.") from None
@@ -249,12 +205,7 @@ def _sniff(path: Path) -> bool:
     return head(path, len(MAGIC)) == MAGIC or _is_text(path)
 
 
-ARDUPILOT: Final = Importer(
-    "ardupilot",
-    "ArduPilot log (.bin or .log)",
-    (),  # many other programs use the suffixes .bin and .log
-    "formats",
-    _sniff,
-    in_child(f"{__name__}:{read_log.__name__}", "pymavlink", "An ArduPilot log"),
-    frozenset({"topic", "instance"}),
-)
+_READ = in_child(f"{__name__}:{read_log.__name__}", "pymavlink", "An ArduPilot log")
+_OPTIONS = frozenset({"topic", "instance"})
+# Many other programs use the suffixes .bin and .log.
+ARDUPILOT: Final = Importer("ardupilot", "ArduPilot log (.bin or .log)", (), "formats", _sniff, _READ, _OPTIONS)

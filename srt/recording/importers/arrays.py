@@ -8,7 +8,7 @@ from srt.exceptions import InputError, clipped, did_you_mean
 from srt.recording.array_files import HDF5_MAGIC, NUMBERS, ArrayFile, open_hdf5, open_npz, open_parquet
 from srt.recording.import_options import TRIADS, ImportOptions, option
 from srt.recording.imported_samples import ImportedSamples, StatedUnits, of_channels, samples_in_si
-from srt.recording.importer_registry import Importer, head
+from srt.recording.importer_registry import Importer, starts_with
 from srt.recording.importers.channels import assign, listed, with_temperature
 from srt.recording.samples import TEMPERATURE, TIME
 
@@ -22,11 +22,8 @@ if TYPE_CHECKING:
 
 ARRAY_OPTIONS: Final = frozenset({"columns", "time_unit", "variable"})
 
-_MOST_COLUMNS = 64
-"""Columns of a table; a longer side of an array is its rows."""
-
-_SENSOR_COLUMNS = 6
-"""Columns of gyros and accelerometers together."""
+_MOST_COLUMNS = 64  # columns of a table; a longer side of an array is its rows
+_SENSOR_COLUMNS = 6  # columns of gyros and accelerometers together
 
 
 def samples_from_arrays(
@@ -39,21 +36,10 @@ def samples_from_arrays(
 ) -> ImportedSamples:
     """Make samples of named arrays: one for each channel, one for each sensor, or one for all.
 
-    Parameters
-    ----------
-    options : ImportOptions
-        ``variable`` names a group, or the one array that holds all columns.
-    stated : StatedUnits, optional
-        Units that the format defines; None: those that the file states for its arrays or in their names.
-    sample_rate_hz : float, optional
-        Rate by the file.
-    notes : tuple of str
-        Notes of the reader.
+    ``variable`` of the options names a group, or the one array that holds all columns. ``stated`` are the units that
+    the format defines; without them, those that the file states for its arrays or in their names count.
 
-    Raises
-    ------
-    InputError
-        Arrays that are absent, or of different lengths.
+    Raises InputError for arrays that are absent, or of different lengths.
     """
     name = _single_array(file, options)
     if name is not None:
@@ -99,20 +85,10 @@ def samples_from_arrays(
 def samples_from_table(
     path: Path, values: NDArray[Any], options: ImportOptions, stated: StatedUnits | None = None, **fixed: Any
 ) -> ImportedSamples:
-    """Make samples of one array with a column for each channel, as the options number them.
+    """Make samples of one array, shape (n, m), with a column for each channel, as the options number them.
 
-    Parameters
-    ----------
-    values : ndarray, shape (n, m)
-    options : ImportOptions
-        ``columns`` by number.
-    **fixed
-        Further arguments of :func:`~srt.recording.imported_samples.samples_in_si`.
-
-    Raises
-    ------
-    InputError
-        An array that is no table of numbers, or columns that are absent.
+    ``fixed`` are further arguments of :func:`~srt.recording.imported_samples.samples_in_si`. Raises InputError for an
+    array that is no table of numbers, or columns that are absent.
     """
     if values.ndim != 2 or values.dtype.kind not in NUMBERS:
         raise InputError(
@@ -149,11 +125,8 @@ def _single_array(file: ArrayFile, options: ImportOptions) -> str | None:
 
 def _wide(file: ArrayFile) -> list[str]:
     """Names of the tables with columns enough for both sensors."""
-    return [
-        name
-        for name, shape in file.shapes.items()
-        if len(shape) == 2 and _SENSOR_COLUMNS <= min(shape) <= _MOST_COLUMNS
-    ]
+    shapes = file.shapes.items()
+    return [name for name, shape in shapes if len(shape) == 2 and _SENSOR_COLUMNS <= min(shape) <= _MOST_COLUMNS]
 
 
 def _is_columns(shape: tuple[int, ...]) -> bool:
@@ -183,9 +156,7 @@ def _listed(file: ArrayFile) -> str:
     return ", ".join(shown[:12]) + (" ..." if len(shown) > 12 else "") if shown else "no arrays of numbers"
 
 
-def _reader(
-    opened: Callable[[Path], AbstractContextManager[ArrayFile]],
-) -> Callable[[Path, ImportOptions], ImportedSamples]:
+def _reader(opened: Callable[[Path], AbstractContextManager[ArrayFile]]) -> Callable[..., ImportedSamples]:
     def read(path: Path, options: ImportOptions) -> ImportedSamples:
         with opened(path) as file:
             return samples_from_arrays(file, options)
@@ -193,18 +164,14 @@ def _reader(
     return read
 
 
-def _starts_with(*magics: bytes) -> Callable[[Path], bool]:
-    return lambda path: head(path, 16).startswith(magics)
-
-
-_NPZ_MAGICS: Final = _starts_with(b"\x93NUMPY", b"PK\x03\x04")
+_NPZ_MAGICS: Final = starts_with(b"\x93NUMPY", b"PK\x03\x04")
 
 NPZ: Final = Importer("npz", "NumPy arrays", (".npz", ".npy"), None, _NPZ_MAGICS, _reader(open_npz), ARRAY_OPTIONS)
 
 HDF5: Final = Importer(
-    "hdf5", "HDF5", (".h5", ".hdf5", ".hdf"), "io", _starts_with(HDF5_MAGIC), _reader(open_hdf5), ARRAY_OPTIONS
+    "hdf5", "HDF5", (".h5", ".hdf5", ".hdf"), "io", starts_with(HDF5_MAGIC), _reader(open_hdf5), ARRAY_OPTIONS
 )
 
 PARQUET: Final = Importer(
-    "parquet", "Parquet", (".parquet", ".pq"), "io", _starts_with(b"PAR1"), _reader(open_parquet), ARRAY_OPTIONS
+    "parquet", "Parquet", (".parquet", ".pq"), "io", starts_with(b"PAR1"), _reader(open_parquet), ARRAY_OPTIONS
 )

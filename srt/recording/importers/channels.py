@@ -55,27 +55,16 @@ _SUFFIX_UNITS: Final = {
 _PREFIXES: Final = ("field", "imu")
 """First words of names that carry no meaning: "field.angular_velocity.x" of rostopic."""
 
-_LONGEST_LIST = 800
-"""Characters of the list of all columns, where some have to be chosen: names of some forty."""
+_LONGEST_LIST = 800  # characters of the list of all columns, where some have to be chosen: names of some forty
 
 _BRACKETS = re.compile(r"[\[(]([^\])]*)[\])]")
 
 
 def register_column_names(channel: str, *names: str, kind: Kind | None = None) -> None:
-    """Add names of columns to :data:`COLUMN_NAMES`.
+    """Add names of columns to :data:`COLUMN_NAMES`, without axis and unit; case and marks do not count.
 
-    Parameters
-    ----------
-    channel : "time", "temperature", "gyro" or "accel"
-    *names : str
-        Without axis and unit; case and marks do not count.
-    kind : "increment", optional
-        The kind of samples that the names state.
-
-    Raises
-    ------
-    InputError
-        An unknown channel, or a name of another one.
+    ``channel`` is "time", "temperature", "gyro" or "accel"; ``kind`` is that of the samples, if the names state it.
+    Raises InputError for an unknown channel, or a name of another one.
     """
     if (channel, None) not in COLUMN_NAMES:
         known = [each for each, _ in COLUMN_NAMES]
@@ -121,50 +110,25 @@ def _all_listed(names: Sequence[str]) -> str:
 
 @dataclass(frozen=True, slots=True)
 class ColumnMeaning:
-    """Meaning of a column's name.
+    """Meaning of a column's name."""
 
-    Attributes
-    ----------
-    channel : str
-        Of :data:`CHANNELS`, or "gyro" or "accel" for an array of three columns.
-    unit : str or None
-        None: the name states none.
-    kind : "increment" or None
-        None: the name does not state the kind.
-    """
-
-    channel: str
-    unit: str | None = None
-    kind: Kind | None = None
+    channel: str  # of CHANNELS, or "gyro" or "accel" for an array of three columns
+    unit: str | None = None  # None: the name states none
+    kind: Kind | None = None  # "increment"; None: the name does not state it
 
 
 @dataclass(frozen=True, slots=True)
 class ColumnAssignment:
-    """Columns of a table by channel.
+    """Columns of a table by channel; with arrays, "gyro" and "accel" may stand for three channels."""
 
-    Attributes
-    ----------
-    columns : dict of str to int
-        Position of each channel's column, from 0. With arrays, "gyro" and "accel" may stand for three channels.
-    stated : StatedUnits
-        Units by the names of the columns.
-    kind : "increment" or None
-    """
-
-    columns: dict[str, int]
-    stated: StatedUnits
-    kind: Kind | None
+    columns: dict[str, int]  # position, from 0
+    stated: StatedUnits  # by the names of the columns
+    kind: Kind | None  # "increment", if all names say so
     notes: tuple[str, ...]
 
 
 def meaning_of(name: str) -> ColumnMeaning | None:
-    """Find the meaning of a column's name; None for an unknown one.
-
-    Parameters
-    ----------
-    name : str
-        Such as "gyr_x", "w_RS_S_x [rad s^-1]", "Acc X (g)" or "gyro_x_deg_s".
-    """
+    """Find the meaning of a name as "gyr_x", "w_RS_S_x [rad s^-1]", "Acc X (g)" or "gyro_x_deg_s"; None if unknown."""
     # "inertial:6254.12345:scaledAccelX": MicroStrain names the unit before the column.
     name = name.rpartition(":")[2] if ":" in name.partition("[")[0].partition("(")[0] else name
     brackets = _BRACKETS.search(name)
@@ -196,27 +160,12 @@ def assign(
 ) -> ColumnAssignment:
     """Find the columns of all channels.
 
-    Parameters
-    ----------
-    path : Path
-        File, for messages.
-    names : sequence of str
-        Of all columns; empty where the table has none.
-    width : int
-        Number of columns.
-    wanted : mapping
-        Channels given by the user, which override the names.
-    arrays : bool
-        True: a column may be an array of three columns, "gyro" or "accel".
-    kind : "rate" or "increment", optional
-        Columns that are read where a table has both; rates if left out.
-    units : sequence of str or None, optional
-        Unit that the file states for each column beside its name; an unknown one is kept, for an error or a note.
+    ``names`` are those of all ``width`` columns, empty where the table has none; channels in ``wanted``, as the user
+    gives them, override the names. With ``arrays``, a column may be an array of three columns, "gyro" or "accel". Of
+    rates and increments, those of ``kind`` are read; rates if left out. ``units`` are those that the file states for
+    each column beside its name; an unknown one is kept, for an error or a note.
 
-    Raises
-    ------
-    InputError
-        Columns that are absent, not recognised, or ambiguous, or whose units contradict each other.
+    Raises InputError: columns that are absent, not recognised, or ambiguous, or whose units contradict each other.
     """
     columns = _all_given(path, names, width, wanted, arrays=arrays)
     notes: list[str] = []
@@ -270,14 +219,8 @@ def with_temperature(
     notes: tuple[str, ...], columns: Mapping[str, object], stated: str | None = None
 ) -> tuple[str, ...]:
     """Add a note on the unit of the temperature, if a column has the temperature; the file may state a unit."""
-    if TEMPERATURE not in columns:
-        return notes
-    return (
-        *notes,
-        f"Temperature is read in °C; the file states {clipped(stated)}."
-        if stated
-        else "Temperature is assumed to be in °C.",
-    )
+    text = f"read in °C; the file states {clipped(stated)}" if stated else "assumed to be in °C"
+    return (*notes, f"Temperature is {text}.") if TEMPERATURE in columns else notes
 
 
 def _all_given(
@@ -287,25 +230,26 @@ def _all_given(
     given: dict[str, str | int] = {}
     for channel, column in wanted.items():
         given.update(_given(names, channel, column, arrays=arrays))
-    columns = {channel: _position(names, column) for channel, column in given.items()}
+    columns: dict[str, int] = {}
     absent = []
     for channel, column in given.items():
-        place = columns[channel]
+        place = _position(names, column)
         if place is None:
             absent.append(f"{column}{did_you_mean(str(column), [clipped(name) for name in names])}")
         elif not 0 <= place < width:
             raise InputError(f"{path} has {width} columns, but column {column} was asked for: columns count from 1.")
+        else:
+            columns[channel] = place
     if absent:
         raise InputError(f"{path} has no column {', '.join(absent)} (found: {_all_listed(names)}): name one of those.")
-    found = {channel: place for channel, place in columns.items() if place is not None}
     owner: dict[int, str] = {}
-    for channel, place in found.items():
+    for channel, place in columns.items():
         if owner.setdefault(place, channel) != channel:
             raise InputError(
                 f"{path}: {option('columns')} reads both {owner[place]} and {channel} from column {place + 1}: give "
                 "each channel a column of its own (channels without one count from column 1)."
             )
-    return found
+    return columns
 
 
 def _given(names: Sequence[str], channel: str, column: str | int, *, arrays: bool) -> dict[str, str | int]:

@@ -23,7 +23,7 @@ import warnings
 from dataclasses import asdict, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any, BinaryIO, Final, NamedTuple, Protocol
+from typing import IO, TYPE_CHECKING, Any, BinaryIO, Final, NamedTuple
 
 import numpy as np
 
@@ -58,35 +58,14 @@ OUT_OF_MEMORY: Final = 77
 _ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 """Environment of the child: a reader multiplies no matrices, and threads take time to start."""
 
-_LONGEST_ANSWER = 1 << 20
-"""Bytes of the line of JSON in an answer; notes and units take a few hundred."""
+_LONGEST_ANSWER = 1 << 20  # bytes of the line of JSON in an answer; notes and units take a few hundred
 
 
 class ProcessLimits(NamedTuple):
-    """Limits on a reader's process.
+    """Limits on a reader's process."""
 
-    Attributes
-    ----------
-    memory : int
-        Bytes reserved beyond those after the imports.
-    seconds : int
-        Computing time.
-    """
-
-    memory: int
-    seconds: int
-
-
-class Child(Protocol):
-    """A running child, as subprocess.Popen has it."""
-
-    stdout: BinaryIO
-
-    def wait(self) -> int:
-        """Wait for its end; the exit code, negative for a signal."""
-
-    def kill(self) -> None:
-        """End it."""
+    memory: int  # bytes reserved beyond those after the imports
+    seconds: int  # computing time
 
 
 def in_child(
@@ -94,19 +73,9 @@ def in_child(
 ) -> Callable[[Path, ImportOptions], ImportedSamples]:
     """Make a reader that runs another one in a child process.
 
-    Parameters
-    ----------
-    reader : str
-        "module:function" of the other one, which takes a path and options and returns samples.
-    package : str, optional
-        The package that it needs, of the extra "formats".
-    purpose : str
-        The file, for the message if the package is absent.
-
-    Returns
-    -------
-    callable
-        Raises InputError, DataError or MissingExtraError, nothing else.
+    ``reader`` is the "module:function" of the other one, which takes a path and options and returns samples;
+    ``package`` is the package that it needs, of the extra "formats"; ``purpose`` is the file in the message if that is
+    absent.
     """
 
     def read(path: Path, options: ImportOptions) -> ImportedSamples:
@@ -118,29 +87,15 @@ def in_child(
 
 
 def read_in_child(reader: str, path: Path, options: ImportOptions) -> ImportedSamples:
-    """Read a file in a child process.
+    """Read a file in a child process by a "module:function".
 
-    Parameters
-    ----------
-    reader : str
-        "module:function".
-
-    Raises
-    ------
-    InputError
-        An error of the reader, a limit that was exceeded, or a crash.
-    DataError
+    Raises InputError or DataError: an error of the reader, a limit that was exceeded, or a crash.
     """
-    limits = limits_for(path)
-    request = {
-        "reader": reader,
-        "path": str(path.absolute()),
-        "shown": str(path),
-        "options": asdict(options),
-        "limits": limits,
-    }
+    limits, place = limits_for(path), str(path.absolute())
+    request = {"reader": reader, "path": place, "shown": str(path), "options": asdict(options), "limits": limits}
     with TemporaryDirectory(prefix="srt-", ignore_cleanup_errors=True) as scratch:
         child = spawn(json.dumps(request, default=str).encode("ascii"), Path(scratch))
+        assert child.stdout is not None
         try:
             answer = _received(child.stdout)
         except BaseException:
@@ -154,46 +109,23 @@ def read_in_child(reader: str, path: Path, options: ImportOptions) -> ImportedSa
     return answer
 
 
-def spawn(request: bytes, scratch: Path) -> Child:
-    """Start the child process and send it the request.
-
-    Parameters
-    ----------
-    scratch : Path
-        Folder for temporary files.
-    """
+def spawn(request: bytes, scratch: Path) -> subprocess.Popen[bytes]:
+    """Start the child process, with a folder for its temporary files, and send it the request."""
     # -P: a module in the current folder is not imported, unless the parent imports from there, too.
+    paths = os.pathsep.join(each or str(Path.cwd()) for each in sys.path)
     environment = (
-        os.environ
-        | _ONE_THREAD
-        | {
-            "PYTHONPATH": os.pathsep.join(each or str(Path.cwd()) for each in sys.path),
-            "TMPDIR": str(scratch),
-            "TEMP": str(scratch),
-            "TMP": str(scratch),
-        }
+        os.environ | _ONE_THREAD | {"PYTHONPATH": paths} | dict.fromkeys(("TMPDIR", "TEMP", "TMP"), str(scratch))
     )
-    child = subprocess.Popen(  # noqa: S603
-        [sys.executable, "-P", "-m", __name__],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        env=environment,
-    )
+    pipe, command = subprocess.PIPE, [sys.executable, "-P", "-m", __name__]
+    child = subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL, env=environment)  # noqa: S603
     assert child.stdin is not None
     with contextlib.suppress(BrokenPipeError), child.stdin:
         child.stdin.write(request)
-    return child  # type: ignore[return-value]  # its stdout is a pipe
+    return child
 
 
 def answer(request: bytes, out: BinaryIO) -> None:
-    """Read a file and write the answer: the part of the child, in any process.
-
-    Raises
-    ------
-    MemoryError
-        The limit was reached.
-    """
+    """Read a file and write the answer: the part of the child, in any process. Raises MemoryError at the limit."""
     asked = json.loads(request)
     path, shown = Path(asked["path"]), asked["shown"]
     module, _, function = asked["reader"].partition(":")
@@ -266,7 +198,7 @@ def _send(out: BinaryIO, header: dict[str, Any], arrays: list[np.ndarray[Any, An
     out.flush()
 
 
-def _received(stream: BinaryIO) -> ImportedSamples | None:
+def _received(stream: IO[bytes]) -> ImportedSamples | None:
     """Read an answer; None if it is not complete. Raises the error that it states."""
     line = stream.readline(_LONGEST_ANSWER)
     if not line.endswith(b"\n"):

@@ -55,14 +55,8 @@ def read_csv_table(
 ) -> ImportedSamples:
     """Read a text table by its header, or by the columns in the options.
 
-    Raises InputError.
-
-    Parameters
-    ----------
-    published : mapping of kind to StatedUnits, optional
-        Units that the format defines, by the kind of samples; they override the header.
-    sample_rate_hz : float, optional
-        Rate by the format, used where the table has no stamps.
+    ``published`` are the units that the format defines, by the kind of samples; they override the header.
+    ``sample_rate_hz`` is the rate by the format, used where the table has no stamps. Raises InputError.
     """
     layout = find_layout(path, options)
     found = assign(path, layout.header, len(layout.cells), options.columns, kind=options.kind)
@@ -90,29 +84,25 @@ def read_csv_table(
 def read_pair(path: Path, options: ImportOptions) -> ImportedSamples:
     """Read a pair of text tables, one for each sensor, of ``time x y z``.
 
-    Raises InputError.
-
-    Parameters
-    ----------
-    path : Path
-        File of the accelerometers, unless the name of a file contains "gyr".
-    options : ImportOptions
-        With ``second``.
+    ``path`` is that of the accelerometers, unless the name of a file contains "gyr". Raises InputError.
     """
     second = options.second
     if second is None:
         raise InputError(
             f"{path}: this format has one file for each sensor: name both, the file of the accelerometers first."
         )
-    accel_path, gyro_path, note = _accel_and_gyro(path, second)
-    notes = [note]
-    streams = {}
-    for sensor, file in (("gyro", gyro_path), ("accel", accel_path)):
+    # By their names, else in this order.
+    named_gyro = ["gyr" in file.stem.lower() for file in (path, second)]
+    accel_path, gyro_path = (second, path) if named_gyro == [True, False] else (path, second)
+    notes = [f"Accelerometers from {accel_path.name}, gyros from {gyro_path.name}."]
+    tables, units = [], []
+    for file in (gyro_path, accel_path):
         layout = find_layout(file, options)
-        streams[sensor] = (_pair_table(file, layout), _pair_time_unit(layout))
-    (gyro, gyro_unit), (accel, accel_unit) = streams["gyro"], streams["accel"]
-    unit = options.time_unit or gyro_unit
-    if unit is None or (options.time_unit is None and gyro_unit != accel_unit):
+        tables.append(_pair_table(file, layout))
+        meanings = filter(None, map(meaning_of, layout.header))
+        units.append(next((each.unit for each in meanings if each.channel == TIME and each.unit), None))
+    (gyro, accel), unit = tables, options.time_unit or units[0]
+    if unit is None or (options.time_unit is None and units[0] != units[1]):
         raise InputError(
             f"{gyro_path} and {accel_path} do not state in what unit their times are: state it with "
             f"{option('time_unit')}."
@@ -169,35 +159,19 @@ def _usable(
     return replace(found, columns=columns, notes=(*found.notes, note))
 
 
-def _accel_and_gyro(first: Path, second: Path) -> tuple[Path, Path, str]:
-    """Files of the accelerometers and of the gyros, by their names, else in this order."""
-    named_gyro = ["gyr" in path.stem.lower() for path in (first, second)]
-    if named_gyro == [True, False]:
-        first, second = second, first
-    return first, second, f"Accelerometers from {first.name}, gyros from {second.name}."
-
-
 def _pair_table(path: Path, layout: TableLayout) -> dict[str, NDArray[Any]]:
-    width = len(layout.cells)
     columns: dict[str, int] = {}
     for i, name in enumerate(layout.header):
         bare = name.partition("[")[0].partition("(")[0].strip().lower()
-        channel = TIME if bare in ("time", "timestamp", "t") else re.split(r"[_ ]+", bare)[-1]
-        if channel in _PAIR_COLUMNS:
-            columns.setdefault(channel, i)
-    if not layout.header and width == len(_PAIR_COLUMNS):
-        columns = dict(zip(_PAIR_COLUMNS, range(width), strict=True))
+        columns.setdefault(TIME if bare in ("time", "timestamp", "t") else re.split(r"[_ ]+", bare)[-1], i)
+    if not layout.header and len(layout.cells) == len(_PAIR_COLUMNS):
+        columns = {name: i for i, name in enumerate(_PAIR_COLUMNS)}
     missing = [name for name in _PAIR_COLUMNS if name not in columns]
     if missing:
-        found = listed(layout.header, f"{width} columns without names")
+        found = listed(layout.header, f"{len(layout.cells)} columns without names")
         raise InputError(f"{path} has no column {missing[0]} (found: {found}): time, x, y and z are expected.")
+    columns = {name: i for name, i in columns.items() if name in _PAIR_COLUMNS}
     return read_table(path, layout, columns, integers=TIME)
-
-
-def _pair_time_unit(layout: TableLayout) -> str | None:
-    """Unit of time in the header; None if the header states none."""
-    meanings = (meaning_of(name) for name in layout.header)
-    return next((m.unit for m in meanings if m is not None and m.channel == TIME and m.unit is not None), None)
 
 
 def _header_has(*words: str) -> Callable[[Path], bool]:
@@ -225,25 +199,18 @@ def _read_published(path: Path, options: ImportOptions) -> ImportedSamples:
     return read_csv_table(file, options, _PUBLISHED)
 
 
-_OWN_UNITS: Final = frozenset({"columns", "time_unit", "delimiter", "decimal_comma"})
+_OWN_UNITS: Final = TEXT_OPTIONS - {"skip"}
 
 EUROC: Final = Importer(
     "euroc", "EuRoC CSV", (), None, _header_has("timestamp", "w_RS_S_x", "a_RS_S_z"), _read_published, _OWN_UNITS
 )
-
 KALIBR: Final = Importer(
     "kalibr", "Kalibr CSV", (), None, _header_has("timestamp", "omega_x", "alpha_z"), _read_published, _OWN_UNITS
 )
-
+_PAIR_OPTIONS = TEXT_OPTIONS - {"columns"} | {"second"}
+# Each file of a pair is a table like any other.
 IMU_TK: Final = Importer(
-    "imu-tk",
-    "a pair of text files, one per sensor",
-    (),
-    None,
-    lambda _: False,  # each file of the pair is a table like any other
-    read_pair,
-    frozenset({"second", "time_unit", "delimiter", "decimal_comma", "skip"}),
+    "imu-tk", "a pair of text files, one per sensor", (), None, lambda _: False, read_pair, _PAIR_OPTIONS
 )
-
 _SUFFIXES: Final = (".csv", ".txt", ".tsv", ".dat", ".log", ".asc")
 CSV: Final = Importer("csv", "table as text", _SUFFIXES, None, _is_text_table, read_csv_table, TEXT_OPTIONS)

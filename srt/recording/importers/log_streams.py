@@ -12,7 +12,7 @@ from srt.recording.import_options import option
 from srt.recording.imported_samples import ImportedSamples, StatedUnits, first_of_repeats, join_streams, samples_in_si
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Callable, Collection, Mapping
     from pathlib import Path
 
     from srt.recording.import_options import ImportOptions
@@ -26,52 +26,25 @@ LATE_LIMIT_S: Final = 1.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stream:
-    """Readings of one sensor, or of both, with their stamps.
+    """Readings of one sensor, or of both, with their stamps."""
 
-    Attributes
-    ----------
-    name : str
-        For messages and notes.
-    stamps : ndarray of int64, shape (n,)
-    per_second : int
-        Ticks of the stamps, a power of ten.
-    values : ndarray, shape (n, 3) or (n, 6)
-        In the units of the format.
-    temperature : ndarray, shape (n,), °C, or None
-    """
-
-    name: str
-    stamps: Counts
-    per_second: int
-    values: Array
-    temperature: Array | None = None
+    name: str  # in messages and notes
+    stamps: Counts  # shape (n,)
+    per_second: int  # ticks of the stamps, a power of ten
+    values: Array  # shape (n, 3) or (n, 6), in the units of the format
+    temperature: Array | None = None  # shape (n,), °C
 
     def rows(self, which: Indices | Mask | slice) -> Stream:
         """Some of the samples."""
         temperature = None if self.temperature is None else self.temperature[which]
         return Stream(self.name, self.stamps[which], self.per_second, self.values[which], temperature)
 
-    def columns(self, which: slice) -> Stream:
-        """Some of the columns of readings, without the temperature."""
-        return Stream(self.name, self.stamps, self.per_second, self.values[:, which])
-
 
 def choose(path: Path, what: str, counts: Mapping[str, int], wanted: str | None, how: str, notes: list[str]) -> str:
     """Choose one of several sensors: the given one, else the one with most samples; a note names the others.
 
-    Parameters
-    ----------
-    what : str
-        Word for a sensor in messages, such as "topic".
-    counts : mapping of str to int
-        Samples of each.
-    how : str
-        The option that chooses.
-
-    Raises
-    ------
-    InputError
-        If the given one is absent.
+    ``what`` is the word for a sensor in messages, such as "topic"; ``counts`` are the samples of each; ``how`` is the
+    option that chooses. Raises InputError if the given one is absent.
     """
     there = ", ".join(f"{name} ({count})" for name, count in sorted(counts.items())[:12])
     if wanted is not None:
@@ -87,34 +60,42 @@ def choose(path: Path, what: str, counts: Mapping[str, int], wanted: str | None,
     return chosen
 
 
-def require_topic(wanted: str | None, topics: Iterable[str]) -> None:
-    """Require that the topic asked for, if any, is one that the format reads. Raises InputError otherwise."""
-    topics = tuple(topics)
+def choose_topic(
+    path: Path,
+    topics: Mapping[str, tuple[str, ...]],
+    instances: Callable[[str], Collection[int]],
+    options: ImportOptions,
+    notes: list[str],
+    absent: str,
+) -> tuple[str, int]:
+    """Choose topic and instance: those of the options, else the first; notes name the others.
+
+    ``topics`` are the values of the option, in order of preference, with the parts of a log that each needs;
+    ``instances`` are those of a part; ``absent`` ends the sentence on a log without them.
+
+    Raises InputError if there is no such topic or instance.
+    """
+    wanted = options.topic
     if wanted is not None and wanted not in topics:
         raise InputError(
             f"{option('topic')} is {wanted!r}{did_you_mean(wanted, topics)}, but a log is read from one of "
             f"{', '.join(topics)}."
         )
-
-
-def choose_instance(path: Path, topic: str, there: list[int], wanted: int | None, notes: list[str]) -> int:
-    """Choose one of several sensors of a kind: the given one, else the first; a note names the others.
-
-    Raises
-    ------
-    InputError
-        If the given one is absent.
-    """
+    complete = [topic for topic, parts in topics.items() if all(map(instances, parts))]
+    if not complete or wanted not in (None, *complete):
+        raise InputError(f"{path} holds no samples {absent}")
+    topic = wanted or complete[0]
+    there = sorted(instances(topics[topic][0]))
     listed = ", ".join(map(str, there))
-    if wanted is None:
-        if len(there) > 1:
-            notes.append(
-                f"{topic} has the instances {listed}; {there[0]} was read. Choose another with {option('instance')}."
-            )
-        return there[0]
-    if wanted not in there:
-        raise InputError(f"{path}: {topic} has no instance {wanted}: use one of {listed}.")
-    return wanted
+    if options.instance is None and len(there) > 1:
+        notes.append(
+            f"{topic} has the instances {listed}; {there[0]} was read. Choose another with {option('instance')}."
+        )
+    if len(complete) > 1 and wanted is None:
+        notes.append(f"Read from {topic}; {', '.join(complete[1:])} would be read with {option('topic')}.")
+    if options.instance not in (None, *there):
+        raise InputError(f"{path}: {topic} has no instance {options.instance}: use one of {listed}.")
+    return topic, there[0] if options.instance is None else options.instance
 
 
 def in_order(stream: Stream, notes: list[str]) -> Stream:
@@ -131,17 +112,9 @@ def in_order(stream: Stream, notes: list[str]) -> Stream:
 
 
 def join(gyro: Stream, accel: Stream, notes: list[str]) -> Stream:
-    """Make one stream of six columns at the gyros' stamps.
+    """Make one stream of six columns at the gyros' stamps, of two with three columns each and the same clock.
 
-    Parameters
-    ----------
-    gyro, accel : Stream
-        Of three columns each, with the same clock.
-
-    Raises
-    ------
-    InputError
-        Streams without time in common, or stamps that do not increase.
+    Raises InputError for streams without time in common, or stamps that do not increase.
     """
     gyro, accel = (_without_repeats(in_order(stream, notes), notes) for stream in (gyro, accel))
     if not (gyro.stamps.size and accel.stamps.size):
@@ -157,13 +130,7 @@ def join(gyro: Stream, accel: Stream, notes: list[str]) -> Stream:
 
 
 def to_imported(stream: Stream, options: ImportOptions, notes: list[str], **more: Any) -> ImportedSamples:
-    """Make imported samples of a stream of six columns.
-
-    Parameters
-    ----------
-    **more
-        Further arguments of :func:`srt.recording.imported_samples.samples_in_si`.
-    """
+    """Make imported samples of a stream of six columns; ``more`` are further arguments of :func:`samples_in_si`."""
     stream = in_order(stream, notes)
     gyro_unit, accel_unit = more.pop("units", SI_UNITS)
     unit = {10**9: "ns", 10**6: "us", 10**3: "ms"}[stream.per_second]
@@ -181,7 +148,7 @@ def to_imported(stream: Stream, options: ImportOptions, notes: list[str], **more
 
 
 def _without_repeats(stream: Stream, notes: list[str]) -> Stream:
-    """Drop samples that repeat the one before, stamp and readings: interpolation needs stamps that increase."""
+    """Drop samples that repeat the one before: interpolation needs stamps that increase."""
     keep = first_of_repeats(stream.stamps, stream.values)
     if keep is None:
         return stream

@@ -20,7 +20,7 @@ from srt.recording.importers.child_process import in_child
 from srt.recording.samples import TIME
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -30,11 +30,8 @@ if TYPE_CHECKING:
 
 _TITLE = "MATLAB file"
 
-_HDF5_OFFSET = 512
-"""Bytes of MATLAB's own header before that of HDF5."""
-
-_STRUCT_LEVELS = 4
-"""Structs within structs that are searched for arrays; loggers write one or two."""
+_HDF5_OFFSET = 512  # bytes of MATLAB's own header before that of HDF5
+_STRUCT_LEVELS = 4  # structs within structs that are searched for arrays; loggers write one or two
 
 
 @contextmanager
@@ -89,10 +86,7 @@ def is_level_73(path: Path) -> bool:
 def _navego_struct(file: ArrayFile, wanted: str | None) -> str | None:
     """Struct with rates ``wb`` and specific forces ``fb``, as NaveGo has it; None: there is none, or another is wanted.
 
-    Raises
-    ------
-    InputError
-        Several such structs.
+    Raises InputError if there are several.
     """
     structs = [name.removesuffix("/wb") for name in file.shapes if name.endswith("/wb")]
     structs = [name for name in structs if f"{name}/fb" in file.shapes]
@@ -108,10 +102,8 @@ def _fields(name: str, value: Any, levels: int) -> dict[str, NDArray[Any]]:
     if not isinstance(value, np.ndarray) or levels == 0:
         return {}
     if value.dtype.names is not None and value.size == 1:
-        result = {}
-        for key in value.dtype.names:
-            result.update(_fields(f"{name}/{key}", value.flat[0][key], levels - 1))
-        return result
+        parts = (_fields(f"{name}/{key}", value.flat[0][key], levels - 1) for key in value.dtype.names)
+        return {place: array for part in parts for place, array in part.items()}
     # Function handles and objects have another array type and are left out.
     return {name: value} if type(value) is np.ndarray and value.dtype.kind in "fiu" and value.size else {}
 
@@ -121,11 +113,10 @@ def _sniff(path: Path) -> bool:
     return start.startswith(b"MATLAB ") and (b"MAT-file" in start[:128] or start[_HDF5_OFFSET:] == HDF5_MAGIC)
 
 
-_read_in_child = in_child(f"{__name__}:{read_matlab.__name__}")
+def unless_scipy(reader: Callable[[Path, ImportOptions], ImportedSamples]) -> Callable[..., ImportedSamples]:
+    """Reader of files that runs in this process, and in a child where scipy parses the file."""
+    child = in_child(f"{reader.__module__}:{reader.__name__}")
+    return lambda path, options: (child if is_matlab(path) and not is_level_73(path) else reader)(path, options)
 
 
-def _read(path: Path, options: ImportOptions) -> ImportedSamples:
-    return (read_matlab if is_level_73(path) else _read_in_child)(path, options)
-
-
-MATLAB: Final = Importer("matlab", "MATLAB file", (".mat",), None, _sniff, _read, ARRAY_OPTIONS)
+MATLAB: Final = Importer("matlab", "MATLAB file", (".mat",), None, _sniff, unless_scipy(read_matlab), ARRAY_OPTIONS)

@@ -17,8 +17,7 @@ from srt.recording.imported_samples import ImportedSamples, StatedUnits
 from srt.recording.importer_registry import Importer, head
 from srt.recording.importers.arrays import samples_from_table
 from srt.recording.importers.channels import listed
-from srt.recording.importers.child_process import in_child
-from srt.recording.importers.matlab import is_level_73, is_matlab, open_matlab
+from srt.recording.importers.matlab import is_matlab, open_matlab, unless_scipy
 from srt.recording.importers.table_layout import find_layout
 from srt.recording.text_tables import read_table
 
@@ -48,8 +47,7 @@ _FEWEST_ROWS = 4
 _UNEVEN = 0.5
 """Largest relative deviation of a step of time from the median: rounding to 32 bits after an hour is 2 % of 10 ms."""
 
-_PLAUSIBLE_RATE_RAD_S = 100.0
-"""Rate beyond that of any gyro sold (4000 °/s), rad/s."""
+_PLAUSIBLE_RATE_RAD_S = 100.0  # rate beyond that of any gyro sold (4000 °/s), rad/s
 
 _PLAUSIBLE_FORCE_M_S2 = (5.0, 20.0)
 """Median specific force of an IMU that is turned or carried, half to twice gravity; rates in m/s² instead of increments
@@ -59,12 +57,7 @@ are larger by the sample rate."""
 def read_increments(path: Path, options: ImportOptions) -> ImportedSamples:
     """Read a table of increments, in this process. Raises InputError."""
     values, notes = _table(path, options)
-    untimed = values.ndim == 2 and values.shape[1] == UNTIMED_COLUMNS
-    if values.ndim != 2 or (values.shape[1] != COLUMNS and not untimed):
-        raise InputError(
-            f"{path} holds a table of shape {values.shape}, but {COLUMNS} columns, or {UNTIMED_COLUMNS} without time, "
-            "are expected."
-        )
+    untimed = values.shape[1] == UNTIMED_COLUMNS
     others = {name: getattr(options, name) for name in options.given if name not in ("variable", "delimiter")}
     return samples_from_table(
         path,
@@ -123,15 +116,10 @@ def _is_plausible(rows: Array) -> bool:
 def _binary_table(path: Path) -> tuple[NDArray[Any], tuple[str, ...]]:
     """Rows of doubles, or of 32-bit floats if time increases in these."""
     size = path.stat().st_size
-    first = np.fromfile(path, "<f4", count=_ROWS_COMPARED * COLUMNS)
-    time = first[COLUMNS - 1 :: COLUMNS]
+    time = np.fromfile(path, "<f4", count=_ROWS_COMPARED * COLUMNS)[COLUMNS - 1 :: COLUMNS]
     # Read as floats, the same column of doubles holds parts of time and of an increment by turns.
-    if (
-        size % (4 * COLUMNS) == 0
-        and time.size >= _FEWEST_ROWS
-        and np.isfinite(time).all()
-        and (np.diff(time) > 0).all()
-    ):
+    increases = time.size >= _FEWEST_ROWS and np.isfinite(time).all() and (np.diff(time) > 0).all()
+    if size % (4 * COLUMNS) == 0 and increases:
         return np.fromfile(path, "<f4").reshape(-1, COLUMNS).astype(np.float64), (_FLOATS_NOTE,)
     if size % (8 * COLUMNS):
         raise InputError(
@@ -159,20 +147,6 @@ def _matlab_table(path: Path, variable: str | None) -> NDArray[Any]:
         return file.read(name)
 
 
-_read_in_child = in_child(f"{__name__}:{read_increments.__name__}")
-
-
-def _read(path: Path, options: ImportOptions) -> ImportedSamples:
-    parsed_by_scipy = is_matlab(path) and not is_level_73(path)
-    return (_read_in_child if parsed_by_scipy else read_increments)(path, options)
-
-
-PSINS: Final = Importer(
-    "psins",
-    "PSINS increments, N x 7 or N x 6",
-    (),
-    None,
-    _is_binary_table,  # text and variables have no mark: they are numbers like any other
-    _read,
-    frozenset({"variable", "delimiter"}),
-)
+_READ, _OPTIONS = unless_scipy(read_increments), frozenset({"variable", "delimiter"})
+# Text and variables have no mark: they are numbers like any other.
+PSINS: Final = Importer("psins", "PSINS increments, N x 7 or N x 6", (), None, _is_binary_table, _READ, _OPTIONS)

@@ -8,7 +8,8 @@ definition, which is checked.
 from __future__ import annotations
 
 from array import array
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from dataclasses import replace
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -25,49 +26,29 @@ if TYPE_CHECKING:
 
     from srt.recording.import_options import ImportOptions
     from srt.recording.imported_samples import ImportedSamples
-    from srt.types import Array
 
 IMU: Final = "sensor_msgs/msg/Imu"
 
-_NS = 10**9
-"""Ticks of a ROS stamp in a second."""
+_NS = 10**9  # ticks of a ROS stamp in a second
 
-_FRAMES_LISTED = 4
-_FRAME_LENGTH = 40
-"""Coordinate frames that a note lists, and characters of each."""
+_FRAMES_LISTED = 4  # coordinate frames that a note lists
+_FRAME_LENGTH = 40  # characters of each
 
 
 class _Topic(NamedTuple):
     """Messages of one topic.
 
-    Attributes
-    ----------
-    stream : Stream
-        Six columns.
-    has_gyro, has_accel : bool
-        Some drivers publish each sensor on a topic of its own, in messages of which the other half is empty.
-    frames : tuple of str
-        Coordinate frames named in the messages.
+    Some drivers publish each sensor on a topic of its own, in messages of which the other half is empty.
     """
 
-    stream: Stream
+    stream: Stream  # six columns
     has_gyro: bool
     has_accel: bool
-    frames: tuple[str, ...]
+    frames: tuple[str, ...]  # coordinate frames named in the messages
 
 
 def read_bag(path: Path, options: ImportOptions) -> ImportedSamples:
-    """Read the IMU of a bag, in this process.
-
-    Raises InputError.
-
-    Parameters
-    ----------
-    path : Path
-        File or folder.
-    options : ImportOptions
-        ``topic`` names one topic, or "GYRO,ACCEL".
-    """
+    """Read the IMU of a bag, in this process; the option ``topic`` names one, or "GYRO,ACCEL". Raises InputError."""
     notes: list[str] = []
     with clear_errors(path, title_of(path) or "ROS bag"):
         bag = open_bag(path, IMU)
@@ -117,7 +98,8 @@ def _sensors(path: Path, topics: list[_Topic]) -> tuple[Stream, Stream]:
     for topic, present, sensor in ((gyro, gyro.has_gyro, "gyros"), (accel, accel.has_accel, "accelerometers")):
         if not present:
             raise InputError(f"{path}: the messages of topic {topic.stream.name} hold no {sensor}: name another.")
-    return gyro.stream.columns(slice(0, 3)), accel.stream.columns(slice(3, 6))
+    parts = gyro.stream.values[:, :3], accel.stream.values[:, 3:]
+    return replace(gyro.stream, values=parts[0]), replace(accel.stream, values=parts[1])
 
 
 def _load(bag: Bag, name: str, notes: list[str]) -> _Topic:
@@ -141,33 +123,16 @@ def _load(bag: Bag, name: str, notes: list[str]) -> _Topic:
     if time.size and not time.any():
         notes.append(f"The messages of topic {name} have no stamps: the times at which they were recorded were taken.")
         time = np.array(received, dtype=np.int64)
-    has_gyro, has_accel = _present(values, np.array(absent).reshape(-1, 2))
-    return _Topic(Stream(name, time, _NS, values), has_gyro, has_accel, tuple(frames))
+    # A sensor is there if it is neither stated to be absent nor all exactly zero; without messages, nothing is known.
+    stated = [bool(each.all()) for each in np.array(absent).reshape(-1, 2).T]
+    there = [not len(values) or bool(values[:, 3 * k : 3 * k + 3].any() and not stated[k]) for k in range(2)]
+    return _Topic(Stream(name, time, _NS, values), there[0], there[1], tuple(frames))
 
 
-def _present(values: Array, absent: Array) -> tuple[bool, bool]:
-    """Presence of gyros and of accelerometers: not stated to be absent, and not all exactly zero."""
-    if not len(values):
-        return True, True
-    zero = [not values[:, columns].any() for columns in (slice(0, 3), slice(3, 6))]
-    gyro, accel = (not (empty or each.all()) for empty, each in zip(zero, absent.T, strict=True))
-    return gyro, accel
+def _importer(name: str, title: str, suffixes: tuple[str, ...], *kinds: str) -> Importer:
+    read = in_child(f"{__name__}:{read_bag.__name__}", "rosbags", "A ROS bag")
+    return Importer(name, title, suffixes, "formats", lambda path: title_of(path) in kinds, read, frozenset({"topic"}))
 
 
-def _sniff(*titles: str) -> Any:
-    return lambda path: title_of(path) in titles
-
-
-_READ = in_child(f"{__name__}:{read_bag.__name__}", "rosbags", "A ROS bag")
-
-ROSBAG1: Final = Importer("rosbag1", "ROS 1 bag", (".bag",), "formats", _sniff(BAG1), _READ, frozenset({"topic"}))
-
-ROSBAG2: Final = Importer(
-    "rosbag2",
-    "ROS 2 bag (folder, .mcap or .db3)",
-    (".mcap", ".db3"),
-    "formats",
-    _sniff(FOLDER, MCAP, SQLITE),
-    _READ,
-    frozenset({"topic"}),
-)
+ROSBAG1: Final = _importer("rosbag1", BAG1, (".bag",), BAG1)
+ROSBAG2: Final = _importer("rosbag2", "ROS 2 bag (folder, .mcap or .db3)", (".mcap", ".db3"), FOLDER, MCAP, SQLITE)

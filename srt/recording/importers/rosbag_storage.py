@@ -28,33 +28,18 @@ _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
 _FIRST_BYTES = ((b"#ROSBAG V", BAG1), (b"\x89MCAP0\r\n", MCAP), (b"SQLite format 3\0", SQLITE))
 
-_PROFILE = 17
-"""Offset of the profile in an MCAP file: after the magic, the kind of the record and its length."""
-
-_TOPICS_LISTED = 8
-"""Topics that a message lists; a bag of a vehicle has hundreds."""
+_PROFILE = 17  # offset of the profile in an MCAP file: after the magic, the kind of the record and its length
+_TOPICS_LISTED = 8  # topics that a message lists; a bag of a vehicle has hundreds
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bag:
-    """An open bag; its files are closed with the process.
+    """An open bag; its files are closed with the process."""
 
-    Attributes
-    ----------
-    path : Path
-        File or folder.
-    title : str
-        Its kind, for messages.
-    reader : object
-        Reader of rosbags.
-    decode : callable
-        Makes a message object of serialised bytes and the name of their type.
-    """
-
-    path: Path
-    title: str
-    reader: Any
-    decode: Callable[[bytes, str], Any]
+    path: Path  # of the file or folder
+    title: str  # its kind
+    reader: Any  # of rosbags
+    decode: Callable[[bytes, str], Any]  # from serialised bytes and the name of their type
 
     def counts(self, message_type: str) -> dict[str, int]:
         """Number of messages in each topic of a type."""
@@ -93,19 +78,10 @@ def title_of(path: Path) -> str:
 
 
 def open_bag(path: Path, message_type: str) -> Bag:
-    """Open a bag; errors of rosbags pass through.
+    """Open a bag, a file or a folder with ``metadata.yaml``; errors of rosbags pass through.
 
-    Parameters
-    ----------
-    path : Path
-        File, or folder with ``metadata.yaml``.
-    message_type : str
-        The type whose definition and serialisation are checked.
-
-    Raises
-    ------
-    InputError
-        No bag, files outside its folder, a database that computes, another definition of the messages.
+    Definition and serialisation of the messages of ``message_type`` are checked. Raises InputError: no bag, files
+    outside its folder, a database that computes, another definition of the messages.
     """
     from rosbags.rosbag1 import Reader as Reader1
     from rosbags.rosbag2 import Reader as Reader2

@@ -64,20 +64,16 @@ def _names(path: Path) -> set[str]:
         return set(archive.namelist())
 
 
-def _sniff(path: Path) -> bool:
-    if not path.is_dir() and head(path, 4) != b"PK\x03\x04":
-        return False
-    try:
-        return not _names(path).isdisjoint(_SENSOR_LOGGER.gyro)
-    except (OSError, ValueError, NotImplementedError, zipfile.BadZipFile):
-        return False
-
-
-def _sniff_phyphox(path: Path) -> bool:
-    """Tables of the names of the app, with its head: Sensor Logger has tables of the same names."""
+def _sniff(path: Path, *, phyphox: bool = False) -> bool:
+    """True for tables with the names of an app; phyphox also needs its head, as Sensor Logger has the same names."""
     (gyro,) = _PHYPHOX.gyro
     try:
-        if not _sniff(path) or not {gyro, *_PHYPHOX.accel} <= _names(path):
+        if not path.is_dir() and head(path, 4) != b"PK\x03\x04":
+            return False
+        names = _names(path)
+        if not phyphox:
+            return not names.isdisjoint(_SENSOR_LOGGER.gyro)
+        if not {gyro, *_PHYPHOX.accel} <= names:
             return False
         if path.is_dir():
             return b"Time (s)" in head(path / gyro)
@@ -120,9 +116,8 @@ def _extract(app: _App, path: Path, name: str, folder: Path) -> None:
 
 
 PHYPHOX: Final = Importer(
-    "phyphox", "phyphox (zip or folder of CSV)", (), None, _sniff_phyphox, partial(_read, _PHYPHOX)
+    "phyphox", "phyphox (zip or folder of CSV)", (), None, partial(_sniff, phyphox=True), partial(_read, _PHYPHOX)
 )
-
 SENSOR_LOGGER: Final = Importer(
     "sensor-logger", "Sensor Logger (zip or folder of CSV)", (), None, _sniff, partial(_read, _SENSOR_LOGGER)
 )

@@ -16,34 +16,21 @@ if TYPE_CHECKING:
 DELIMITERS: Final = {"tab": "\t", "semicolon": ";", "comma": ",", "pipe": "|", "blank": None}
 """Names on the command line; blank stands for any run of blanks and tabs."""
 
-_HEAD_BYTES = 1 << 16
-"""Bytes in which the first row of numbers is searched: titles and notes take a few thousand."""
+_HEAD_BYTES = 1 << 16  # bytes in which the first row of numbers is searched: titles and notes take a few thousand
 
 _COMMENT_MARKS = ("#", "%", "//")
 
-_FEWEST_NUMBERS = 3
-"""Numbers in the first row; fewer may stand in a line of notes."""
+_FEWEST_NUMBERS = 3  # numbers in the first row; fewer may stand in a line of notes
 
 
 def find_layout(path: Path, options: ImportOptions) -> TableLayout:
-    """Find the layout of a table.
+    """Find the layout of a table; ``delimiter``, ``decimal_comma`` and ``skip`` are used without a check.
 
-    Parameters
-    ----------
-    options : ImportOptions
-        ``delimiter``, ``decimal_comma`` and ``skip`` are used without a check.
-
-    Raises
-    ------
-    InputError
-        No text, an unknown delimiter, or no row of numbers in the first 64 KiB.
+    Raises InputError: no text, an unknown delimiter, or no row of numbers in the first 64 KiB.
     """
     lines = _first_lines(path)
-    candidates = list(DELIMITERS.values())
-    if options.delimiter is not None:
-        candidates = [_delimiter(options.delimiter)]
-    if options.decimal_comma:
-        candidates = [mark for mark in candidates if mark != ","]
+    candidates = list(DELIMITERS.values()) if options.delimiter is None else [_delimiter(options.delimiter)]
+    candidates = [mark for mark in candidates if mark != "," or not options.decimal_comma]
     for number, line in enumerate(lines):
         if number < options.skip or line.lstrip().startswith(_COMMENT_MARKS):
             continue

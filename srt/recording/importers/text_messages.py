@@ -12,6 +12,8 @@ from __future__ import annotations
 import re
 import zlib
 from dataclasses import dataclass
+from functools import partial, reduce
+from operator import xor
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -35,27 +37,13 @@ _ALL_ONES: Final = 0xFFFFFFFF
 
 @dataclass(frozen=True, slots=True)
 class _Messages:
-    """Messages of one maker.
-
-    Attributes
-    ----------
-    pattern : re.Pattern
-        Groups: text that the checksum covers, name, fields, checksum.
-    checksum : callable
-        Checksum of the text, as hexadecimal digits.
-    places : callable
-        From the fields of one message to those of week, second (None without time), gyros, accelerometers, temperature
-        (None without).
-    signs : tuple of 6 floats
-        Signs of gyros and accelerometers, x, y, z.
-    kind : "rate" or "increment"
-    """
+    """Messages of one maker."""
 
     title: str
-    pattern: re.Pattern[str]
-    checksum: Callable[[bytes], str]
-    places: Callable[[str], tuple[tuple[int, int] | None, tuple[int, ...], int | None]]
-    signs: tuple[float, ...]
+    pattern: re.Pattern[str]  # groups: text that the checksum covers, name, fields, checksum
+    checksum: Callable[[bytes], str]  # of the text, as hexadecimal digits
+    places: Callable[[str], tuple[int, ...]]  # fields by the name: gyros, accelerometers, then week, second or celsius
+    signs: tuple[float, ...]  # of gyros and accelerometers, x, y, z
     stated: StatedUnits
     kind: Kind
 
@@ -66,17 +54,13 @@ def _crc32(text: bytes) -> str:
 
 
 def _xor(text: bytes) -> str:
-    total = 0
-    for byte in text:
-        total ^= byte
-    return f"{total:02x}"
+    return f"{reduce(xor, text, 0):02x}"
 
 
-def _novatel_places(name: str) -> tuple[tuple[int, int], tuple[int, ...], None]:
+def _novatel_places(name: str) -> tuple[int, ...]:
     # The extended messages have information and type of the IMU in front.
     first = 2 if "X" in name.removeprefix("RAW") else 0
-    accel, gyro = first + 3, first + 6
-    return (first, first + 1), (gyro + 2, gyro + 1, gyro, accel + 2, accel + 1, accel), None
+    return tuple(first + place for place in (8, 7, 6, 5, 4, 3, 0, 1))
 
 
 _NOVATEL: Final = _Messages(
@@ -92,7 +76,7 @@ _VECTORNAV: Final = _Messages(
     "VectorNav VNIMU",
     re.compile(r"\$((VNIMU),([^*\r\n]*))\*([0-9a-fA-F]{2})(?![0-9a-fA-F])"),
     _xor,
-    lambda _: (None, (6, 7, 8, 3, 4, 5), 9),
+    lambda _: (6, 7, 8, 3, 4, 5, 9),
     (1.0,) * 6,
     StatedUnits("rad/s", "m/s^2", None),
     "rate",
@@ -108,53 +92,43 @@ def _read(messages: _Messages, path: Path, options: ImportOptions) -> ImportedSa
                 if match is None:
                     continue
                 try:
-                    row = _row(messages, match)
+                    rows.append(_row(messages, match))
                 except (ValueError, IndexError):
                     damaged += 1
-                    continue
-                rows.append(row)
     except OSError as error:
         raise InputError(f"Cannot read {path} ({error.strerror}): check its permissions.") from None
     if not rows:
         raise InputError(f"{path} holds no whole message {messages.title}: name another file or format.")
     table = np.array(rows)
     notes = (f"{damaged} damaged messages (checksum or fields) were left out.",) if damaged else ()
-    values: Array = table[:, 2:8] * messages.signs
-    has_time, temperature = not np.isnan(table[0, 0]), table[:, 8]
+    values: Array = table[:, :6] * messages.signs
+    timed = table.shape[1] == 8
     return samples_in_si(
         options,
         gyro=values[:, :3],
         accel=values[:, 3:],
-        time=_WEEK_S * (table[:, 0] - table[0, 0]) + table[:, 1] if has_time else None,
+        time=_WEEK_S * (table[:, 6] - table[0, 6]) + table[:, 7] if timed else None,
         stated=messages.stated,
         kind=messages.kind,
-        temperature=None if np.isnan(temperature).any() else temperature,
+        temperature=None if timed or np.isnan(table[:, 6]).any() else table[:, 6],
         notes=notes,
     )
 
 
-def _row(messages: _Messages, match: re.Match[str]) -> tuple[float, ...]:
-    """Week, second, six readings and temperature, NaN where absent. Raises ValueError for a damaged message."""
+def _row(messages: _Messages, match: re.Match[str]) -> list[float]:
+    """Values of a message. Raises ValueError or IndexError for a damaged one."""
     text, name, body, total = match.groups()
     if messages.checksum(text.encode("latin-1")) != total.lower():
         raise ValueError("checksum")
     fields = body.split(",")
-    time, readings, temperature = messages.places(name)
-    nothing = float("nan")
-    week, second = (nothing, nothing) if time is None else (float(fields[time[0]]), float(fields[time[1]]))
-    celsius = nothing if temperature is None else float(fields[temperature])
-    return (week, second, *(float(fields[i]) for i in readings), celsius)
+    return [float(fields[i]) for i in messages.places(name)]
 
 
 def _importer(name: str, messages: _Messages) -> Importer:
-    return Importer(
-        name,
-        f"{messages.title} messages (text)",
-        (),
-        None,
-        lambda path: messages.pattern.search(head(path).decode("latin-1")) is not None,
-        lambda path, options: _read(messages, path, options),
-    )
+    def sniff(path: Path) -> bool:
+        return messages.pattern.search(head(path).decode("latin-1")) is not None
+
+    return Importer(name, f"{messages.title} messages (text)", (), None, sniff, partial(_read, messages))
 
 
 NOVATEL: Final = _importer("novatel", _NOVATEL)

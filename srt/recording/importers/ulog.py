@@ -21,10 +21,9 @@ from srt.exceptions import InputError
 from srt.recording.applied import AppliedCorrection
 from srt.recording.autopilots import PX4
 from srt.recording.file_guards import clear_errors
-from srt.recording.import_options import option
-from srt.recording.importer_registry import Importer, head
+from srt.recording.importer_registry import Importer, starts_with
 from srt.recording.importers.child_process import in_child
-from srt.recording.importers.log_streams import Stream, choose_instance, join, require_topic, to_imported
+from srt.recording.importers.log_streams import Stream, choose_topic, join, to_imported
 from srt.recording.timing import GAP_STEPS
 
 if TYPE_CHECKING:
@@ -49,14 +48,9 @@ TOPICS: Final = {COMBINED: (COMBINED,), INCREMENTS: (INCREMENTS,), GYRO: (GYRO, 
 
 _TITLE = "ULog"
 
-_US = 10**6
-"""Ticks of a stamp in a second."""
-
-_LATEST_STAMP_US = 2**62
-"""Stamps of 146 000 years and more are damage; their differences would overflow 64 bits."""
-
-_NOT_KNOWN_US = 0x7FFFFFFF
-"""PX4's value of accelerometer_timestamp_relative for "no reading yet", µs."""
+_US = 10**6  # ticks of a stamp in a second
+_LATEST_STAMP_US = 2**62  # stamps of 146 000 years and more are damage; their differences would overflow 64 bits
+_NOT_KNOWN_US = 0x7FFFFFFF  # PX4's value of accelerometer_timestamp_relative for "no reading yet", µs
 
 _UNCOVERED = 0.01
 """Share of the time that increments leave out from which they are no increments between stamps: durations in whole µs
@@ -68,24 +62,13 @@ _DURATION_MISMATCH = 1e-3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _LogTopics:
-    """Topics of a parsed log.
-
-    Attributes
-    ----------
-    data : dict of (topic, instance) to dict of column to ndarray
-    info : dict of str to object
-        Key and value pairs on the system that wrote the log.
-    parameters : dict of str to number
-        At the start of the log.
-    changed : frozenset of str
-        Parameters that changed within the log.
-    """
+    """Topics of a parsed log."""
 
     path: Path
-    data: dict[tuple[str, int], dict[str, NDArray[Any]]]
-    info: dict[str, object]
-    parameters: dict[str, float]
-    changed: frozenset[str]
+    data: dict[tuple[str, int], dict[str, NDArray[Any]]]  # columns by topic and instance
+    info: dict[str, object]  # on the system that wrote the log
+    parameters: dict[str, float]  # at the start of the log
+    changed: frozenset[str]  # parameters that changed within the log
     damaged: bool
 
     def instances(self, topic: str) -> list[int]:
@@ -132,21 +115,12 @@ class _LogTopics:
 
 def read_log(path: Path, options: ImportOptions) -> ImportedSamples:
     """Read the IMU of a log, in this process. Raises InputError."""
-    wanted = options.topic
-    require_topic(wanted, TOPICS)
     log = _parse(path)
-    notes: list[str] = []
-    if log.damaged:
-        notes.append("The log is damaged; its readable messages were read.")
-    complete = [topic for topic, parts in TOPICS.items() if all(log.instances(part) for part in parts)]
-    if not complete or wanted not in (None, *complete):
-        there = ", ".join(f"{name} [{instance}]" for name, instance in sorted(log.data)) or "none of them"
-        needed = " with ".join(TOPICS[wanted]) if wanted else f"{COMBINED}, {INCREMENTS}, or {GYRO} with {ACCEL}"
-        raise InputError(f"{path} holds no samples of {needed} (found: {there}): log the IMU's topics.")
-    topic = wanted or complete[0]
-    instance = choose_instance(path, topic, log.instances(TOPICS[topic][0]), options.instance, notes)
-    if len(complete) > 1 and wanted is None:
-        notes.append(f"Read from {topic}; {', '.join(complete[1:])} would be read with {option('topic')}.")
+    notes = ["The log is damaged; its readable messages were read."] if log.damaged else []
+    there = ", ".join(f"{name} [{instance}]" for name, instance in sorted(log.data)) or "none of them"
+    needed = " with ".join(TOPICS.get(options.topic or "", (f"{COMBINED}, {INCREMENTS}, or {GYRO}", ACCEL)))
+    absent = f"of {needed} (found: {there}): log the IMU's topics."
+    topic, instance = choose_topic(path, TOPICS, log.instances, options, notes, absent)
     serial = log.info.get("sys_uuid")
     stream, more = _READERS[topic](log, instance, notes)
     applied = _applied(log, topic, instance, notes)
@@ -240,9 +214,7 @@ def _apart(log: _LogTopics, instance: int, notes: list[str]) -> tuple[Stream, di
     other = instance if instance in accels else accels[0]
     streams = []
     for topic, which in ((GYRO, instance), (ACCEL, other)):
-        temperature = None
-        if "temperature" in log.data[topic, which]:
-            temperature = log.column(topic, which, "temperature")
+        temperature = log.column(topic, which, "temperature") if "temperature" in log.data[topic, which] else None
         values = log.column(topic, which, "x", "y", "z")
         streams.append(Stream(f"{topic} [{which}]", log.stamps(topic, which), _US, values, temperature))
     return join(streams[0], streams[1], notes), {}
@@ -267,16 +239,6 @@ def _parse(path: Path) -> _LogTopics:
     return _LogTopics(path, data, log.msg_info_dict, parameters, changed, bool(log.file_corruption))
 
 
-def _sniff(path: Path) -> bool:
-    return head(path, len(MAGIC)) == MAGIC
-
-
-ULOG: Final = Importer(
-    "ulog",
-    "PX4 log (ULog)",
-    (".ulg",),
-    "formats",
-    _sniff,
-    in_child(f"{__name__}:{read_log.__name__}", "pyulog", "A PX4 log"),
-    frozenset({"topic", "instance"}),
-)
+_READ = in_child(f"{__name__}:{read_log.__name__}", "pyulog", "A PX4 log")
+_OPTIONS = frozenset({"topic", "instance"})
+ULOG: Final = Importer("ulog", "PX4 log (ULog)", (".ulg",), "formats", starts_with(MAGIC), _READ, _OPTIONS)

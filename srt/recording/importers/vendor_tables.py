@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -18,7 +19,7 @@ from srt.recording.samples import ACCEL_COLUMNS, GYRO_COLUMNS, TIME
 from srt.recording.text_tables import read_table
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
     from pathlib import Path
 
     from srt.recording.recording import Kind
@@ -33,11 +34,9 @@ _MICROSTRAIN_UNITS: Final[Mapping[Kind, StatedUnits]] = {
 _XSENS_UNITS: Final[Mapping[Kind, StatedUnits]] = {"rate": StatedUnits("rad/s", "m/s^2", "0.1ms")}
 """Units of the MTi manual; SampleTimeFine counts at 10 kHz."""
 _XSENS_RATE: Final = re.compile(r"//\s*Update Rate:\s*([0-9]+(?:\.[0-9]+)?)\s*Hz")
-_WRAP_S: Final = 2**32 * 1e-4
-"""Period of SampleTimeFine, an unsigned integer of 32 bits."""
+_WRAP_S: Final = 2**32 * 1e-4  # period of SampleTimeFine, an unsigned integer of 32 bits
 _XSENS_COUNTER: Final = "PacketCounter"
-_XSENS_COUNTS: Final = 2**16
-"""Period of the packet counter, an unsigned integer of 16 bits."""
+_XSENS_COUNTS: Final = 2**16  # period of the packet counter, an unsigned integer of 16 bits
 _RATE_TOLERANCE: Final = 0.1
 """Share by which stamps and stated rate may differ; the next unit of time is a factor of 10 away."""
 
@@ -85,35 +84,32 @@ def _read_kf_gins(path: Path, options: ImportOptions) -> ImportedSamples:
     return samples_in_si(options, **of_channels(table), stated=StatedUnits("rad", "m/s", "s"), kind="increment")
 
 
-KF_GINS: Final = Importer(
+def _importer(
+    name: str, title: str, sniff: Callable[[bytes], bool], read: Callable[..., ImportedSamples], options: frozenset[str]
+) -> Importer:
+    return Importer(name, title, (), None, lambda path: sniff(head(path)), read, options)
+
+
+KF_GINS: Final = _importer(
     "kf-gins",
     "KF-GINS increments as text (time, angles, velocities)",
-    (),
-    None,
     lambda _: False,  # seven columns without names may be anything
     _read_kf_gins,
     frozenset({"delimiter", "skip"}),
 )
-
-MICROSTRAIN: Final = Importer(
+MICROSTRAIN: Final = _importer(
     "microstrain",
     "MicroStrain SensorConnect CSV (scaledGyro and scaledAccel, or deltaTheta and deltaVel)",
-    (),
-    None,
-    lambda path: any(
-        all(word in head(path) for word in pair)
-        for pair in ((b"scaledGyroX", b"scaledAccelX"), (b"deltaThetaX", b"deltaVelX"))
+    lambda text: (
+        (b"scaledGyroX" in text and b"scaledAccelX" in text) or (b"deltaThetaX" in text and b"deltaVelX" in text)
     ),
-    lambda path, options: read_csv_table(path, options, _MICROSTRAIN_UNITS),
+    partial(read_csv_table, published=_MICROSTRAIN_UNITS),
     TEXT_OPTIONS | {"kind"},
 )
-
-XSENS: Final = Importer(
+XSENS: Final = _importer(
     "xsens",
     "Xsens MT Manager text (Acc, Gyr; SampleTimeFine of 0.1 ms)",
-    (),
-    None,
-    lambda path: head(path).startswith(b"//") and all(w in head(path) for w in (b"PacketCounter", b"Acc_X", b"Gyr_X")),
+    lambda text: text.startswith(b"//") and b"PacketCounter" in text and b"Acc_X" in text and b"Gyr_X" in text,
     _read_xsens,
     TEXT_OPTIONS,
 )

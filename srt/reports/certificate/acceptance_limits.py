@@ -28,22 +28,12 @@ GUARD_SIGMAS: Final = 2.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AcceptanceLimits:
-    """Largest absolute value and largest sigma of every parameter.
+    """Largest absolute value and largest sigma of every parameter."""
 
-    Attributes
-    ----------
-    value, sigma : ndarray, shape (27,), SI
-        NaN where there is no limit.
-    name : str
-        Name of the file, without its folder.
-    guard_sigmas : float
-        Guard band of the values in sigmas: 0, simple acceptance.
-    """
-
-    value: Array
-    sigma: Array
-    name: str
-    guard_sigmas: float = 0.0
+    value: Array  # shape (27,), SI; NaN where there is no limit
+    sigma: Array  # likewise
+    name: str  # of the file, without its folder
+    guard_sigmas: float = 0.0  # guard band of the values; 0: simple acceptance
 
     @property
     def decision_rule(self) -> str:
@@ -77,14 +67,11 @@ class AcceptanceLimits:
 def load_acceptance_limits(path: Path) -> AcceptanceLimits:
     """Read a file of limits: sections ``[value]`` and ``[sigma]``, keys such as ``gyro_scale_ppm``.
 
-    A section ``[decision]`` has ``rule`` ("simple" or "guarded") and ``guard_sigmas``, the guard band (default 2).
-    A key names a parameter or a group, and the unit of the table after it; a parameter's own limit goes before that
-    of its group.
+    A section ``[decision]`` has ``rule`` ("simple" or "guarded") and ``guard_sigmas``, the guard band (default 2). A
+    key names a parameter or a group, and the unit of the table after it; a parameter's own limit goes before that of
+    its group.
 
-    Raises
-    ------
-    InputError
-        A file that cannot be read, an unknown key, a wrong unit, or a limit that is no positive number.
+    Raises InputError: a file that cannot be read, an unknown key, a wrong unit, or a limit that is no positive number.
     """
     document = read_toml(path)
     unknown = [key for key in document if key not in (*SECTIONS, "decision")]

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from srt.arguments import require_type
-from srt.recording.bounded_file import read_bounded
+from srt.recording.file_guards import read_bounded
 from srt.result.calibration import Calibration, load_calibration
 from srt.result.json_file import json_text
 
@@ -19,19 +19,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CalibrationFile:
-    """Calibration and its file.
-
-    Attributes
-    ----------
-    name : str
-        Name of the file, without its folder.
-    sha256 : str
-        SHA-256 of the file.
-    """
+    """Calibration and its file."""
 
     calibration: Calibration
-    name: str
-    sha256: str
+    name: str  # of the file, without its folder
+    sha256: str  # of the file
 
     @property
     def serial(self) -> str | None:
@@ -53,10 +45,8 @@ class CalibrationFile:
 def calibration_file(source: Calibration | str | PathLike[str]) -> CalibrationFile:
     """Calibration of a certificate, from its file or from memory; the hash of the latter is that of its file.
 
-    Raises
-    ------
-    InputError
-        As :func:`srt.load_calibration` raises it, and for a file without a digest: nothing tells that it is as written.
+    Raises InputError as :func:`srt.load_calibration`, and for a file without a digest: nothing tells that it is as
+    written.
     """
     require_type("A certificate", "a calibration, or the path of one", source, Calibration, str, PathLike)
     if isinstance(source, Calibration):

@@ -46,74 +46,35 @@ if TYPE_CHECKING:
     from srt.reports.certificate.unit_description import Application
     from srt.result.calibration import Calibration, Residual
 
-_VERDICT_LENGTH: Final = 1000
-"""Largest length of the verdict, characters."""
+_VERDICT_LENGTH: Final = 1000  # largest length of the verdict, characters
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Certificate(Presented):
-    """Content of the certificate of one unit.
+    """Content of the certificate of one unit."""
 
-    Attributes
-    ----------
-    unit : str
-        Serial of the unit.
-    outcome : str
-        "passed", "failed", "doubtful" (limits are met, but the verdict is doubtful), or empty without limits.
-    summary : tuple of str
-        Main results, in sentences.
-    parties : tuple of (str, str)
-        Laboratory, customer, operator and conditions, as labels and texts, of those that are stated.
-    missing : str
-        Sentence on what the laboratory does not state; empty if it states all.
-    description : tuple of (str, str)
-        Unit, date, site, data and software, as labels and texts.
-    g_sensitivity : Table or None
-        Gyro g-sensitivity with its sigma, if estimated.
-    budget : Table or None
-        Uncertainty by source.
-    decision : str
-        Decision rule; empty without limits.
-    held : tuple of str
-        Fixed parameters and the reasons.
-    residuals : Table or None
-        By sequence.
-    recordings : Table or None
-        Recordings of a merged calibration.
-    changes : Table or None
-        Since an earlier calibration.
-    application : Application
-        Formulas and numbers of the compensation.
-    limitations : tuple of str
-        Limitations of the test.
-    notes : tuple of str
-        Warnings of the calibration.
-    failed : tuple of str
-        Parameters that do not meet their limits.
-    """
-
-    unit: str
-    outcome: str
-    summary: tuple[str, ...]
-    parties: tuple[tuple[str, str], ...]
-    missing: str
+    unit: str  # serial
+    outcome: str  # "passed", "failed", "doubtful" (limits are met, but the verdict is doubtful); empty without limits
+    summary: tuple[str, ...]  # main results, in sentences
+    parties: tuple[tuple[str, str], ...]  # labels and texts of what the laboratory states
+    missing: str  # sentence on what it does not state; empty if it states all
     equipment: Table | None
     references: Table
-    description: tuple[tuple[str, str], ...]
+    description: tuple[tuple[str, str], ...]  # unit, date, site, data and software, as labels and texts
     parameters: Table
     g_sensitivity: Table | None
-    budget: Table | None
-    decision: str
-    held: tuple[str, ...]
-    residuals: Table | None
+    budget: Table | None  # uncertainty by source
+    decision: str  # decision rule; empty without limits
+    held: tuple[str, ...]  # fixed parameters and the reasons
+    residuals: Table | None  # by sequence
     residual_notes: tuple[str, ...]
-    recordings: Table | None
-    changes: Table | None
+    recordings: Table | None  # of a merged calibration
+    changes: Table | None  # since an earlier calibration
     change_notes: tuple[str, ...]
     application: Application
-    limitations: tuple[str, ...]
-    notes: tuple[str, ...]
-    failed: tuple[str, ...]
+    limitations: tuple[str, ...]  # of the test
+    notes: tuple[str, ...]  # warnings of the calibration
+    failed: tuple[str, ...]  # parameters that do not meet their limits
     source: CalibrationFile
     course: RecordingHistory | None
     change: ParameterChanges | None
@@ -132,21 +93,10 @@ def make_certificate(
     change: ParameterChanges | None = None,
     laboratory: Laboratory | None = None,
 ) -> Certificate:
-    """Content of a certificate.
+    """Content of a certificate; a sentence lists what the laboratory does not state.
 
-    Parameters
-    ----------
-    course : RecordingHistory, optional
-        Of its recording.
-    change : ParameterChanges, optional
-        Since an earlier calibration of the unit.
-    laboratory : Laboratory, optional
-        Statements of the laboratory; a sentence lists those that are missing.
-
-    Raises
-    ------
-    DataError
-        If the calibration did not converge.
+    ``course`` is that of its recording, ``change`` that since an earlier calibration of the unit. Raises DataError if
+    the calibration did not converge.
     """
     calibration = source.calibration
     if calibration.status not in USABLE:
@@ -181,7 +131,7 @@ def make_certificate(
         changes=None if change is None else change_table(source, change),
         change_notes=() if change is None else tuple(_change_notes(source, change)),
         application=application_section(calibration),
-        limitations=limitations(calibration, course),
+        limitations=tuple(limitations(calibration, course)),
         notes=tuple(plain(text) for text in calibration.warnings),
         failed=failed,
         source=source,

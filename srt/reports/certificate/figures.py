@@ -38,39 +38,23 @@ if TYPE_CHECKING:
     from srt.reports.certificate.content import Certificate
 
 _COMMENT: Final = re.compile(r"<!--.*?-->\s*|<metadata>.*?</metadata>\s*", re.DOTALL)
-_TEXT: Final = 8.5
-"""Size of letters, points."""
+_TEXT: Final = 8.5  # size of letters, points
 _COLOURS: Final = (BLUE, VERMILION, GREEN)
 _MARKERS: Final = ("o", "s", "^")
-_SVG_DPI: Final = 72
-"""Points to an inch, the unit of matplotlib's SVG."""
-_IN_MINUTES: Final = 1200.0
-"""Duration from which the time axis is in minutes, s."""
-_GRID: Final = (("ppm", "µg"), ("µrad", "°/h"))
-"""Units of the panels of parameters, by rows."""
+_SVG_DPI: Final = 72  # points to an inch, the unit of matplotlib's SVG
+_IN_MINUTES: Final = 1200.0  # duration from which the time axis is in minutes, s
+_GRID: Final = (("ppm", "µg"), ("µrad", "°/h"))  # units of the panels of parameters, by rows
 
 
 @dataclass(frozen=True, slots=True)
 class CertificateFigure:
-    """Figure of the certificate.
+    """Figure of the certificate."""
 
-    Attributes
-    ----------
-    name : str
-        A word, for identifiers.
-    caption : str
-        Legend.
-    size_in : (float, float)
-        Width and height, inches.
-    draw : callable
-        Takes the certificate, and the figure or part of one to draw into.
-    """
-
-    name: str
+    name: str  # a word, for identifiers
     title: str
     caption: str
-    size_in: tuple[float, float]
-    draw: Callable[[Certificate, Figure | SubFigure], None]
+    size_in: tuple[float, float]  # width and height, inches
+    draw: Callable[[Certificate, Figure | SubFigure], None]  # into a figure or a part of one
 
 
 def certificate_figures(certificate: Certificate) -> tuple[CertificateFigure, ...]:

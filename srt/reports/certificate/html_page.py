@@ -6,7 +6,6 @@ Texts out of files are escaped. The style of the page sets the colours of the fi
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from importlib.resources import files
 from typing import TYPE_CHECKING, Final
 
@@ -28,42 +27,13 @@ _STYLED: Final = {
     "#000000": "var(--ink)",
 }
 """Figure colours replaced by variables of the page's style; the others are legible on both backgrounds."""
-_PX_PER_INCH: Final = 96
-"""Pixels of CSS to an inch."""
 _REFERENCE: Final = re.compile(r'(\bid="|href="#|url\(#)')
 
 
-@dataclass(frozen=True, slots=True)
-class PageFigure:
-    """Figure of the page.
-
-    Attributes
-    ----------
-    title, caption : str
-    svg : str
-        Drawing.
-    width_px : int
-        Width on a screen that is wide enough.
-    """
-
-    title: str
-    caption: str
-    svg: str
-    width_px: int
-
-
 def html_page(certificate: Certificate) -> str:
-    """Write the certificate as a page of HTML.
+    """Write the certificate as a page of HTML that loads no other files and runs no scripts.
 
-    Returns
-    -------
-    str
-        HTML text that loads no other files and runs no scripts.
-
-    Raises
-    ------
-    MissingExtraError
-        Without Jinja2 or matplotlib.
+    Raises MissingExtraError without Jinja2 or matplotlib.
     """
     try:
         from jinja2 import Environment, StrictUndefined
@@ -73,7 +43,7 @@ def html_page(certificate: Certificate) -> str:
     source = (files("srt.reports.certificate") / _TEMPLATE).read_text(encoding="utf-8")
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     environment.filters["css_string"] = _css_string
-    drawn = {figure.name: _page_figure(certificate, figure) for figure in certificate_figures(certificate)}
+    drawn = {figure.name: (figure, _drawing(certificate, figure)) for figure in certificate_figures(certificate)}
     return environment.from_string(source).render(certificate=certificate, figures=drawn)
 
 
@@ -83,17 +53,12 @@ def _css_string(text: str) -> str:
     return '"' + "".join(c if c.isalnum() else f"\\{ord(c):x} " for c in text) + '"'
 
 
-def _page_figure(certificate: Certificate, figure: CertificateFigure) -> PageFigure:
-    """Draw a figure with the colours of the page and identifiers that no other figure has."""
+def _drawing(certificate: Certificate, figure: CertificateFigure) -> str:
+    """SVG of a figure with the colours of the page and identifiers that no other figure has."""
     text = figure_svg(certificate, figure)
     for colour, variable in _STYLED.items():
         text = text.replace(colour.lower(), variable).replace(colour, variable)
     # Identifiers must be unique in the page, so each begins with the figure's name.
     text = _REFERENCE.sub(lambda found: f"{found[1]}{figure.name}-", text)
-    text = re.sub(
-        r'<svg\b[^>]*?viewBox="([^"]*)"[^>]*>',
-        rf'<svg viewBox="\1" role="img" aria-label="{figure.title}">',
-        text,
-        count=1,
-    )
-    return PageFigure(figure.title, figure.caption, text, round(_PX_PER_INCH * figure.size_in[0]))
+    head = rf'<svg viewBox="\1" role="img" aria-label="{figure.title}">'
+    return re.sub(r'<svg\b[^>]*?viewBox="([^"]*)"[^>]*>', head, text, count=1)

@@ -82,16 +82,9 @@ def certificate(
 
 
 def write_certificate(made: Certificate, page: Path) -> None:
-    """Write the page and the PDF beside it, each complete or not at all, and neither unless both can be made.
+    """Write the page, .html, and the PDF beside it, each complete or not at all, and neither unless both can be made.
 
-    Parameters
-    ----------
-    page : Path
-        Ends in .html.
-
-    Raises
-    ------
-    SrtError
+    Raises SrtError.
     """
     from srt.reports.certificate.html_page import html_page
     from srt.reports.certificate.pdf import write_pdf

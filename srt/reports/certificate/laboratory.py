@@ -49,26 +49,16 @@ _REFERENCES: Final = {
     "gravity": "Gravity", "latitude": "Latitude", "heading": "Heading of the fixture", "time_base": "Time base",
 }  # fmt: skip
 """References of the test with their labels."""
-_LENGTH: Final = 200
-"""Largest number of characters of a text."""
+_LENGTH: Final = 200  # largest number of characters of a text
 
 
 @dataclass(frozen=True, slots=True)
 class Laboratory:
-    """Statements of the laboratory.
+    """Statements of the laboratory."""
 
-    Attributes
-    ----------
-    texts : mapping of str to mapping of str to str
-        By section and key, of those that are stated.
-    equipment : tuple of mapping of str to str
-    references : mapping of str to str
-        Origin of the reference values: traceability.
-    """
-
-    texts: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    texts: Mapping[str, Mapping[str, str]] = field(default_factory=dict)  # by section and key, of what is stated
     equipment: tuple[Mapping[str, str], ...] = ()
-    references: Mapping[str, str] = field(default_factory=dict)
+    references: Mapping[str, str] = field(default_factory=dict)  # origin of the reference values: traceability
     coverage_factor: float = COVERAGE_FACTOR
 
     def rows(self) -> Iterator[tuple[str, str]]:
@@ -93,10 +83,7 @@ class Laboratory:
 def load_laboratory(path: Path) -> Laboratory:
     """Read the file of a laboratory.
 
-    Raises
-    ------
-    InputError
-        A file that cannot be read, an unknown section or key, or a value that is no text.
+    Raises InputError: a file that cannot be read, an unknown section or key, or a value that is no text.
     """
     document = read_toml(path)
     known = (*SECTIONS, "equipment", "references")

@@ -23,23 +23,13 @@ FALSE_ALARM: Final = 0.01
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ParameterChanges:
-    """New parameters minus old ones.
-
-    Attributes
-    ----------
-    difference, sigma : ndarray, shape (27,), SI
-        Change and its combined sigma, ``sqrt(sigma_new² + sigma_old²)``; NaN where one of the two did not measure it.
-    limit : float
-        Limit of the absolute change over sigma.
-    on_trust : bool
-        True if a serial is missing; both are then assumed to be of one unit.
-    """
+    """New parameters minus old ones."""
 
     old: CalibrationFile
-    difference: Array
-    sigma: Array
-    limit: float
-    on_trust: bool
+    difference: Array  # shape (27,), SI; NaN where one of the two did not measure it, as the sigma
+    sigma: Array  # sqrt(sigma_new² + sigma_old²)
+    limit: float  # of the absolute change over sigma
+    on_trust: bool  # a serial is missing; both are then assumed to be of one unit
 
     @property
     def ratio(self) -> Array:
@@ -60,11 +50,8 @@ class ParameterChanges:
 def changes_since(new: CalibrationFile, old: CalibrationFile) -> ParameterChanges:
     """Changes since an earlier calibration of the same unit.
 
-    Raises
-    ------
-    InputError
-        Another unit, an old calibration that did not converge, the same samples, or no parameter
-        measured in both.
+    Raises InputError: another unit, an old calibration that did not converge, the same samples, or no parameter
+    measured in both.
     """
     if None not in (new.serial, old.serial) and new.serial != old.serial:
         raise InputError(

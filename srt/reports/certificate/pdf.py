@@ -27,23 +27,20 @@ if TYPE_CHECKING:
     from srt.reports.certificate.content import Certificate
     from srt.reports.tables import Table
 
-_MARGIN: Final = 17.0
-"""Margin at the left, the right and the top of a page."""
+_MARGIN: Final = 17.0  # margin at the left, the right and the top of a page
 _BODY_PT: Final = 9.0
 _SMALL_PT: Final = 8.0
 _LEAST_PT: Final = 5.5
 """Smallest size of letters, as of footnotes; a table that is still too wide breaks its cells into lines."""
 _LEADING: Final = 1.35 * 25.4 / 72.0
 """Height of a line, mm per point of its letters: the customary 1.2 to 1.45 of their size."""
-_PADDING: Final = 1.3
-"""Space on either side of the text of a cell."""
+_PADDING: Final = 1.3  # space on either side of the text of a cell
 _QUIET: Final = "#555555"
 _BAD: Final = "#b03a00"
 _COLOURS: Final = {"passed": "#00694d", "failed": _BAD, "doubtful": _BAD, "changed": _BAD, "held": _QUIET, "": INK}
 _PAGE_ONLY: Final = ("parameters", "convergence", "correlation")
 """Figures of the HTML page only: the PDF is for reading on paper, and has their numbers in tables."""
-_FIGURE_SHARE: Final = 0.78
-"""Width of a figure over that of the text."""
+_FIGURE_SHARE: Final = 0.78  # width of a figure over that of the text
 _UNDATED: Final = datetime(2000, 1, 1, tzinfo=UTC)
 """Time of creation that every file states, so that the same certificate makes the same file."""
 _FONTS: Final = {"": "DejaVuSans.ttf", "B": "DejaVuSans-Bold.ttf", "I": "DejaVuSans-Oblique.ttf"}
@@ -51,17 +48,9 @@ _FONTS: Final = {"": "DejaVuSans.ttf", "B": "DejaVuSans-Bold.ttf", "I": "DejaVuS
 
 
 def write_pdf(certificate: Certificate, path: Path) -> None:
-    """Write the certificate as a PDF.
+    """Write the certificate as a PDF; the same certificate makes the same file.
 
-    Parameters
-    ----------
-    path : Path
-        The same certificate makes the same file.
-
-    Raises
-    ------
-    MissingExtraError
-        Without fpdf2 or matplotlib.
+    Raises MissingExtraError without fpdf2 or matplotlib.
     """
     document = _Document(certificate.title)
     _write(certificate, document)
@@ -99,9 +88,8 @@ def _write(certificate: Certificate, document: _Document) -> None:
     if certificate.residuals is not None:
         document.certificate_table(certificate.residuals)
     for figure in certificate_figures(certificate):
-        if figure.name in _PAGE_ONLY:
-            continue
-        document.figure(figure.title, figure.caption, figure.size_in, figure_svg(certificate, figure))
+        if figure.name not in _PAGE_ONLY:
+            document.figure(figure.title, figure.caption, figure.size_in, figure_svg(certificate, figure))
     document.heading("Application", needs=50.0)
     for words, formula in zip(("Sensor model:", "Compensation:"), FORMULAS, strict=True):
         document.paragraph(words)

@@ -24,60 +24,31 @@ if TYPE_CHECKING:
     from srt.types import Array, Indices
 
 
-_MOST: Final = 200
-"""Number of attitudes in the history of a sequence: more than a figure resolves."""
+_MOST: Final = 200  # number of attitudes in the history of a sequence: more than a figure resolves
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RecordingHistory:
-    """Attitude and specific force over a test, from the corrected samples.
+    """Attitude and specific force over a test, from the corrected samples."""
 
-    Attributes
-    ----------
-    time, down : ndarray, shapes (m,) and (m, 3)
-        Time, s, and the direction of down in IMU axes as the gyros propagate it through each sequence from its start;
-        NaN between sequences.
-    samples, force : ndarray, shapes (n,) and (n, 3)
-        Time, s, and corrected specific force, m/s².
-    breaks : ndarray of int
-        Samples that begin after a gap.
-    rest, excess : ndarray, shapes (W, 2) and (W,)
-        Stationary windows, s, and their mean specific force less gravity, m/s².
-    rest_down : ndarray, shape (W, 3)
-        Direction of down in each window as the accelerometers measure it.
-    turned_deg_s : float
-        Highest rate of a turn, °/s, of means over a twentieth of a second.
-    duration_s, rate_hz : float
-    count : int
-        Samples.
-    """
-
-    time: Array
-    down: Array
-    samples: Array
-    force: Array
-    breaks: Indices
-    rest: Array
-    excess: Array
-    rest_down: Array
-    turned_deg_s: float
+    time: Array  # s, shape (m,)
+    down: Array  # in IMU axes as the gyros propagate it from the start of each sequence, (m, 3); NaN between sequences
+    samples: Array  # time, s, shape (n,)
+    force: Array  # corrected specific force, m/s², shape (n, 3)
+    breaks: Indices  # samples that begin after a gap
+    rest: Array  # stationary windows, s, shape (W, 2)
+    excess: Array  # their mean specific force less gravity, m/s², shape (W,)
+    rest_down: Array  # down in each window as the accelerometers measure it, shape (W, 3)
+    turned_deg_s: float  # highest rate of a turn, of means over a twentieth of a second
     duration_s: float
     rate_hz: float
-    count: int
+    count: int  # samples
 
 
 def check_recording(source: CalibrationFile, recording: Recording, name: str) -> None:
-    """Refuse a recording that is not the calibration's own.
+    """Refuse a recording, called ``name``, that is not the calibration's own.
 
-    Parameters
-    ----------
-    name : str
-        Name of the recording in messages.
-
-    Raises
-    ------
-    InputError
-        Other samples, another unit, or another site or fixture.
+    Raises InputError: other samples, another unit, or another site or fixture.
     """
     if not source.hashes:
         raise InputError(
@@ -109,19 +80,9 @@ def check_recording(source: CalibrationFile, recording: Recording, name: str) ->
 
 
 def recording_history(source: CalibrationFile, recording: Recording, name: str) -> RecordingHistory:
-    """Course of attitude and specific force over a recording, corrected with the values of its calibration.
+    """Course of attitude and specific force over the recording of a calibration, corrected with its values.
 
-    Parameters
-    ----------
-    recording : Recording
-        Its own, see :func:`check_recording`.
-    name : str
-        Name of the recording in messages.
-
-    Raises
-    ------
-    InputError
-        If the recording cannot be processed.
+    See :func:`check_recording`. Raises InputError, which says ``name``, if the recording cannot be processed.
     """
     origin = next(each for each in source.origins if each.data_sha256 == recording.data_sha256)
     average = origin.options.get("average", "linear")

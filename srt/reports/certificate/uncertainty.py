@@ -30,13 +30,7 @@ def coverage_note(factor: float) -> str:
 
 
 def budget_table(calibration: Calibration, factor: float) -> Table | None:
-    """Table of the sources of sigma, root mean square of each group; None without sources.
-
-    Parameters
-    ----------
-    factor : float
-        Coverage factor.
-    """
+    """Table of the sources of sigma, root mean square of each group; None without sources."""
     observed = calibration.observed
     parts = {name: np.flatnonzero(observed[part]) + part.start for name, part in GROUP_SLICES.items()}
     parts = {name: part for name, part in parts.items() if part.size}

@@ -42,13 +42,8 @@ def unit_description(
     yield "Temperature", temperature(calibration)
     yield "Estimator", plain(calibration.estimator)
     if course is not None:
-        yield (
-            "Recording",
-            (
-                f"{course.count} samples, {course.duration_s:.1f} s at {course.rate_hz:.6g} Hz, "
-                f"rotation rates up to {course.turned_deg_s:.3g} °/s"
-            ),
-        )
+        samples = f"{course.count} samples, {course.duration_s:.1f} s at {course.rate_hz:.6g} Hz"
+        yield "Recording", f"{samples}, rotation rates up to {course.turned_deg_s:.3g} °/s"
     yield "SHA-256 of the samples", provenance.data_sha256 or "not stated"
     yield "SHA-256 of the calibration", source.sha256
     yield "Calibration file", f"{plain(source.name)}, format version {VERSION}"
@@ -115,18 +110,8 @@ def _option(value: Any) -> str:
     return ", ".join(map(str, value)) if isinstance(value, list) else str(value)
 
 
-def limitations(calibration: Calibration, course: RecordingHistory | None) -> tuple[str, ...]:
-    """Limitations of the test.
-
-    Parameters
-    ----------
-    course : RecordingHistory or None
-        Names the fastest turn, if there is a recording.
-    """
-    return tuple(_sentences(calibration, course))
-
-
-def _sentences(calibration: Calibration, course: RecordingHistory | None) -> Iterator[str]:
+def limitations(calibration: Calibration, course: RecordingHistory | None) -> Iterator[str]:
+    """Limitations of the test, in sentences; the course of a recording gives the fastest turn."""
     if calibration.held:
         count = len(calibration.held)
         yield f"{count} parameters were not measured: their values are prior values."
@@ -138,7 +123,7 @@ def _sentences(calibration: Calibration, course: RecordingHistory | None) -> Ite
     else:
         yield "Accelerometers were tested up to 1 g: a quadratic term is not known, and grows beyond 1 g."
     fastest = "" if course is None else f" (up to {course.turned_deg_s:.3g} °/s)"
-    yield (f"Gyros were tested at the rates of the rotations{fastest}: the scale factor at other rates is not known.")
+    yield f"Gyros were tested at the rates of the rotations{fastest}: the scale factor at other rates is not known."
     for row in calibration.diagnostics.unseen_errors or ():
         yield f"{plain(row.sentence)} No residual shows such an error."
     known = calibration.temperature
@@ -163,14 +148,9 @@ def _sentences(calibration: Calibration, course: RecordingHistory | None) -> Ite
         if calibration.provenance.recordings
         else "Changes from turn-on to turn-on or with age are not known: this is one test."
     )
-    yield (
-        "Orientation of the MARS axes in the housing: "
-        + (
-            "not measured. C relates them to the axes of the fixture only, as accurately as the unit was mounted on it."
-            if calibration.U is not None
-            else "not measured; this test has no reference for it."
-        )
-    )
+    known_axes = ". C relates them to the axes of the fixture only, as accurately as the unit was mounted on it."
+    other = known_axes if calibration.U is not None else "; this test has no reference for it."
+    yield f"Orientation of the MARS axes in the housing: not measured{other}"
     if calibration.site.latitude_deg is None:
         yield "The Earth rate is in the gyro biases, as no latitude is stated; their sigmas hold it."
     if calibration.diagnostics.unseen_errors is None:
@@ -183,21 +163,11 @@ FORMULAS: Final = ("y = M v + s ∘ |v| + b", "v = (M + diag(s ∘ sign v))⁻¹
 
 @dataclass(frozen=True, slots=True)
 class Application:
-    """Application of a calibration.
+    """Application of a calibration."""
 
-    Attributes
-    ----------
-    formulas : tuple of str
-        Sensor model and compensation.
-    sentences : tuple of str
-        Meaning of the symbols.
-    tables : tuple of Table
-        M, s and b of gyros and accelerometers, and U where it is known.
-    """
-
-    formulas: tuple[str, ...]
-    sentences: tuple[str, ...]
-    tables: tuple[Table, ...]
+    formulas: tuple[str, ...]  # sensor model and compensation
+    sentences: tuple[str, ...]  # meaning of the symbols
+    tables: tuple[Table, ...]  # M, s and b of gyros and accelerometers, and U where it is known
 
 
 def application_section(calibration: Calibration) -> Application:

@@ -48,10 +48,8 @@ if TYPE_CHECKING:
 
 __all__ = ["calibration_figure", "save_figure"]
 
-_SIZE_INCHES: Final = (12.0, 10.0)
-"""Width and height."""
-_MOST_TICKS: Final = 24
-"""Largest number of labels of sequences that fit on the axis."""
+_SIZE_INCHES: Final = (12.0, 10.0)  # width and height
+_MOST_TICKS: Final = 24  # largest number of labels of sequences that fit on the axis
 _KINDS: Final = (
     ("horizontal", "horizontal", BLUE, "o"),
     ("start_down", "down at start", GREEN, "^"),
@@ -64,10 +62,8 @@ _KINDS: Final = (
 )
 _OTHER: Final = ("", "other", GREY, "D")
 """Word in the name of a component, label, colour and marker of its kind; the first that fits."""
-_APART: Final = 0.2
-"""Distance of the marks of two kinds at one sequence, in sequences."""
-_FOOT_WIDTH: Final = 172
-"""Characters in a line of the explanation at the foot."""
+_APART: Final = 0.2  # distance of the marks of two kinds at one sequence, in sequences
+_FOOT_WIDTH: Final = 172  # characters in a line of the explanation at the foot
 _LAST: Final = (
     "Bottom left: each iteration re-processes the samples with the corrected errors, until the corrections are "
     "negligible. Bottom right: the difference of each measurement from its prediction, over its sigma; about two in "
@@ -92,17 +88,8 @@ def calibration_figure(
 ) -> Figure:
     """Draw the parameters by unit, the convergence of the iterations, and the residuals of the sequences.
 
-    Parameters
-    ----------
-    truth : SensorErrors, optional
-        Marked beside the values; the error bars then stand at estimate minus truth.
-    title : str, optional
-        Title of the recording.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Not known to pyplot; :func:`save_figure` writes it.
+    ``truth`` is marked beside the values; the error bars then stand at estimate minus truth. The figure is not known to
+    pyplot; :func:`save_figure` writes it.
     """
     layout = ConstrainedLayoutEngine(h_pad=0.07, w_pad=0.05, hspace=0.03, wspace=0.02)
     figure = Figure(figsize=_SIZE_INCHES, dpi=DPI, layout=layout)
@@ -217,12 +204,7 @@ def draw_convergence(axes: Axes, calibration: Calibration) -> None:
 def draw_residuals(axes: Axes, residuals: Sequence[Residual], *, letters: float = MEDIUM) -> None:
     """Draw the residuals over sigma by sequence, one mark for each kind of measurement.
 
-    Parameters
-    ----------
-    axes : matplotlib.axes.Axes
-        Its legend is left to the caller.
-    letters : float
-        Size of letters, points.
+    The legend is left to the caller; ``letters`` is the size of letters, points.
     """
     style(axes)
     turns = list(dict.fromkeys((r.sequence, r.occurrence) for r in residuals))

@@ -52,20 +52,8 @@ _LINEAR_TO: Final = 12.0
 def comparison_figure(comparison: Comparison, *, title: str | None = None) -> Figure:
     """Draw differences from the reference with their expected sigmas, and the ratios of sigmas.
 
-    Parameters
-    ----------
-    title : str, optional
-        Title of the recording.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Not known to pyplot; :func:`srt.reports.figures.style.save_figure` writes it.
-
-    Raises
-    ------
-    InputError
-        If there is no usable estimate.
+    The figure is not known to pyplot; :func:`srt.reports.figures.style.save_figure` writes it. Raises InputError if
+    there is no usable estimate.
     """
     if comparison.reference is None:
         raise InputError("There is nothing to draw: no estimator gave a usable result.")

@@ -53,16 +53,11 @@ _COLOURS: Final = (BLUE, VERMILION, GREEN)
 _MARKERS: Final = ("o", "s", "^")
 _COLUMNS: Final = 1500
 """Number of intervals of time for a long recording, each drawn by its smallest and largest reading: one per pixel."""
-_ALPHA: Final = 0.8
-"""Opacity of a line, so that the noise of one axis does not hide that of the others."""
-_VISIBLE_GAP: Final = 1e-3
-"""Fraction of the duration from which a gap is visible: about a pixel."""
-_IN_MINUTES: Final = 1200.0
-"""Duration from which the time axis is in minutes, s."""
-_ROOM: Final = 0.011
-"""Width of a label of a rotation, as a fraction of that of the panel."""
-_FEW_DECADES: Final = 300.0
-"""Range of an axis below which it has ticks at 1, 2 and 5, not at decades alone."""
+_ALPHA: Final = 0.8  # opacity of a line, so that the noise of one axis does not hide that of the others
+_VISIBLE_GAP: Final = 1e-3  # fraction of the duration from which a gap is visible: about a pixel
+_IN_MINUTES: Final = 1200.0  # duration from which the time axis is in minutes, s
+_ROOM: Final = 0.011  # width of a label of a rotation, as a fraction of that of the panel
+_FEW_DECADES: Final = 300.0  # range of an axis below which it has ticks at 1, 2 and 5, not at decades alone
 _PLAIN = FuncFormatter(lambda value, _: f"{value:g}")
 _STEEP: Final[dict[str, Any]] = {
     "quantization": ":",
@@ -76,19 +71,9 @@ _STEEP: Final[dict[str, Any]] = {
 def inspection_figure(
     recording: Recording, inspection: Inspection | None = None, *, title: str | None = None
 ) -> Figure:
-    """Draw a recording and its inspection.
+    """Draw a recording and its inspection, which is made if absent.
 
-    Parameters
-    ----------
-    inspection : Inspection, optional
-        Inspection of this recording; made if absent.
-    title : str, optional
-        Title of the recording.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Not known to pyplot; :func:`save_figure` writes it.
+    The figure is not known to pyplot; :func:`save_figure` writes it.
     """
     inspection = inspection or inspect(recording)
     layout = ConstrainedLayoutEngine(h_pad=0.06, w_pad=0.06, hspace=0.03, wspace=0.03)
@@ -130,18 +115,8 @@ def inspection_figure(
 def envelope(time: Array, values: Array, breaks: Indices) -> tuple[Array, Array]:
     """Envelope of a long table: smallest and largest value of every interval, which draws the same.
 
-    Parameters
-    ----------
-    time : ndarray, shape (n,)
-    values : ndarray, shape (n, c)
-    breaks : ndarray of int
-        First samples of new pieces; lines are not drawn across.
-
-    Returns
-    -------
-    time : ndarray, shape (m,)
-    values : ndarray, shape (m, c)
-        NaN between pieces.
+    Time, shape (n,), and values, shape (n, c), become those of shape (m,) and (m, c), with NaN between the pieces that
+    begin at ``breaks``: lines are not drawn across.
     """
     size = max(1, len(time) // _COLUMNS)
     edges = [0, *breaks.tolist(), len(time)]
@@ -217,16 +192,9 @@ def _turn_texts(turns: tuple[ManoeuvreSummary, ...]) -> Iterator[tuple[float, st
 def allan_panel(
     axes: Axes, allan: AllanDeviation, sensor: int, si: float, unit: str, terms: NoiseTerms | None = None
 ) -> None:
-    """Draw the Allan deviation of one sensor with the curve and slopes of its terms.
+    """Draw the Allan deviation of one sensor, 0 for gyros and 1 for accelerometers, with curve and slopes of its terms.
 
-    Parameters
-    ----------
-    sensor : int
-        0 for gyros, 1 for accelerometers.
-    si : float
-        SI per unit.
-    terms : NoiseTerms, optional
-        Terms by maximum likelihood in place of those of the Allan fit.
+    ``si`` is SI per unit; ``terms`` by maximum likelihood stand in place of those of the Allan fit.
     """
     style(axes, grid="both")
     tau = allan.tau_s

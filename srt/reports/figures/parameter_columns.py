@@ -12,8 +12,7 @@ from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SYMBOLS
 if TYPE_CHECKING:
     from srt.types import Array
 
-_ROOM: Final = 0.72
-"""Share of a column that the marks of all estimators take up."""
+_ROOM: Final = 0.72  # share of a column that the marks of all estimators take up
 
 PLAIN: Final = FuncFormatter(lambda value, _: f"{value:g}")
 """Labels of an axis without exponents, on logarithmic axes too."""

@@ -58,12 +58,7 @@ LARGE: Final = 13.0
 
 
 def style(axes: Axes, *, grid: str = "y") -> None:
-    """Frame a panel: spines on the left and below, a faint grid behind the data.
-
-    Parameters
-    ----------
-    grid : "x", "y" or "both"
-    """
+    """Frame a panel: spines on the left and below, a faint grid ("x", "y" or "both") behind the data."""
     axes.tick_params(labelsize=SMALL, color=GREY, labelcolor=INK)
     axes.grid(axis=grid, color=FAINT, linewidth=0.7)  # type: ignore[arg-type]
     axes.set_axisbelow(True)
@@ -80,10 +75,7 @@ _OTHERS: Final = ((SKY, "P"), (ORANGE, "X"), (INK, "d"), (VERMILION, "<"), (BLUE
 def estimator_styles(names: Iterable[str]) -> dict[str, tuple[str, str]]:
     """Colour and marker of every estimator; those of this package are the same in every figure.
 
-    Parameters
-    ----------
-    names : iterable of str
-        Names of estimators. The marker distinguishes them where colours cannot be told apart.
+    The marker distinguishes them where colours cannot be told apart.
     """
     names = list(names)
     others = [name for name in names if name not in _ESTIMATORS]
@@ -100,17 +92,9 @@ _SUFFIXES: Final = (".png", ".pdf", ".svg")
 
 
 def save_figure(figure: Figure, path: str | PathLike[str]) -> None:
-    """Write a figure, whole or not at all.
+    """Write a figure as .png, .pdf or .svg, whole or not at all.
 
-    Parameters
-    ----------
-    path : path-like
-        Ends in .png, .pdf or .svg.
-
-    Raises
-    ------
-    InputError
-        A name with another ending, or a path that cannot be written.
+    Raises InputError for a name with another ending, or a path that cannot be written.
     """
     require_path("A figure", path)
     suffix, drawn = Path(path).suffix.lower(), io.BytesIO()

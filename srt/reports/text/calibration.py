@@ -50,10 +50,8 @@ SOURCE_LABELS: Final = {
 }
 """Short names of the sources of error; a source that is not listed has its own name."""
 
-_LARGEST: Final = 3
-"""Number of sources of error in the short table."""
-_SIGNIFICANT: Final = 0.05
-"""p-value below which asymmetries count as significant, the customary one."""
+_LARGEST: Final = 3  # number of sources of error in the short table
+_SIGNIFICANT: Final = 0.05  # p-value below which asymmetries count as significant, the customary one
 
 
 def report(
@@ -64,23 +62,11 @@ def report(
     budget: bool = False,
     verdict: bool = False,
 ) -> str:
-    """Text of the whole report.
+    """Text of the whole report, in lines of at most 80 characters, without a line feed at the end.
 
-    Parameters
-    ----------
-    title : str
-        Title of the recording.
-    truth : SensorErrors, optional
-        Adds columns of the truth, the error, and the error over sigma.
-    budget : bool
-        Shows all sources of error as columns instead of the three largest.
-    verdict : bool
-        Adds the verdict by parameter.
-
-    Returns
-    -------
-    str
-        Lines of at most 80 characters, without a line feed at the end.
+    ``title`` is that of the recording; ``truth`` adds columns of the truth, the error, and the error over sigma;
+    ``budget`` shows all sources of error as columns instead of the three largest; ``verdict`` adds the verdict by
+    parameter.
     """
     parts = [
         "\n".join(_heading(calibration, title)),
@@ -165,16 +151,10 @@ def budget_table(calibration: Calibration) -> str:
 
 
 def sources_table(sources: Mapping[str, Array], total: Array | None, parameters: Sequence[int]) -> str:
-    """Table of sigmas by source as columns; columns that do not fit continue below.
+    """Table of sigmas by source, shape (27,), SI, as columns; columns that do not fit continue below.
 
-    Parameters
-    ----------
-    sources : mapping of str to ndarray, shape (27,)
-        SI.
-    total : ndarray, shape (27,), or None
-        Shown before the sources. It determines the number of decimals; if None, the largest source does.
-    parameters : sequence of int
-        Rows.
+    The total is shown before the sources, and determines the number of decimals; without it, the largest source does.
+    ``parameters`` are the rows.
     """
     left: list[list[str]] = []
     columns: list[list[str]] = [[] for _ in sources]

@@ -18,12 +18,9 @@ if TYPE_CHECKING:
 
 _MOST_LINES: Final = 42
 """Lines of the summary: the three that the command adds make 45, which a terminal of 50 lines shows with the prompt."""
-_MOST_BEFORE_TABLE: Final = 10
-"""Lines before the table of the parameters."""
-_NOTE_LINES: Final = 2
-"""Lines of one note; --details shows it whole."""
-_MORE: Final = " ..."
-"""Mark of a text that is cut; --details shows all of it."""
+_MOST_BEFORE_TABLE: Final = 10  # lines before the table of the parameters
+_NOTE_LINES: Final = 2  # lines of one note; --details shows it whole
+_MORE: Final = " ..."  # mark of a text that is cut; --details shows all of it
 _STATED_NOISE: Final = {
     "gyro_noise": "gyro_noise_deg_per_sqrt_h",
     "accel_noise": "accel_noise_ug_per_sqrt_hz",
@@ -40,21 +37,10 @@ def calibration_summary(
     truth: SensorErrors | None = None,
     source: str = "",
 ) -> str:
-    """Status, verdict and advice, then the table of the parameters.
+    """Status, verdict and advice, then the table of the parameters, in lines of at most 80 characters.
 
-    Parameters
-    ----------
-    title : str
-        Title: the path of the recording.
-    truth : SensorErrors, optional
-        Adds columns of the truth, the error, and the error over sigma.
-    source : str
-        Path of the recording for the command that looks for faults; empty: none.
-
-    Returns
-    -------
-    str
-        Lines of at most 80 characters, without a line feed at the end.
+    ``title`` is the path of the recording; ``truth`` adds columns of the truth, the error, and the error over sigma;
+    ``source`` is the path of the recording for the command that looks for faults; empty: none.
     """
     head = [line for text in verdict_lines(calibration, title) for line in wrap(text)]
     advice = [line for text in _advice(calibration, source) for line in wrap(text)]

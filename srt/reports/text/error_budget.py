@@ -27,17 +27,11 @@ def budget_text(
     *,
     details: bool = True,
 ) -> str:
-    """Tables of the sources of error, those in the sum and those apart from it.
+    """Tables of the sources of error, those in the sum and those apart from it, shape (27,) each, SI.
 
-    Parameters
-    ----------
-    sources, not_counted : mapping of str to ndarray, shape (27,), SI
-    total : ndarray, shape (27,), SI
-        Root sum of squares of the sources; infinite where a parameter is not observed.
-    meanings : mapping of str to str
-        Explanation of each source that is not in the sum.
-    details : bool
-        All parameters and what is not in the sum; False: the parameter with the largest sigma of each group.
+    ``total`` is the root sum of squares of the sources; infinite where a parameter is not observed. ``meanings``
+    explain the sources that are not in the sum. Without ``details``, the parameter with the largest sigma of each group
+    is shown.
     """
     seen = np.flatnonzero(np.isfinite(total)).tolist()
     if not details:

@@ -18,19 +18,9 @@ if TYPE_CHECKING:
 
 
 def comparison_text(comparison: Comparison, *, title: str = "Comparison", details: bool = False) -> str:
-    """Verdict of a comparison, and its tables.
+    """Verdict of a comparison, and its tables; ``details`` shows values and sigmas of all estimators.
 
-    Parameters
-    ----------
-    title : str
-        Title: the path of the recording.
-    details : bool
-        Show the estimates and sigmas of all estimators, not only those of the reference.
-
-    Returns
-    -------
-    str
-        Lines of at most 80 characters with four estimators, of 120 with details; without a line feed at the end.
+    Lines have at most 80 characters with four estimators, 120 with details. ``title`` is the path of the recording.
     """
     serials = {c.provenance.serial for c in comparison.calibrations.values()} - {None}
     serial = f" (serial {serials.pop()})" if serials else ""
@@ -128,7 +118,6 @@ def truth_table(comparison: Comparison) -> str:
 
 
 def _legend(comparison: Comparison) -> Iterable[str]:
-
     pair = next(iter(comparison.differences.values()), None)
     if pair is None:
         return []

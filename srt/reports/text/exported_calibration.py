@@ -11,12 +11,9 @@ if TYPE_CHECKING:
 
 
 def export_text(made: ExportedCalibration) -> str:
-    """Description of an exported file: formula, axes, difference from ``srt apply``, limits and advice.
+    """Formula, axes, difference from ``srt apply``, limits and advice.
 
-    Returns
-    -------
-    str
-        Lines of up to 80 characters but for formulas.
+    Lines have at most 80 characters but for formulas.
     """
     rows = [
         (r.title, *(f"{value:.3e}" for value in (r.gyro_max, r.gyro_rms, r.accel_max, r.accel_rms)))

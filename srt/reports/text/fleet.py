@@ -16,20 +16,12 @@ if TYPE_CHECKING:
     from srt.comparison.fleet import Fleet, FleetUnit
 
 _STATUS: Final = {"not_converged": "not conv.", "outside_model": "outside", "inconsistent": "inconsist."}
-_SYMBOLS_SHOWN: Final = 3
-"""Largest number of outlying parameters that a row names."""
-_DIGITS: Final = 4
-"""Largest number of significant digits of a value: eight columns fit within 80 characters."""
+_SYMBOLS_SHOWN: Final = 3  # largest number of outlying parameters that a row names
+_DIGITS: Final = 4  # largest number of significant digits of a value: eight columns fit within 80 characters
 
 
 def fleet_text(fleet: Fleet) -> str:
-    """Text of the whole report of a fleet.
-
-    Returns
-    -------
-    str
-        Lines of at most 80 characters, unless names of units are long; without a line feed at the end.
-    """
+    """Text of the whole report of a fleet, in lines of at most 80 characters, unless names of units are long."""
     parts = [
         f"Fleet of {len(fleet.units)} unit{'s' if len(fleet.units) != 1 else ''}\n{state_table(fleet)}",
         size_table(fleet),

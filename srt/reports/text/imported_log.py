@@ -18,10 +18,8 @@ if TYPE_CHECKING:
     from srt.recording.importer_registry import Importer
     from srt.recording.recording import Recording
 
-_FASTEST_RAD_S: Final = 100.0
-"""Rate beyond that of any gyro sold (4000 °/s), rad/s: a larger one means a wrong unit."""
-_TEXT_WIDTH: Final = WIDTH - 17
-"""Width of the second column in characters, beside the longest label."""
+_FASTEST_RAD_S: Final = 100.0  # rate beyond that of any gyro sold (4000 °/s), rad/s: a larger one means a wrong unit
+_TEXT_WIDTH: Final = WIDTH - 17  # width of the second column in characters, beside the longest label
 _NO_FIXTURE: Final = (
     "No fixture is stated, so that attitudes and heading are unknown (a free recording). If the unit was on a fixture, "
     "state it with --heading-deg, --alignment-sigma-mrad and --rotation-sigma-mrad, with --like, or in [fixture] of "

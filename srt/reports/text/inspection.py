@@ -14,10 +14,8 @@ if TYPE_CHECKING:
     from srt.reports.inspection import Inspection, ManoeuvreSummary
     from srt.result.diagnostics import RunnerUp
 
-_LABEL: Final = 13
-"""Width of the labels of the overview, characters."""
-_MOST_TURNS: Final = 60
-"""Largest number of rotations in the table; the JSON form holds all."""
+_LABEL: Final = 13  # width of the labels of the overview, characters
+_MOST_TURNS: Final = 60  # largest number of rotations in the table; the JSON form holds all
 _LEGS_WIDTH: Final = 32
 _LABEL_WIDTH: Final = 9
 """Widths of the columns of axes with angles and of labels, characters: the table fits within 80."""
@@ -29,18 +27,7 @@ _EFFECTS: Final = {"exit 2": "Refused", "exit 1": "Refused", "warning": "Warning
 
 
 def inspection_report(inspection: Inspection, *, title: str = "Inspection") -> str:
-    """Text of the whole report.
-
-    Parameters
-    ----------
-    title : str
-        Title of the recording.
-
-    Returns
-    -------
-    str
-        Lines of at most 80 characters, without a line feed at the end.
-    """
+    """Text of the whole report, in lines of at most 80 characters, without a line feed at the end."""
     serial = f" (serial {inspection.serial})" if inspection.serial else ""
     parts = [
         "\n".join([*wrap(f"{title}{serial}"), *_overview(inspection)]),

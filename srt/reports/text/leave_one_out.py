@@ -18,24 +18,15 @@ if TYPE_CHECKING:
 UNLIKELY: Final = 0.05
 """Family-wise significance level: 5 %, the customary one, divided by the number of tests (Bonferroni)."""
 
-_MOST: Final = 3
-"""Largest number of sequences that the table of observability names for one parameter."""
+_MOST: Final = 3  # largest number of sequences that the table of observability names for one parameter
 _LONG, _SHOWN = 20, 10
 """Rows: of more than 20 sequences the table shows the 10 with the smallest p-values, unless all are requested."""
 
 
 def verdict_text(calibration: Calibration, *, parameters: bool = False) -> str:
-    """Text of the verdict.
+    """Text of the verdict, in lines of at most 80 characters; empty without a verdict.
 
-    Parameters
-    ----------
-    parameters : bool
-        Adds the table of observability by parameter, and shows all sequences.
-
-    Returns
-    -------
-    str
-        Lines of at most 80 characters; empty without a verdict.
+    ``parameters`` adds the table of observability by parameter, and shows all sequences.
     """
     verdict = calibration.verdict
     if verdict is None:
@@ -57,11 +48,9 @@ def sequence_table(calibration: Calibration, verdict: Consistency, *, full: bool
     innovations = calibration.diagnostics.filter or calibration.diagnostics.live
     weights = calibration.diagnostics.weights
     word = _word(calibration)
-    headers, alignment = [word, "chi2 / dof", "p", "shift if\nomitted"], "lrrl"
-    if innovations:
-        headers, alignment = [*headers, "innovation\nNIS / dof", "p"], alignment + "rr"
-    if weights:
-        headers, alignment = [*headers, "weight"], alignment + "r"
+    headers = [word, "chi2 / dof", "p", "shift if\nomitted"]
+    headers += ["innovation\nNIS / dof", "p"] if innovations else []
+    headers += ["weight"] if weights else []
     table: list[list[str] | None] = []
     shown: list[int] = list(range(len(rows)))
     left_off = ""
@@ -77,14 +66,12 @@ def sequence_table(calibration: Calibration, verdict: Consistency, *, full: bool
             cells[1:] = ["not checkable", ""]
         cells.append(_influence(row.largest_influence))
         if innovations:
-            cells += [
-                f"{innovations[i].nis:.1f} / {innovations[i].degrees_of_freedom}",
-                probability_text(innovations[i].probability),
-            ]
+            step = innovations[i]
+            cells += [f"{step.nis:.1f} / {step.degrees_of_freedom}", probability_text(step.probability)]
         if weights:
             cells.append(fixed(weights[i].weight, 2))
         table.append(cells)
-    lines = [text_table(headers, table, alignment), *([left_off] if left_off else [])]
+    lines = [text_table(headers, table, "lrrl".ljust(len(headers), "r")), *([left_off] if left_off else [])]
     lines += _notes(rows, word, innovations=bool(innovations))
     worst = verdict.contradicting
     if worst is not None:

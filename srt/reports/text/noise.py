@@ -15,18 +15,11 @@ if TYPE_CHECKING:
     from srt.noise.noise_terms import NoiseTerms
 
 
-_SHOWN: Final = {"m/s": ("mm/s", 1e-3)}
-"""Unit in tables, and its factor, where that of the key makes long numbers."""
+_SHOWN: Final = {"m/s": ("mm/s", 1e-3)}  # unit in tables, and its factor, where that of the key makes long numbers
 
 
 def noise_report(terms: NoiseTerms, allan: AllanDeviation, *, title: str) -> str:
-    """Tables of the noise terms of gyros and accelerometers.
-
-    Parameters
-    ----------
-    allan : AllanDeviation
-        Noise terms of the same window.
-    """
+    """Tables of the noise terms of gyros and accelerometers, and those of the Allan deviation of the same window."""
     lines = [
         f"Noise of {title}: {duration(terms.length_s)} at rest, {1.0 / terms.interval_s:.4g} Hz",
         "Maximum likelihood with 95 % intervals; fit of the Allan deviation; < : upper limit, 95 %",

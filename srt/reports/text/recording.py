@@ -46,8 +46,7 @@ def recording_table(recording: Recording) -> Table:
     return table(["recording", ""], shown, "ll")
 
 
-_TEXT = 66
-"""Largest length of a text, characters: the table fits within 80."""
+_TEXT = 66  # largest length of a text, characters: the table fits within 80
 
 
 def _values(part: object, keys: tuple[Key, ...]) -> list[str]:

@@ -15,12 +15,9 @@ if TYPE_CHECKING:
 
 
 def repeatability_text(calibration: Calibration) -> str:
-    """Text of the repeatability of a merged calibration.
+    """Text of the repeatability of a merged calibration; empty if it was not merged.
 
-    Returns
-    -------
-    str
-        Lines of at most 80 characters, as far as the recordings' names allow; empty if it was not merged.
+    Lines have at most 80 characters, as far as the recordings' names allow.
     """
     table = calibration.diagnostics.repeatability
     if table is None:

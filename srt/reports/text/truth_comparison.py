@@ -19,17 +19,10 @@ PROBABILITY: Final = 0.95
 
 
 def largest_error_text(calibration: Calibration, truth: SensorErrors) -> str:
-    """Sentence on the largest normalised error and the bound that chance explains.
+    """Sentences, wrapped, on the largest normalised error and the bound that chance explains.
 
-    Returns
-    -------
-    str
-        Sentences, wrapped.
-
-    Notes
-    -----
-    The bound x solves (2Φ(x) − 1)^n = 0.95. That is exact for n independent normal errors; for correlated
-    ones the probability of staying below it is at least as large (Šidák's inequality).
+    The bound x solves (2Φ(x) − 1)^n = 0.95. That is exact for n independent normal errors; for correlated ones the
+    probability of staying below it is at least as large (Šidák's inequality).
     """
     seen = np.flatnonzero(calibration.observed)
     ratio = np.abs(calibration.errors.vector - truth.vector)[seen] / calibration.sigma[seen]
