@@ -5,7 +5,7 @@ kind of test (17 sequences on the fixture, a shipped protocol on a fixture or wi
 the profiles), sample rate, labels, and what was done to the readings: nothing, our own correction (``srt apply``), a
 moving
 average, or rounding of 1e-12 that takes them off their grid. By design all checks together raise a finding in at most
-1e-4 of the recordings. The exit code is 1 if any is raised.
+1e-4 of the recordings. The exit code is 1 if any is raised. The verdicts on the calibrations are counted.
 """
 
 from __future__ import annotations
@@ -114,8 +114,8 @@ def processed(recording: Recording, form: str, rng: np.random.Generator) -> Reco
     return recording
 
 
-def examined(number: int, seed: int) -> tuple[str, list[str]]:
-    """Title of a recording, and the findings in it; a refusal counts as a finding."""
+def examined(number: int, seed: int) -> tuple[str, list[str], str]:
+    """Title of a recording, the findings in it, and the verdict; a refusal counts as a finding."""
     rng = np.random.default_rng([seed, number])
     values, title = tables(rng, number)
     form = str(rng.choice(FORMS))
@@ -125,12 +125,13 @@ def examined(number: int, seed: int) -> tuple[str, list[str]]:
     try:
         recording = processed(raw, form, rng)
     except (DataError, InputError) as error:
-        return f"{title} ({error})", ["not calibrated"] if form != "corrected" else []
+        return f"{title} ({error})", ["not calibrated"] if form != "corrected" else [], "none"
     # Poses placed one by one, without the moves between them, have nothing to be recognised by.
     if not labelled and not (recording.gaps.size and "protocol" in values):
         recording = recording.with_sequences(())
-    found = srt.diagnose(recording, calibrating=False).findings
-    return title, [finding.fault for finding in found if finding.fault not in EXPECTED]
+    found = srt.diagnose(recording)
+    word = "none" if found.judgement is None else found.judgement.word
+    return title, [finding.fault for finding in found.findings if finding.fault not in EXPECTED], word
 
 
 def main() -> int:
@@ -139,17 +140,19 @@ def main() -> int:
     parser.add_argument("--first", type=int, default=0, help="number of the first one (default 0)")
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()
-    alarms: Counter[str] = Counter()
+    alarms, verdicts = Counter[str](), Counter[str]()
     began = time.process_time()
     for number in range(arguments.first, arguments.first + arguments.count):
-        title, faults = examined(number, arguments.seed)
-        if faults:
-            print(f"{title}: {', '.join(faults)}", flush=True)
+        title, faults, word = examined(number, arguments.seed)
+        if faults or word not in ("sound", "partial"):
+            print(f"{title}: {', '.join((*faults, word))}", flush=True)
         alarms.update(faults[:1])
+        verdicts[word] += 1
     seconds = time.process_time() - began
     print(f"{alarms.total()} of {arguments.count} clean recordings raise a finding ({seconds:.0f} s of CPU time)")
     for fault, count in alarms.most_common():
         print(f"  {fault}: {count}")
+    print(f"verdicts: {', '.join(f'{count} {word}' for word, count in verdicts.most_common())}")
     return 1 if alarms else 0
 
 
