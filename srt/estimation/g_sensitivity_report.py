@@ -115,6 +115,28 @@ def warnings(unobserved: Array | None, size: float | None, *, automatic: bool) -
     )
 
 
+def _significant(data: PreparedRecording, root: Array, change: Array, rate: Array) -> float | None:
+    """Largest element of Γ in weighted rates (n, 3); None if none is significant, 0 if the force does not vary."""
+    if len(rate) <= _LEAST_FREEDOM:
+        return None
+    constant = root / np.linalg.norm(root)
+    change, rate = (v - constant @ (constant.T @ v) for v in (change, rate))
+    left, singular, right = np.linalg.svd(change, full_matrices=False)
+    seen = singular > LEAST_FORCE_VARIATION * data.gravity * np.linalg.norm(root)
+    count, freedom = int(seen.sum()), len(rate) - 1 - int(seen.sum())
+    if count == 0:
+        return 0.0
+    if freedom < _LEAST_FREEDOM:
+        return None
+    by_force = left[:, seen].T @ rate
+    explained, rest = np.sum(by_force**2, axis=0), np.sum((rate - left[:, seen] @ by_force) ** 2, axis=0)
+    with np.errstate(divide="ignore"):
+        F = np.divide(explained / count, rest / freedom, out=np.zeros(3), where=explained > 0.0)
+    if np.min(fdtrc(count, freedom, F)) > FALSE_ALARM_PROBABILITY / 3.0:
+        return None
+    return float(np.abs((right[seen].T / singular[seen]) @ by_force).max())
+
+
 def significant_g_sensitivity(
     data: PreparedRecording, force: Array, rest_rate: Array, integrated: Mask
 ) -> float | None:
@@ -139,23 +161,13 @@ def significant_g_sensitivity(
     start, end = data.start[at_rest], data.end[at_rest]
     T = data.windows.duration_s
     root = np.sqrt(T[start] * T[end] / (T[start] + T[end]))[:, None]
-    change = root * (force[end] - force[start])
-    rate = root * (rest_rate[end] - rest_rate[start])
-    if len(rate) <= _LEAST_FREEDOM:
+    size = _significant(data, root, root * (force[end] - force[start]), root * (rest_rate[end] - rest_rate[start]))
+    if size is None:
         return None
-    constant = root / np.linalg.norm(root)
-    change, rate = (v - constant @ (constant.T @ v) for v in (change, rate))
-    left, singular, right = np.linalg.svd(change, full_matrices=False)
-    seen = singular > LEAST_FORCE_VARIATION * data.gravity * np.linalg.norm(root)
-    count, freedom = int(seen.sum()), len(rate) - 1 - int(seen.sum())
-    if count == 0 or freedom < _LEAST_FREEDOM:
+    if size == 0.0:  # single poses, or rotations about the vertical: the sequences differ, not their windows
+        rest, root = ~integrated, np.sqrt(T)[:, None]
+        size = _significant(data, root[rest], (root * force)[rest], (root * rest_rate)[rest])
+    if not size:
         return None
-    by_force = left[:, seen].T @ rate
-    explained, rest = np.sum(by_force**2, axis=0), np.sum((rate - left[:, seen] @ by_force) ** 2, axis=0)
-    with np.errstate(divide="ignore"):
-        F = np.divide(explained / count, rest / freedom, out=np.zeros(3), where=explained > 0.0)
-    if np.min(fdtrc(count, freedom, F)) > FALSE_ALARM_PROBABILITY / 3.0:
-        return None
-    size = float(np.abs((right[seen].T / singular[seen]) @ by_force).max())
     doubt = _EARTH_SIGMAS * earth_rate_sigma(data.recording)
     return size if size * data.gravity > doubt else None

@@ -55,6 +55,18 @@ def test_recordings_that_raised_a_finding(seed, number):
     assert examined(number, seed)[1] == []
 
 
+@pytest.mark.parametrize(
+    ("seed", "number"),
+    [
+        (1, 5),  # six faces one by one: the rates at rest follow gravity from pose to pose, not within one
+        (20261148, 7),  # a rate table: rotations about the vertical
+        (20261148, 22),
+    ],
+)
+def test_g_sensitive_gyros_in_single_poses_are_sound(seed, number):
+    assert examined(number, seed)[1:] == ([], "sound")
+
+
 @pytest.mark.parametrize("width", [1, 3])
 def test_extremes_of_filtered_quantized_noise_are_no_limit(width):
     rng = np.random.default_rng((SEED, width))
