@@ -18,7 +18,7 @@ from srt.closed_form.leave_one_out import sequence_diagnostics
 from srt.closed_form.measurement_covariance import accel_drift, covariance, disturbances, effect
 from srt.estimation import g_sensitivity_report
 from srt.estimation.calibration_builder import build_calibration, reported_covariance, usable_status
-from srt.estimation.drift_model import DriftEstimate, DriftSearch, change, gyro_statistics, most_likely, possible_sigma
+from srt.estimation.drift_model import DriftEstimate, change, gyro_statistics, most_likely, possible_sigma
 from srt.estimation.error_sources import NO_ERRORS, as_found
 from srt.estimation.fixed_parameters import fixed_sigma, fixed_values, reason_on_request, value_of_fixed
 from srt.estimation.g_sensitivity import MODE as G_SENSITIVE
@@ -221,7 +221,9 @@ class _Unit:
             solution = iterate(data, used, formulas, *self.first, progress, fixed_sigma=uncertain)
         data, solution = _with_instability(data, used, formulas, solution, uncertain)
         excess, stated = NO_ERRORS, data
-        if solution.status == "converged" and any(excess := fixture_excess(data, solution)):
+        if solution.status == "converged" and solution.verticals_disagree:
+            excess = fixture_excess(data, solution.measurements, solution.total)
+        if any(excess):
             data = as_found(data, excess)
             uncertain = fixed_sigma(data, options)
             solution = iterate(data, used, formulas, solution.errors, solution.U, fixed_sigma=uncertain)
@@ -257,12 +259,11 @@ class _FinalSolution:
             fit = _fit(solution)
             if is_misfit(*fit) or contradicting_group(solution.sequence_tests, *fit) is not None:
                 return None
-            by_unseen = _drift(self.data, solution)[2]
+            by_unseen = _unseen(self.data, solution)[1]
             status, message = usable_status(message, (*self.unit.options.fixed_names, *self.unit.formulas.missing))
         if status == "outside_model":
             observed = np.zeros(N_PARAMETERS, dtype=np.bool_)
-        total = np.asarray(sum(solution.covariance.values())) + by_unseen
-        covariance = reported_covariance(self.stated, total, observed)
+        covariance = reported_covariance(self.stated, solution.total + by_unseen, observed)
         if not (np.isfinite(covariance).all() and np.isfinite(solution.errors.vector).all()):
             return None
         return UnitEstimate(ESTIMATOR, status, message, solution.errors, covariance, solution.corrections, observed)
@@ -297,17 +298,17 @@ def _with_instability(
     noise, m, sizes, gain = data.noise, solution.measurements, dict[str, Any](), 0.0
     before = solution.chi_square
     if np.any(noise.accel_limit > noise.accel_flicker):
-        _, seen = _by_instability(data, solution)
+        _, seen = _by_accel_drift(solution, data.window_drift)
         component = variance_component(seen)
         shown = component.p_value < MISFIT_PROBABILITY or noise.accel_flicker.any()
         if shown or is_misfit(*before):
             gain += likelihood_gain(component.ratio, 1, *before)
             sizes["accel_instability"] = noise.expected_accel_instability(seen)[0]
     if noise.gyro_wander is None and options.gyro_bias == "auto":
-        of_gyros = gyro_instability(data, m.gyro.inverse, m.rest_rate, m.integrated, (), m.window_sequence)
-        if of_gyros is not None:
+        rates = data, m.gyro.inverse, m.rest_rate, m.integrated
+        if solution.may_be_unstable and (of_gyros := gyro_instability(*rates, (), m.window_sequence)) is not None:
             sizes["gyro_instability"], gain = of_gyros[0], gain + of_gyros[1]
-    if not sizes or _drift(data, solution)[0]:
+    if not sizes or _drift(data, solution):
         return data, solution
     if one_group_explains(solution.sequence_tests, *before, against=gain, wholly=True):
         return data, solution
@@ -318,13 +319,6 @@ def _with_instability(
         return data, solution
     corrections = (*solution.corrections, *found.corrections)
     return other, replace(found, corrections=corrections, message=f"Converged after {len(corrections)} iterations.")
-
-
-def _by_instability(data: PreparedRecording, solution: Solution) -> tuple[Array, Statistics]:
-    """Effect of an accelerometer instability of 1 m/s² on the measurements, and its statistics in the residuals."""
-    drift = accel_drift(solution.measurements, np.ones(3), data.window_drift)
-    by_instability = effect(solution.projection, drift)
-    return by_instability, solution.white.statistics(by_instability)
 
 
 def _fit(solution: Solution) -> tuple[float, int]:
@@ -344,10 +338,11 @@ def _result(
     covariance = dict(solution.covariance)
     followed, notes = _g_sensitivity(data, solution, automatic=options.gyro_bias != G_SENSITIVE)
     drift: tuple[DriftEstimate, ...] = ()
-    search = DriftSearch()
+    possible = 0.0
     if solution.status == "converged" and not fixed.all():
-        drift, search, possible = _drift(data, solution)
-        covariance["accel_bias_instability"] = covariance["accel_bias_instability"] + possible
+        drift = _drift(data, solution)
+        possible, by_unseen = _unseen(data, solution)
+        covariance["accel_bias_instability"] = covariance["accel_bias_instability"] + by_unseen
     return SolverResult(
         errors=solution.errors,
         U=solution.U,
@@ -366,7 +361,7 @@ def _result(
         end_attitude=m.integrals.C_end,
         diagnostics=Diagnostics(
             g_sensitivity=followed,
-            possible_accel_drift_sigma_m_s2=search.possible or None,
+            possible_accel_drift_sigma_m_s2=possible or None,
             drift=tuple(term.result for term in drift) or None,
         ),
         drift=drift,
@@ -375,17 +370,14 @@ def _result(
     )
 
 
-def _drift(data: PreparedRecording, solution: Solution) -> tuple[tuple[DriftEstimate, ...], DriftSearch, Array]:
-    """Significant drift of each triad; a possible one of the accelerometers, and the covariance by what is not seen.
-
-    A linear drift of each triad is tested, and steps where it is likely.
-    """
-    m, white, course = solution.measurements, solution.white, data.drift_shapes[LINEAR].windows
+def _drift(data: PreparedRecording, solution: Solution) -> tuple[DriftEstimate, ...]:
+    """Significant drift of each triad. A linear drift is tested, and steps where it is likely."""
+    m, course = solution.measurements, data.drift_shapes[LINEAR].windows
 
     def statistics(sensor: Sensor, course: Array) -> Statistics:
         if sensor == "gyro":
             return gyro_statistics(data, m.gyro.inverse, m.rest_rate, m.integrated, (), {"": course})[""]
-        return white.statistics(effect(solution.projection, accel_drift(m, np.ones(3), course)))
+        return _by_accel_drift(solution, course)[1]
 
     def by_window(sensor: Sensor) -> Statistics:
         return statistics(sensor, np.eye(len(course)))
@@ -401,16 +393,26 @@ def _drift(data: PreparedRecording, solution: Solution) -> tuple[tuple[DriftEsti
         ("accel", LINEAR): statistics("accel", course),
         ("gyro", LINEAR): statistics("gyro", course),
     }
-    found = tuple(estimated(term) for term in most_likely(data, linear, (), 0.0, by_window).terms)
-    accel = linear["accel", LINEAR]
-    possible = 0.0 if (test := drift_test(accel)) is None else possible_sigma(accel, test.p_value)
-    root = possible * solution.gain @ effect(solution.projection, accel_drift(m, np.ones(3), course))
+    return tuple(estimated(term) for term in most_likely(data, linear, (), 0.0, by_window).terms)
+
+
+def _by_accel_drift(solution: Solution, course: Array) -> tuple[Array, Statistics]:
+    """Effect on the measurements of accelerometer biases that follow courses, and its statistics in the residuals."""
+    by_drift = effect(solution.projection, accel_drift(solution.measurements, np.ones(3), course))
+    return by_drift, solution.white.statistics(by_drift)
+
+
+def _unseen(data: PreparedRecording, solution: Solution) -> tuple[float, Array]:
+    """Possible linear drift of the accelerometers, m/s², and the covariance by what the residuals do not exclude."""
+    by_drift, linear = _by_accel_drift(solution, data.drift_shapes[LINEAR].windows)
+    possible = 0.0 if (test := drift_test(linear)) is None else possible_sigma(linear, test.p_value)
+    root = possible * solution.gain @ by_drift
     by_unseen = root @ root.T
     if data.noise.accel_unseen.any():
-        by_instability, seen = _by_instability(data, solution)
+        by_instability, seen = _by_accel_drift(solution, data.window_drift)
         root = data.noise.expected_accel_instability(seen)[1] * solution.gain @ by_instability
         by_unseen = by_unseen + root @ root.T
-    return found, DriftSearch(possible=possible), by_unseen
+    return possible, by_unseen
 
 
 def _g_sensitivity(
