@@ -29,7 +29,7 @@ from srt.estimation.goodness_of_fit import (
     is_misfit,
     one_group_explains,
 )
-from srt.estimation.initial_estimates import initial_estimate
+from srt.estimation.initial_estimates import initial_estimate, initial_estimates
 from srt.estimation.rest_rate_scatter import gyro_instability
 from srt.estimation.solver_result import SolverResult
 from srt.exceptions import DataError
@@ -40,7 +40,7 @@ from srt.result.calibration import Residual
 from srt.result.diagnostics import Diagnostics
 from srt.result.verdict import MISFIT_PROBABILITY
 from srt.sensor_errors import N_PARAMETERS, NAMES, SensorErrors
-from srt.sequences.checked_preparation import prepare_checked
+from srt.sequences.checked_preparation import prepare_checked, prepare_together
 from srt.sequences.moves import recorded_moves
 from srt.sequences.prepared_units import alike, together
 
@@ -73,7 +73,8 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
     DataError
         If the recording has no fixture, or its sequences are not those of Table 1.
     """
-    unit = _Unit.of(recording, options)
+    prepared = _Prepared.of(recording, options)
+    unit = prepared.from_estimate(*initial_estimate(prepared.data, options))
     return unit.calibration(unit.solution(progress), progress)
 
 
@@ -116,10 +117,11 @@ def estimate_units(recordings: Sequence[Recording], options: Sequence[Options]) 
         Of each unit: what its calibration states, or what :func:`estimate` raises for it.
     """
     out: list[UnitEstimate | Exception | None] = [None] * len(recordings)
-    groups: list[list[tuple[int, _Unit]]] = []
+    groups: list[list[tuple[int, _Prepared]]] = []
+    prepare_together([(own, _labels(own), chosen.average) for own, chosen in zip(recordings, options, strict=True)])
     for number, (recording, chosen) in enumerate(zip(recordings, options, strict=True)):
         try:
-            unit = _Unit.of(recording, chosen)
+            unit = _Prepared.of(recording, chosen)
         except Exception as error:  # a unit that cannot be calibrated leaves the others
             out[number] = error
             continue
@@ -129,12 +131,44 @@ def estimate_units(recordings: Sequence[Recording], options: Sequence[Options]) 
         else:
             group.append((number, replace(unit, formulas=group[0][1].formulas)))
     for group in groups:
-        for (number, unit), solution in zip(group, _solutions([unit for _, unit in group]), strict=True):
+        units = []
+        for (number, prepared), first in zip(group, _first_estimates([unit for _, unit in group]), strict=True):
+            if isinstance(first, Exception):
+                out[number] = first
+            else:
+                units.append((number, prepared.from_estimate(*first)))
+        for (number, unit), solution in zip(units, _solutions([unit for _, unit in units]), strict=True):
             try:
                 out[number] = solution if isinstance(solution, Exception) else unit.estimate(solution)
             except Exception as error:
                 out[number] = error
     return [found for found in out if found is not None]
+
+
+def _labels(recording: Recording) -> tuple[SequenceLabel, ...]:
+    return tuple(s for s in recording.sequences if s.id in SEQUENCES)
+
+
+def _first_estimates(units: list[_Prepared]) -> Sequence[tuple[SensorErrors, Array] | Exception]:
+    """Initial estimates of units of one schedule, each in its turn where they fail together.
+
+    Raises
+    ------
+    Exception
+        As :func:`_solutions`.
+    """
+    try:
+        return initial_estimates(together([unit.data for unit in units]), [unit.options for unit in units])
+    except Exception:
+        found: list[tuple[SensorErrors, Array] | Exception] = []
+        for unit in units:
+            try:
+                found.append(initial_estimate(unit.data, unit.options))
+            except Exception as error:
+                found.append(error)
+        if not any(isinstance(first, Exception) for first in found):
+            raise
+        return found
 
 
 def _solutions(units: list[_Unit]) -> Sequence[Solution | Exception]:
@@ -145,6 +179,8 @@ def _solutions(units: list[_Unit]) -> Sequence[Solution | Exception]:
     Exception
         A failure of the units together that none of them has alone.
     """
+    if not units:
+        return []
     first = units[0]
     start, U = np.stack([unit.first[0].vector for unit in units]), np.stack([unit.first[1] for unit in units])
     data = together([unit.data for unit in units])
@@ -163,8 +199,8 @@ def _solutions(units: list[_Unit]) -> Sequence[Solution | Exception]:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Unit:
-    """Recording before the iteration: prepared, with initial estimate and its uncertainty where it is fixed."""
+class _Prepared:
+    """Recording before the initial estimate, with the uncertainty of fixed parameters."""
 
     recording: Recording
     options: Options
@@ -172,29 +208,40 @@ class _Unit:
     data: PreparedRecording
     uncertain: Array
     formulas: SelectedFormulas
-    first: tuple[SensorErrors, Array]
 
     @classmethod
-    def of(cls, recording: Recording, options: Options) -> _Unit:
+    def of(cls, recording: Recording, options: Options) -> _Prepared:
         options.refuse(("loss", "filter", "prior", "fixture_states", "live", "targets"), "The closed form")
-        labels = tuple(s for s in recording.sequences if s.id in SEQUENCES)
+        labels = _labels(recording)
         if recording.fixture is None or not labels:
             raise DataError(
                 "The closed form needs labelled sequences of Table 1 on a fixture, and this recording has none; "
                 "use the least-squares estimator."
             )
         data = prepare_checked(recording, labels, options.average)
-        uncertain = fixed_sigma(data, options)
-        formulas = SelectedFormulas(data, options)
-        initial, U = initial_estimate(data, options)
-        first = SensorErrors(np.where(formulas.fixed, fixed_values(data, options, initial).vector, initial.vector)), U
-        return cls(recording, options, labels, data, uncertain, formulas, first)
+        return cls(recording, options, labels, data, fixed_sigma(data, options), SelectedFormulas(data, options))
 
-    def is_like(self, other: _Unit) -> bool:
+    def is_like(self, other: _Prepared) -> bool:
         """True if the two can be iterated together."""
         start = SensorErrors()  # the initial estimates are arrays by unit
         own, others = (replace(unit.options, start=start) for unit in (self, other))
         return own == others and np.array_equal(self.uncertain, other.uncertain) and alike(self.data, other.data)
+
+    def from_estimate(self, initial: SensorErrors, U: Array) -> _Unit:
+        """Unit with an initial estimate, whose fixed parameters have their values."""
+        fixed = self.formulas.fixed
+        if fixed.any():
+            values = fixed_values(self.data, self.options, initial).vector
+            initial = SensorErrors(np.where(fixed, values, initial.vector))
+        own = {f.name: getattr(self, f.name) for f in fields(_Prepared)}
+        return _Unit(**own, first=(initial, U))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Unit(_Prepared):
+    """Recording before the iteration, with its initial estimate."""
+
+    first: tuple[SensorErrors, Array]
 
     def solution(self, progress: Progress | None = None) -> Solution:
         return iterate(self.data, self.options, self.formulas, *self.first, progress, fixed_sigma=self.uncertain)
