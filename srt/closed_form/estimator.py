@@ -30,6 +30,7 @@ from srt.estimation.goodness_of_fit import (
     one_group_explains,
 )
 from srt.estimation.initial_estimates import initial_estimate, initial_estimates
+from srt.estimation.options import Options
 from srt.estimation.rest_rate_scatter import gyro_instability
 from srt.estimation.solver_result import SolverResult
 from srt.exceptions import DataError
@@ -50,7 +51,6 @@ if TYPE_CHECKING:
     from srt.closed_form.solution import Solution
     from srt.estimation.drift_model import DriftTerm, Sensor
     from srt.estimation.error_sources import UnmodelledErrors
-    from srt.estimation.options import Options
     from srt.estimation.registry import Progress
     from srt.noise.drift_forms import Statistics
     from srt.recording.recording import Recording, SequenceLabel
@@ -223,9 +223,10 @@ class _Prepared:
 
     def is_like(self, other: _Prepared) -> bool:
         """True if the two can be iterated together."""
-        start = SensorErrors()  # the initial estimates are arrays by unit
-        own, others = (replace(unit.options, start=start) for unit in (self, other))
-        return own == others and np.array_equal(self.uncertain, other.uncertain) and alike(self.data, other.data)
+        # The initial estimates are arrays by unit.
+        names = [f.name for f in fields(Options) if f.name != "start"]
+        same = all(getattr(self.options, name) == getattr(other.options, name) for name in names)
+        return same and np.array_equal(self.uncertain, other.uncertain) and alike(self.data, other.data)
 
     def from_estimate(self, initial: SensorErrors, U: Array) -> _Unit:
         """Unit with an initial estimate, whose fixed parameters have their values."""
