@@ -203,7 +203,7 @@ def prepare_together(units: Sequence[tuple[Recording, tuple[SequenceLabel, ...],
         alike = (own for own, *how in runs if how == [labels, average] and _of_one_run(own[0], recording))
         if (run := next(alike, None)) is None:
             runs.append(([recording], labels, average))
-        else:
+        elif recording not in run:
             run.append(recording)
     for run, labels, average in runs:
         if len(run) > 1 and labels:
