@@ -21,7 +21,6 @@ this is accurate enough for an initial estimate.
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -33,7 +32,7 @@ from srt.model import measurement_model as model
 from srt.model.measurement_model import down_jacobian
 from srt.model.sensor_model import Triad, accel_triad, outside_model, vectors_in_mars
 from srt.sensor_errors import GROUP_SLICES, INDEX, N_PARAMETERS, SensorErrors
-from srt.sequences.manoeuvres import MOVING, end_attitude, leg_borders
+from srt.sequences.manoeuvres import end_attitude, rotation_angles, whole_rotations
 from srt.sequences.prepared_units import together
 
 if TYPE_CHECKING:
@@ -41,7 +40,6 @@ if TYPE_CHECKING:
 
     from srt.estimation.options import Options
     from srt.model.gyro_stream import GyroStream
-    from srt.model.table1 import RotationSequence
     from srt.sequences.preparation import PreparedRecording
     from srt.sequences.prepared_units import PreparedUnits
     from srt.types import Array, Indices, Mask
@@ -168,7 +166,7 @@ def _gyro_matrices(data: PreparedUnits, streams: Sequence[GyroStream]) -> Array:
     bias = np.where(one_bias[:, None, None] & single[:, None], pooled[:, None] + earth_rates, between)
     turned: list[dict[int, Array]] = []
     for stream, own in zip(streams, bias, strict=True):
-        whole = _whole_rotations(stream, own)
+        whole = whole_rotations(stream, own)
         turned.append({k: whole[k][None] for k in np.flatnonzero(single).tolist()})
         for k, sequence in enumerate(data.catalogue):
             if sequence is not None and len(sequence.rotations) > 1:
@@ -225,34 +223,6 @@ def _mean_earth_rates(data: PreparedRecording) -> Array:
         across = np.sin(angle) / angle * (earth - along) - (1.0 - np.cos(angle)) / angle * np.cross(axis, earth)
         out[k] = along + across
     return out
-
-
-def _whole_rotations(stream: GyroStream, bias: Array) -> Array:
-    """Summed raw gyro increments of each rotation less biases (K, 3), shape (K, 3), rad."""
-    # Between the rotations of a stream may lie samples of integrated windows.
-    edges = stream.rotation.ravel()
-    edges = edges[: len(edges) - (edges[-1] == len(stream.interval_s))]
-    turned, seconds = (np.add.reduceat(own, edges, axis=-1)[..., ::2] for own in (stream.increments, stream.interval_s))
-    return np.asarray(turned.T - bias * seconds[:, None])
-
-
-def rotation_angles(stream: GyroStream, k: int, sequence: RotationSequence, bias: Array) -> Array | None:
-    """Summed raw gyro increments of each rotation of sequence k, less bias, shape (number of rotations, 3), rad.
-
-    Returns None if the pauses between the rotations cannot be found. Only pauses separate the rotations; axes are not
-    used, because raw axes may be far from those of the table.
-    """
-    s, e = stream.rotation[k]
-    increments = stream.increments[:, s:e] - bias[:, None] * stream.interval_s[s:e]
-    m = len(sequence.rotations)
-    if m == 1:
-        whole: Array = increments.sum(axis=1)[None]
-        return whole
-    speed = np.linalg.norm(stream.smooth[:, s:e] / stream.interval_s[s:e] - bias[:, None], axis=0)
-    borders = leg_borders(np.where(speed > MOVING * speed.max(), 0, -1), through_stops=False)
-    if len(borders) != m + 1:
-        return None
-    return np.stack([increments[:, a:b].sum(axis=1) for a, b in pairwise(borders.tolist())])
 
 
 def _fit_triads(x: Array, y: Array, scale: float = 1.0, *, with_bias: bool = False) -> tuple[Array, Array]:
