@@ -92,8 +92,11 @@ SUBJECTS = (
         "eqs. 6-11",
         "srt/model/sensor_model.py",
         ("tests/model/test_sensor_model.py",),
-        ("inverses", "read", "compensate", "sensitivity", "errors_from_triads", "to_mars", "compose"),
-        (("= basis[3 + k, j, i] = 0.5", "= basis[3 + k, j, i] = 0.4"), ("accel.matrix @ U.T", "accel.matrix @ U")),
+        ("inverses", "read", "compensate", "sensitivity", "_vectors", "vectors_in_mars", "compose"),
+        (
+            ("= basis[3 + k, j, i] = 0.5", "= basis[3 + k, j, i] = 0.4"),
+            ("accel.matrix @ np.swapaxes(U, -1, -2)", "accel.matrix @ U"),
+        ),
     ),
     Subject(
         "eqs. 13-14",

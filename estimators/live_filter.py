@@ -20,7 +20,7 @@ from estimators.accuracy_targets import compare_with_targets
 from estimators.kalman_filter import KalmanSolver
 from estimators.square_root_filter import SquareRootFilter
 from srt.estimation.goodness_of_fit import chi_square_probability
-from srt.estimation.initial_estimates import initial_estimate, rotation_angles
+from srt.estimation.initial_estimates import initial_estimate
 from srt.estimation.observability import default_prior
 from srt.exceptions import DataError, InputError
 from srt.joint.iteration import iterate
@@ -32,7 +32,7 @@ from srt.model.sensor_model import Triad, to_mars
 from srt.result.diagnostics import LiveEstimate
 from srt.sensor_errors import GROUP_SLICES, NAMES
 from srt.sequences.checked_preparation import prepare_checked
-from srt.sequences.manoeuvres import end_attitude
+from srt.sequences.manoeuvres import end_attitude, rotation_angles
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -142,13 +142,14 @@ def scores(
     list of dict
         The columns of a row that depend on the estimator, for each simulation.
     """
-    at_truth = []
-    for simulation in simulations:
-        prior = drawn_prior(simulation.scenario) if choice.drawn_prior else choice.options.prior
-        at_truth.append(replace(choice.options, prior=prior, start=simulation.truth))
-    given = [options if choice.from_truth else replace(options, start=choice.options.start) for options in at_truth]
+    given = [_options(choice, simulation, at_truth=choice.from_truth) for simulation in simulations]
     recordings = [simulation.recording for simulation in simulations]
-    results = _calibrated(recordings, choice.name, given)
+    # Few units are compared in any case: as arrays with the others, they cost no calls of their own.
+    together = fixed_point and not choice.from_truth and choice.name in TOGETHER
+    known = [u for u, own in enumerate(sampled) if own and together]
+    at_truth = [_options(choice, simulations[u], at_truth=True) for u in known]
+    both = _calibrated([*recordings, *(recordings[u] for u in known)], choice.name, [*given, *at_truth])
+    results, references = both[: len(given)], dict(zip(known, both[len(given) :], strict=True))
     rows = [
         _score(choice, found, simulation.truth, spent)
         for simulation, (found, spent) in zip(simulations, results, strict=True)
@@ -165,9 +166,11 @@ def scores(
             rows[u]["distance"] = None
         else:
             to_compare.append(u)
-    references = _calibrated([recordings[u] for u in to_compare], choice.name, [at_truth[u] for u in to_compare])
-    for u, (reference, _) in zip(to_compare, references, strict=True):
-        found = results[u][0]
+    left = [u for u in to_compare if u not in references]
+    at_truth = [_options(choice, simulations[u], at_truth=True) for u in left]
+    references |= zip(left, _calibrated([recordings[u] for u in left], choice.name, at_truth), strict=True)
+    for u in to_compare:
+        found, reference = results[u][0], references[u][0]
         assert not isinstance(found, Exception)
         if isinstance(reference, Exception):  # any failure leaves no reference result
             rows[u]["message"] = f"{found.message} From the true errors: {reference}"
@@ -177,6 +180,14 @@ def scores(
             rows[u]["distance"] = distance(found, reference)
             rows[u]["outcome"] = "converged" if rows[u]["distance"] <= 1.0 else "wrong_minimum"
     return rows
+
+
+def _options(choice: EstimatorChoice, simulation: Simulation, *, at_truth: bool) -> Options:
+    """Options of an estimator for one simulation, with its prior, from the given start or from the true errors."""
+    changes: dict[str, Any] = {"start": simulation.truth} if at_truth else {}
+    if choice.drawn_prior:
+        changes["prior"] = drawn_prior(simulation.scenario)
+    return replace(choice.options, **changes) if changes else choice.options
 
 
 def _calibrated(

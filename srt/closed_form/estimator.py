@@ -18,7 +18,7 @@ from srt.closed_form.leave_one_out import sequence_diagnostics
 from srt.closed_form.measurement_covariance import accel_drift, covariance, disturbances, effect
 from srt.estimation import g_sensitivity_report
 from srt.estimation.calibration_builder import build_calibration, reported_covariance, usable_status
-from srt.estimation.drift_model import DriftEstimate, DriftSearch, change, gyro_statistics, most_likely, possible_sigma
+from srt.estimation.drift_model import DriftEstimate, change, gyro_statistics, most_likely, possible_sigma
 from srt.estimation.error_sources import NO_ERRORS, as_found
 from srt.estimation.fixed_parameters import fixed_sigma, fixed_values, reason_on_request, value_of_fixed
 from srt.estimation.g_sensitivity import MODE as G_SENSITIVE
@@ -29,7 +29,8 @@ from srt.estimation.goodness_of_fit import (
     is_misfit,
     one_group_explains,
 )
-from srt.estimation.initial_estimates import initial_estimate
+from srt.estimation.initial_estimates import initial_estimate, initial_estimates
+from srt.estimation.options import Options
 from srt.estimation.rest_rate_scatter import gyro_instability
 from srt.estimation.solver_result import SolverResult
 from srt.exceptions import DataError
@@ -40,7 +41,7 @@ from srt.result.calibration import Residual
 from srt.result.diagnostics import Diagnostics
 from srt.result.verdict import MISFIT_PROBABILITY
 from srt.sensor_errors import N_PARAMETERS, NAMES, SensorErrors
-from srt.sequences.checked_preparation import prepare_checked
+from srt.sequences.checked_preparation import prepare_checked, prepare_together
 from srt.sequences.moves import recorded_moves
 from srt.sequences.prepared_units import alike, together
 
@@ -50,7 +51,6 @@ if TYPE_CHECKING:
     from srt.closed_form.solution import Solution
     from srt.estimation.drift_model import DriftTerm, Sensor
     from srt.estimation.error_sources import UnmodelledErrors
-    from srt.estimation.options import Options
     from srt.estimation.registry import Progress
     from srt.noise.drift_forms import Statistics
     from srt.recording.recording import Recording, SequenceLabel
@@ -73,7 +73,8 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
     DataError
         If the recording has no fixture, or its sequences are not those of Table 1.
     """
-    unit = _Unit.of(recording, options)
+    prepared = _Prepared.of(recording, options)
+    unit = prepared.from_estimate(*initial_estimate(prepared.data, options))
     return unit.calibration(unit.solution(progress), progress)
 
 
@@ -116,10 +117,11 @@ def estimate_units(recordings: Sequence[Recording], options: Sequence[Options]) 
         Of each unit: what its calibration states, or what :func:`estimate` raises for it.
     """
     out: list[UnitEstimate | Exception | None] = [None] * len(recordings)
-    groups: list[list[tuple[int, _Unit]]] = []
+    groups: list[list[tuple[int, _Prepared]]] = []
+    prepare_together([(own, _labels(own), chosen.average) for own, chosen in zip(recordings, options, strict=True)])
     for number, (recording, chosen) in enumerate(zip(recordings, options, strict=True)):
         try:
-            unit = _Unit.of(recording, chosen)
+            unit = _Prepared.of(recording, chosen)
         except Exception as error:  # a unit that cannot be calibrated leaves the others
             out[number] = error
             continue
@@ -129,12 +131,44 @@ def estimate_units(recordings: Sequence[Recording], options: Sequence[Options]) 
         else:
             group.append((number, replace(unit, formulas=group[0][1].formulas)))
     for group in groups:
-        for (number, unit), solution in zip(group, _solutions([unit for _, unit in group]), strict=True):
+        units = []
+        for (number, prepared), first in zip(group, _first_estimates([unit for _, unit in group]), strict=True):
+            if isinstance(first, Exception):
+                out[number] = first
+            else:
+                units.append((number, prepared.from_estimate(*first)))
+        for (number, unit), solution in zip(units, _solutions([unit for _, unit in units]), strict=True):
             try:
                 out[number] = solution if isinstance(solution, Exception) else unit.estimate(solution)
             except Exception as error:
                 out[number] = error
     return [found for found in out if found is not None]
+
+
+def _labels(recording: Recording) -> tuple[SequenceLabel, ...]:
+    return tuple(s for s in recording.sequences if s.id in SEQUENCES)
+
+
+def _first_estimates(units: list[_Prepared]) -> Sequence[tuple[SensorErrors, Array] | Exception]:
+    """Initial estimates of units of one schedule, each in its turn where they fail together.
+
+    Raises
+    ------
+    Exception
+        As :func:`_solutions`.
+    """
+    try:
+        return initial_estimates(together([unit.data for unit in units]), [unit.options for unit in units])
+    except Exception:
+        found: list[tuple[SensorErrors, Array] | Exception] = []
+        for unit in units:
+            try:
+                found.append(initial_estimate(unit.data, unit.options))
+            except Exception as error:
+                found.append(error)
+        if not any(isinstance(first, Exception) for first in found):
+            raise
+        return found
 
 
 def _solutions(units: list[_Unit]) -> Sequence[Solution | Exception]:
@@ -145,6 +179,8 @@ def _solutions(units: list[_Unit]) -> Sequence[Solution | Exception]:
     Exception
         A failure of the units together that none of them has alone.
     """
+    if not units:
+        return []
     first = units[0]
     start, U = np.stack([unit.first[0].vector for unit in units]), np.stack([unit.first[1] for unit in units])
     data = together([unit.data for unit in units])
@@ -163,8 +199,8 @@ def _solutions(units: list[_Unit]) -> Sequence[Solution | Exception]:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Unit:
-    """Recording before the iteration: prepared, with initial estimate and its uncertainty where it is fixed."""
+class _Prepared:
+    """Recording before the initial estimate, with the uncertainty of fixed parameters."""
 
     recording: Recording
     options: Options
@@ -172,29 +208,41 @@ class _Unit:
     data: PreparedRecording
     uncertain: Array
     formulas: SelectedFormulas
-    first: tuple[SensorErrors, Array]
 
     @classmethod
-    def of(cls, recording: Recording, options: Options) -> _Unit:
+    def of(cls, recording: Recording, options: Options) -> _Prepared:
         options.refuse(("loss", "filter", "prior", "fixture_states", "live", "targets"), "The closed form")
-        labels = tuple(s for s in recording.sequences if s.id in SEQUENCES)
+        labels = _labels(recording)
         if recording.fixture is None or not labels:
             raise DataError(
                 "The closed form needs labelled sequences of Table 1 on a fixture, and this recording has none; "
                 "use the least-squares estimator."
             )
         data = prepare_checked(recording, labels, options.average)
-        uncertain = fixed_sigma(data, options)
-        formulas = SelectedFormulas(data, options)
-        initial, U = initial_estimate(data, options)
-        first = SensorErrors(np.where(formulas.fixed, fixed_values(data, options, initial).vector, initial.vector)), U
-        return cls(recording, options, labels, data, uncertain, formulas, first)
+        return cls(recording, options, labels, data, fixed_sigma(data, options), SelectedFormulas(data, options))
 
-    def is_like(self, other: _Unit) -> bool:
+    def is_like(self, other: _Prepared) -> bool:
         """True if the two can be iterated together."""
-        start = SensorErrors()  # the initial estimates are arrays by unit
-        own, others = (replace(unit.options, start=start) for unit in (self, other))
-        return own == others and np.array_equal(self.uncertain, other.uncertain) and alike(self.data, other.data)
+        # The initial estimates are arrays by unit.
+        names = [f.name for f in fields(Options) if f.name != "start"]
+        same = all(getattr(self.options, name) == getattr(other.options, name) for name in names)
+        return same and np.array_equal(self.uncertain, other.uncertain) and alike(self.data, other.data)
+
+    def from_estimate(self, initial: SensorErrors, U: Array) -> _Unit:
+        """Unit with an initial estimate, whose fixed parameters have their values."""
+        fixed = self.formulas.fixed
+        if fixed.any():
+            values = fixed_values(self.data, self.options, initial).vector
+            initial = SensorErrors(np.where(fixed, values, initial.vector))
+        own = {f.name: getattr(self, f.name) for f in fields(_Prepared)}
+        return _Unit(**own, first=(initial, U))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Unit(_Prepared):
+    """Recording before the iteration, with its initial estimate."""
+
+    first: tuple[SensorErrors, Array]
 
     def solution(self, progress: Progress | None = None) -> Solution:
         return iterate(self.data, self.options, self.formulas, *self.first, progress, fixed_sigma=self.uncertain)
@@ -221,7 +269,9 @@ class _Unit:
             solution = iterate(data, used, formulas, *self.first, progress, fixed_sigma=uncertain)
         data, solution = _with_instability(data, used, formulas, solution, uncertain)
         excess, stated = NO_ERRORS, data
-        if solution.status == "converged" and any(excess := fixture_excess(data, solution)):
+        if solution.status == "converged" and solution.verticals_disagree:
+            excess = fixture_excess(data, solution.measurements, solution.total)
+        if any(excess):
             data = as_found(data, excess)
             uncertain = fixed_sigma(data, options)
             solution = iterate(data, used, formulas, solution.errors, solution.U, fixed_sigma=uncertain)
@@ -257,12 +307,11 @@ class _FinalSolution:
             fit = _fit(solution)
             if is_misfit(*fit) or contradicting_group(solution.sequence_tests, *fit) is not None:
                 return None
-            by_unseen = _drift(self.data, solution)[2]
+            by_unseen = _unseen(self.data, solution)[1]
             status, message = usable_status(message, (*self.unit.options.fixed_names, *self.unit.formulas.missing))
         if status == "outside_model":
             observed = np.zeros(N_PARAMETERS, dtype=np.bool_)
-        total = np.asarray(sum(solution.covariance.values())) + by_unseen
-        covariance = reported_covariance(self.stated, total, observed)
+        covariance = reported_covariance(self.stated, solution.total + by_unseen, observed)
         if not (np.isfinite(covariance).all() and np.isfinite(solution.errors.vector).all()):
             return None
         return UnitEstimate(ESTIMATOR, status, message, solution.errors, covariance, solution.corrections, observed)
@@ -297,17 +346,17 @@ def _with_instability(
     noise, m, sizes, gain = data.noise, solution.measurements, dict[str, Any](), 0.0
     before = solution.chi_square
     if np.any(noise.accel_limit > noise.accel_flicker):
-        _, seen = _by_instability(data, solution)
+        _, seen = _by_accel_drift(solution, data.window_drift)
         component = variance_component(seen)
         shown = component.p_value < MISFIT_PROBABILITY or noise.accel_flicker.any()
         if shown or is_misfit(*before):
             gain += likelihood_gain(component.ratio, 1, *before)
             sizes["accel_instability"] = noise.expected_accel_instability(seen)[0]
     if noise.gyro_wander is None and options.gyro_bias == "auto":
-        of_gyros = gyro_instability(data, m.gyro.inverse, m.rest_rate, m.integrated, (), m.window_sequence)
-        if of_gyros is not None:
+        rates = data, m.gyro.inverse, m.rest_rate, m.integrated
+        if solution.may_be_unstable and (of_gyros := gyro_instability(*rates, (), m.window_sequence)) is not None:
             sizes["gyro_instability"], gain = of_gyros[0], gain + of_gyros[1]
-    if not sizes or _drift(data, solution)[0]:
+    if not sizes or _drift(data, solution):
         return data, solution
     if one_group_explains(solution.sequence_tests, *before, against=gain, wholly=True):
         return data, solution
@@ -318,13 +367,6 @@ def _with_instability(
         return data, solution
     corrections = (*solution.corrections, *found.corrections)
     return other, replace(found, corrections=corrections, message=f"Converged after {len(corrections)} iterations.")
-
-
-def _by_instability(data: PreparedRecording, solution: Solution) -> tuple[Array, Statistics]:
-    """Effect of an accelerometer instability of 1 m/s² on the measurements, and its statistics in the residuals."""
-    drift = accel_drift(solution.measurements, np.ones(3), data.window_drift)
-    by_instability = effect(solution.projection, drift)
-    return by_instability, solution.white.statistics(by_instability)
 
 
 def _fit(solution: Solution) -> tuple[float, int]:
@@ -344,10 +386,11 @@ def _result(
     covariance = dict(solution.covariance)
     followed, notes = _g_sensitivity(data, solution, automatic=options.gyro_bias != G_SENSITIVE)
     drift: tuple[DriftEstimate, ...] = ()
-    search = DriftSearch()
+    possible = 0.0
     if solution.status == "converged" and not fixed.all():
-        drift, search, possible = _drift(data, solution)
-        covariance["accel_bias_instability"] = covariance["accel_bias_instability"] + possible
+        drift = _drift(data, solution)
+        possible, by_unseen = _unseen(data, solution)
+        covariance["accel_bias_instability"] = covariance["accel_bias_instability"] + by_unseen
     return SolverResult(
         errors=solution.errors,
         U=solution.U,
@@ -366,7 +409,7 @@ def _result(
         end_attitude=m.integrals.C_end,
         diagnostics=Diagnostics(
             g_sensitivity=followed,
-            possible_accel_drift_sigma_m_s2=search.possible or None,
+            possible_accel_drift_sigma_m_s2=possible or None,
             drift=tuple(term.result for term in drift) or None,
         ),
         drift=drift,
@@ -375,17 +418,14 @@ def _result(
     )
 
 
-def _drift(data: PreparedRecording, solution: Solution) -> tuple[tuple[DriftEstimate, ...], DriftSearch, Array]:
-    """Significant drift of each triad; a possible one of the accelerometers, and the covariance by what is not seen.
-
-    A linear drift of each triad is tested, and steps where it is likely.
-    """
-    m, white, course = solution.measurements, solution.white, data.drift_shapes[LINEAR].windows
+def _drift(data: PreparedRecording, solution: Solution) -> tuple[DriftEstimate, ...]:
+    """Significant drift of each triad. A linear drift is tested, and steps where it is likely."""
+    m, course = solution.measurements, data.drift_shapes[LINEAR].windows
 
     def statistics(sensor: Sensor, course: Array) -> Statistics:
         if sensor == "gyro":
             return gyro_statistics(data, m.gyro.inverse, m.rest_rate, m.integrated, (), {"": course})[""]
-        return white.statistics(effect(solution.projection, accel_drift(m, np.ones(3), course)))
+        return _by_accel_drift(solution, course)[1]
 
     def by_window(sensor: Sensor) -> Statistics:
         return statistics(sensor, np.eye(len(course)))
@@ -401,16 +441,26 @@ def _drift(data: PreparedRecording, solution: Solution) -> tuple[tuple[DriftEsti
         ("accel", LINEAR): statistics("accel", course),
         ("gyro", LINEAR): statistics("gyro", course),
     }
-    found = tuple(estimated(term) for term in most_likely(data, linear, (), 0.0, by_window).terms)
-    accel = linear["accel", LINEAR]
-    possible = 0.0 if (test := drift_test(accel)) is None else possible_sigma(accel, test.p_value)
-    root = possible * solution.gain @ effect(solution.projection, accel_drift(m, np.ones(3), course))
+    return tuple(estimated(term) for term in most_likely(data, linear, (), 0.0, by_window).terms)
+
+
+def _by_accel_drift(solution: Solution, course: Array) -> tuple[Array, Statistics]:
+    """Effect on the measurements of accelerometer biases that follow courses, and its statistics in the residuals."""
+    by_drift = effect(solution.projection, accel_drift(solution.measurements, np.ones(3), course))
+    return by_drift, solution.white.statistics(by_drift)
+
+
+def _unseen(data: PreparedRecording, solution: Solution) -> tuple[float, Array]:
+    """Possible linear drift of the accelerometers, m/s², and the covariance by what the residuals do not exclude."""
+    by_drift, linear = _by_accel_drift(solution, data.drift_shapes[LINEAR].windows)
+    possible = 0.0 if (test := drift_test(linear)) is None else possible_sigma(linear, test.p_value)
+    root = possible * solution.gain @ by_drift
     by_unseen = root @ root.T
     if data.noise.accel_unseen.any():
-        by_instability, seen = _by_instability(data, solution)
+        by_instability, seen = _by_accel_drift(solution, data.window_drift)
         root = data.noise.expected_accel_instability(seen)[1] * solution.gain @ by_instability
         by_unseen = by_unseen + root @ root.T
-    return found, DriftSearch(possible=possible), by_unseen
+    return possible, by_unseen
 
 
 def _g_sensitivity(

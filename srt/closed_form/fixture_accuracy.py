@@ -7,7 +7,7 @@ more than it is stated to is less accurate about the vertical, too.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -16,13 +16,14 @@ from srt.estimation.error_sources import LARGEST_FIXTURE_RAD, NO_ERRORS, Unmodel
 from srt.estimation.goodness_of_fit import contradicting_group, is_misfit, one_group_explains
 from srt.estimation.white_residuals import PredictedGroups, WhiteResiduals
 from srt.model.measurement_model import force_error_jacobian
+from srt.model.rotations import cross_matrix
 from srt.noise.variance_components import RestrictedLikelihood
 from srt.result.verdict import MISFIT_PROBABILITY
 
 if TYPE_CHECKING:
-    from srt.closed_form.solution import Solution
+    from srt.estimation.srt_measurements import SrtMeasurements
     from srt.sequences.preparation import PreparedRecording
-    from srt.types import Array
+    from srt.types import Array, Mask
 
 _ANGLES, _WOBBLE = slice(0, 2), slice(2, 3)
 """Inner and outer angle, and wobble, among the errors of a start."""
@@ -30,7 +31,72 @@ _GROSS: Final = 4.0
 """Largest tilt of a start in the largest sigma of a fixture: a larger one is another pose."""
 
 
-def fixture_excess(data: PreparedRecording, solution: Solution) -> UnmodelledErrors:
+class _Tilts(NamedTuple):
+    """Tilts of the base against the measured verticals of K starts, rad, shapes (..., 2 K) and (..., 2 K, S).
+
+    Attributes
+    ----------
+    z : ndarray
+        Horizontal components of the verticals.
+    mounting, wobble, angles, aligned : ndarray
+        By mounting, axis wobble, start angles and alignment of 1 rad.
+    R : ndarray, shape (..., 2 K, 2 K)
+        Covariance of z by all that is stated.
+    """
+
+    z: Array
+    mounting: Array
+    wobble: Array
+    angles: Array
+    aligned: Array
+    R: Array
+
+    @classmethod
+    def of(cls, data: PreparedRecording, m: SrtMeasurements, covariance: Array) -> _Tilts:
+        """Tilts of one unit, or of several; parameters are those of :func:`fixture_excess`."""
+        force, to_base = m.force[..., data.start, :], np.swapaxes(base_axes(m, data), -1, -2)
+        gravity = np.linalg.norm(force, axis=-1, keepdims=True)
+        up, units, rows = force / gravity, force.shape[:-2], 2 * data.K
+
+        def tilt(vectors: Array) -> Array:
+            """Horizontal components in the base of vectors in B_Strt, (..., K, 3, S), shape (..., 2 K, S)."""
+            return np.asarray((to_base @ vectors)[..., :2, :].reshape(*units, rows, -1))
+
+        def of_each(own: Array) -> Array:
+            return tilt(own.reshape(*units, data.K, 3, -1))
+
+        common, executed = (tilt_axes(axes, up) for axes in fixture_axes(m, data))
+        own = executed[..., None, :] * np.eye(data.K)[:, None, :, None]
+        wobble, angles, stated = (
+            of_each(part) for part in (own[..., _WOBBLE], own[..., _ANGLES], own * start_sigma(data.recording))
+        )
+        aligned = tilt(common)
+        # The mounting is free: U follows the rotation axes.
+        mounting = tilt(tilt_axes(np.broadcast_to(np.eye(3), (*units, data.K, 3, 3)), up))
+        white, flicker = (x[..., None, :] ** 2 for x in (data.noise.accel_white, data.noise.accel_flicker))
+        variance = white * data.windows.white_factor[data.start, None] + flicker
+        by_noise = tilt(_apart(np.sqrt(variance) / gravity))
+        by_errors = tilt(force_error_jacobian(force, m.accel) / gravity[..., None])
+        R = _squared(stated) + alignment_sigma(data.recording) ** 2 * _squared(aligned) + _squared(by_noise)
+        R += by_errors @ covariance @ np.swapaxes(by_errors, -1, -2)
+        return cls(tilt(up[..., None])[..., 0], mounting, wobble, angles, aligned, R)
+
+
+def verticals_disagree(data: PreparedRecording, measurements: SrtMeasurements, covariance: Array) -> Mask:
+    """True for units whose verticals the stated accuracy of the fixture does not explain; parameters as there.
+
+    All are True if the covariance of any unit is singular, as far outside the model.
+    """
+    tilts = _Tilts.of(data, measurements, covariance)
+    try:
+        white = WhiteResiduals.of(tilts.z, tilts.mounting, tilts.R)
+    except np.linalg.LinAlgError:
+        return np.ones(len(tilts.z), dtype=np.bool_)
+    tests = zip(white.chi_square.tolist(), white.freedom.tolist(), strict=True)
+    return np.array([is_misfit(*test) for test in tests], dtype=np.bool_)
+
+
+def fixture_excess(data: PreparedRecording, measurements: SrtMeasurements, covariance: Array) -> UnmodelledErrors:
     """Errors of start angles, alignment and wobble beyond the stated accuracy of the fixture.
 
     Zero if the stated accuracy explains the verticals, if one sequence alone contradicts it, or if no accuracy of the
@@ -39,34 +105,12 @@ def fixture_excess(data: PreparedRecording, solution: Solution) -> UnmodelledErr
     Parameters
     ----------
     data : PreparedRecording
-    solution : Solution
-        Converged.
+    measurements : SrtMeasurements
+        Those of the last iteration, which converged.
+    covariance : ndarray, shape (27, 27)
+        Of the estimate.
     """
-    m = solution.measurements
-    force, to_base = m.force[data.start], np.swapaxes(base_axes(m, data), -1, -2)
-    gravity = np.linalg.norm(force, axis=-1, keepdims=True)
-    up = force / gravity
-
-    def tilt(vectors: Array) -> Array:
-        """Horizontal components in the base of vectors in B_Strt, (K, 3, S), shape (2 K, S)."""
-        return np.asarray((to_base @ vectors)[:, :2].reshape(2 * data.K, -1))
-
-    common, executed = (tilt_axes(axes, up) for axes in fixture_axes(m, data))
-    own = executed[:, :, None, :] * np.eye(data.K)[:, None, :, None]
-    angles, wobble = (tilt(own[..., of].reshape(data.K, 3, -1)) for of in (_ANGLES, _WOBBLE))
-    stated = tilt((own * start_sigma(data.recording)).reshape(data.K, 3, -1))
-    aligned = tilt(common)
-    # The mounting is free: U follows the rotation axes.
-    mounting = tilt(tilt_axes(np.broadcast_to(np.eye(3), (data.K, 3, 3)), up))
-    noise = data.noise
-    variance = noise.accel_white**2 * data.windows.white_factor[data.start, None] + noise.accel_flicker**2
-    by_noise = tilt(_apart(np.sqrt(variance) / gravity))
-    by_errors = tilt(force_error_jacobian(m.force, m.accel)[data.start] / gravity[..., None])
-    total = np.asarray(sum(solution.covariance.values()))
-    R = _squared(stated) + alignment_sigma(data.recording) ** 2 * _squared(aligned) + _squared(by_noise)
-    R += by_errors @ total @ by_errors.T
-    z = tilt(up[..., None])[:, 0]
-
+    z, mounting, wobble, angles, aligned, R = _Tilts.of(data, measurements, covariance)
     starts = np.arange(2 * data.K).reshape(-1, 2)
 
     def tests(R: Array) -> tuple[list[tuple[float, int]], float, int]:
@@ -89,15 +133,16 @@ def fixture_excess(data: PreparedRecording, solution: Solution) -> UnmodelledErr
 
 
 def tilt_axes(axes: Array, up: Array) -> Array:
-    """Change of the vertical by small rotations about axes (K, 3, S), shape (K, 3, S)."""
-    return np.asarray(np.cross(axes, up[..., None], axis=1))
+    """Change of the vertical by small rotations about axes (..., K, 3, S), shape (..., K, 3, S)."""
+    return np.asarray(-cross_matrix(up) @ axes)
 
 
 def _apart(sigma: Array) -> Array:
-    """Independent errors (K, 3) of the channels of every sequence, shape (K, 3, 3 K)."""
-    K = len(sigma)
-    return np.asarray(np.einsum("kl,kab->kalb", np.eye(K), sigma[:, :, None] * np.eye(3)).reshape(K, 3, 3 * K))
+    """Independent errors (..., K, 3) of the channels of every sequence, shape (..., K, 3, 3 K)."""
+    K = sigma.shape[-2]
+    apart = sigma[..., :, None, None] * (np.eye(K)[:, None, :, None] * np.eye(3)[:, None, :])
+    return np.asarray(apart.reshape(*sigma.shape, 3 * K))
 
 
 def _squared(root: Array) -> Array:
-    return np.asarray(root @ root.T)
+    return np.asarray(root @ np.swapaxes(root, -1, -2))

@@ -8,14 +8,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from srt.closed_form.fixture_accuracy import verticals_disagree
 from srt.estimation.leave_one_out import by_size
+from srt.estimation.rest_rate_scatter import may_be_unstable
 from srt.estimation.white_residuals import PredictedGroups, WhiteResiduals
 
 if TYPE_CHECKING:
     from srt.estimation.srt_measurements import SrtMeasurements
     from srt.sensor_errors import SensorErrors
     from srt.sequences.preparation import PreparedRecording
-    from srt.types import Array, Counts, Indices
+    from srt.sequences.prepared_units import PreparedUnits
+    from srt.types import Array, Counts, Indices, Mask
 
 
 class UnitsResiduals:
@@ -23,16 +26,20 @@ class UnitsResiduals:
 
     Parameters
     ----------
-    data : PreparedRecording
+    data : PreparedUnits
     kept : ndarray of int
         Estimated parameters.
-    z, H, R : ndarray, shape (units, n), (units, n, 27) and (units, n, n)
-        Measurements, their derivative and their covariance.
+    measurements : SrtMeasurements
+    R, covariance : ndarray, shape (units, n, n) and (units, 27, 27)
+        Covariance of the measurements and of the estimate.
     """
 
-    def __init__(self, data: PreparedRecording, kept: Indices, z: Array, H: Array, R: Array) -> None:
-        self._z, self._H, self._R = z, H[..., kept], R
-        self._squares = second_order_variance(data, z.shape[-1])
+    def __init__(
+        self, data: PreparedUnits, kept: Indices, measurements: SrtMeasurements, R: Array, covariance: Array
+    ) -> None:
+        self._data, self._m, self._covariance = data, measurements, covariance
+        self._z, self._H, self._R = measurements.z, measurements.H[..., kept], R
+        self._squares = second_order_variance(data, self._z.shape[-1])
         self._groups = [rows_of_sequence(data, k)[0] for k in range(data.K)]
 
     @cached_property
@@ -55,19 +62,30 @@ class UnitsResiduals:
             chi_square[:, which], freedom[:, which] = found.chi_square, found.freedom
         return chi_square, freedom
 
+    @cached_property
+    def may_be_unstable(self) -> Mask:
+        """:func:`srt.estimation.rest_rate_scatter.may_be_unstable` of each unit."""
+        return may_be_unstable(self._data, self._m.gyro.inverse, self._m.rest_rate, self._m.integrated)
+
+    @cached_property
+    def verticals_disagree(self) -> Mask:
+        """:func:`srt.closed_form.fixture_accuracy.verticals_disagree` of each unit."""
+        return verticals_disagree(self._data, self._m, self._covariance)
+
 
 def residuals_of_units(
-    data: PreparedRecording, kept: Indices, z: Array, H: Array, R: Array
+    data: PreparedUnits, kept: Indices, measurements: SrtMeasurements, R: Array, covariance: Array
 ) -> list[tuple[UnitsResiduals, int]]:
     """Residuals that contain each unit, and its number in them; each by itself where a covariance is singular."""
-    found = UnitsResiduals(data, kept, z, H, R)
+    found = UnitsResiduals(data, kept, measurements, R, covariance)
     try:
         _ = found.white
     except np.linalg.LinAlgError:
-        if len(z) > 1:
-            each = (slice(u, u + 1) for u in range(len(z)))
-            return [part for own in each for part in residuals_of_units(data, kept, z[own], H[own], R[own])]
-    return [(found, u) for u in range(len(z))]
+        if len(R) > 1:
+            each = np.arange(len(R))[:, None]
+            parts = ((data.of_units(own), kept, measurements.of(own), R[own], covariance[own]) for own in each)
+            return [found for part in parts for found in residuals_of_units(*part)]
+    return [(found, u) for u in range(len(R))]
 
 
 def second_order_variance(data: PreparedRecording, rows: int) -> Array:
@@ -159,6 +177,21 @@ class Solution:
     def white_with_squares(self) -> WhiteResiduals:
         """Residuals with the neglected squares of the fixture's errors in the noise; raises as :attr:`white`."""
         return self.of_units.with_squares.of_unit(self.row)
+
+    @property
+    def total(self) -> Array:
+        """Covariance of the estimate by all sources, shape (27, 27)."""
+        return np.asarray(sum(self.covariance.values()))
+
+    @property
+    def may_be_unstable(self) -> bool:
+        """False if the rates at rest show no bias instability of the gyros."""
+        return bool(self.of_units.may_be_unstable[self.row])
+
+    @property
+    def verticals_disagree(self) -> bool:
+        """True if the stated accuracy of the fixture does not explain the measured verticals."""
+        return bool(self.of_units.verticals_disagree[self.row])
 
     @property
     def chi_square(self) -> tuple[float, int]:

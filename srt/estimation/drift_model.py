@@ -312,11 +312,16 @@ def gyro_statistics(
 
 def _of_all_windows(data: PreparedRecording, rest: Array, variance: Array, course: Array) -> Statistics:
     """Statistics where the rates of all windows have the same noise: the schedule determines the eigenvectors."""
+    left, eigen = centred_course(data, course)
+    return common_course_statistics(rest, variance, left, eigen)
+
+
+def centred_course(data: PreparedRecording, course: Array) -> tuple[Array, tuple[Array, Array]]:
+    """Courses (W, n) less their means, and eigenvalues and eigenvectors of their products, (n,) and (n, n)."""
 
     def centred() -> tuple[Array, tuple[Array, Array]]:
         left = course - course.mean(axis=0)
         values, vectors = np.linalg.eigh(left.T @ left)
         return left, (values, vectors)
 
-    left, eigen = data.of_schedule(("course", course.tobytes()), centred)
-    return common_course_statistics(rest, variance, left, eigen)
+    return data.of_schedule(("course", course.tobytes()), centred)

@@ -21,7 +21,6 @@ this is accurate enough for an initial estimate.
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -31,18 +30,19 @@ from srt.estimation.srt_measurements import SrtProcessor
 from srt.exceptions import DataError
 from srt.model import measurement_model as model
 from srt.model.measurement_model import down_jacobian
-from srt.model.sensor_model import Triad, accel_triad, outside_model, to_mars
+from srt.model.sensor_model import Triad, accel_triad, outside_model, vectors_in_mars
 from srt.sensor_errors import GROUP_SLICES, INDEX, N_PARAMETERS, SensorErrors
-from srt.sequences.manoeuvres import MOVING, end_attitude, leg_borders
+from srt.sequences.manoeuvres import end_attitude, rotation_angles, whole_rotations
+from srt.sequences.prepared_units import together
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from srt.estimation.options import Options
     from srt.model.gyro_stream import GyroStream
-    from srt.model.table1 import RotationSequence
     from srt.sequences.preparation import PreparedRecording
-    from srt.types import Array, Indices
+    from srt.sequences.prepared_units import PreparedUnits
+    from srt.types import Array, Indices, Mask
 
 
 def initial_estimate(data: PreparedRecording, options: Options) -> tuple[SensorErrors, Array]:
@@ -61,6 +61,29 @@ def initial_estimate(data: PreparedRecording, options: Options) -> tuple[SensorE
     if data.nominal is None:
         return estimate_from_gravity(data), np.eye(3)
     return estimate_from_fixture(data, data.rotation_stream)
+
+
+def initial_estimates(data: PreparedUnits, options: Sequence[Options]) -> list[tuple[SensorErrors, Array] | DataError]:
+    """:func:`initial_estimate` of units with options that differ in ``start`` alone, or what it raises for a unit."""
+    out: dict[int, tuple[SensorErrors, Array] | DataError] = {}
+    given = {u: own.start for u, own in enumerate(options) if isinstance(own.start, SensorErrors)}
+    if given:
+        vectors = np.stack([errors.vector for errors in given.values()])
+        units = data.of_units(np.array(list(given)))
+        by_data = SrtProcessor(units, options[0]).process(vectors, nominal_vertical=True).U
+        out |= {u: (errors, U) for (u, errors), U in zip(given.items(), by_data, strict=True)}
+    nominal = [] if data.nominal is None else [u for u, own in enumerate(options) if own.start == "auto"]
+    if nominal:
+        units = data.of_units(np.array(nominal))
+        found = _estimates_from_fixture(units, [unit.rotation_stream for unit in units.units])
+        out |= dict(zip(nominal, found, strict=True))
+    for u, own in enumerate(options):
+        if u not in out:
+            try:
+                out[u] = initial_estimate(data.units[u], own)
+            except DataError as error:
+                out[u] = error
+    return [out[u] for u in range(len(options))]
 
 
 _RIDGE: Final = 1e-6
@@ -88,66 +111,93 @@ def estimate_from_fixture(data: PreparedRecording, stream: GyroStream) -> tuple[
     DataError
         A left-handed gyro triad, or an accelerometer triad of the opposite handedness.
     """
-    rest = data.windows.gyro_mean
-    turned, angles = [], []
-    pooled = _pooled_bias(data)
-    earth_rates = data.of_schedule("mean Earth rate of rotations", lambda: _mean_earth_rates(data))
-    for k, sequence in enumerate(data.catalogue):
-        if sequence is None or not sequence.rotations:
-            continue
-        if pooled is None or len(sequence.rotations) > 1:
-            bias = 0.5 * (rest[data.start[k]] + rest[data.end[k]])
-        else:
-            bias = pooled + earth_rates[k]
-        legs = rotation_angles(stream, k, sequence, bias)
-        if legs is not None:
-            turned.append(legs)
-            angles.append(sequence.axes * sequence.angles_rad[:, None])
-    Mg = _fit_triad(np.concatenate(angles), np.concatenate(turned))[0] if turned else np.eye(3)
+    (found,) = _estimates_from_fixture(together([data]), [stream])
+    if isinstance(found, DataError):
+        raise found
+    return found
+
+
+def _estimates_from_fixture(
+    data: PreparedUnits, streams: Sequence[GyroStream]
+) -> list[tuple[SensorErrors, Array] | DataError]:
+    """:func:`estimate_from_fixture` of several units, or the error of a unit."""
     nominal = data.nominal
     if nominal is None:
         raise DataError("A start from the fixture needs nominal attitudes; this recording has none.")
+    Mg, units = _gyro_matrices(data, streams), len(streams)
     labelled = np.array([s is not None for s in data.catalogue])
     nominal, start = nominal[labelled], data.start[labelled]
-    down = nominal[:, 2]
-    sequences = [s for s in data.catalogue if s is not None]
+    down, sequences = nominal[:, 2], [s for s in data.catalogue if s is not None]
     down_end = np.stack([end_attitude(s).T @ u for s, u in zip(sequences, down, strict=True)])
     force = data.windows.accel_mean
-    vertical = np.concatenate([down, down_end])
-    readings = np.concatenate([force[start], force[data.end[labelled]]])
-    specific_force = -data.gravity * vertical
-    accel_bias = _fit_triad(specific_force, readings, data.gravity, with_bias=True)[1]
+    readings = np.concatenate([force[:, start], force[:, data.end[labelled]]], axis=1)
+    specific_force = -data.gravity * np.concatenate([down, down_end])
+    accel_bias = _fit_triads(specific_force, readings, data.gravity, with_bias=True)[1]
     # An asymmetry enters the misalignments where the poses of an axis are not alike in number up and down. With that of
     # the own axis, the matrix is free of it, but the bias rests on the poses in which the axis is horizontal.
-    Ma = np.stack([_fit_own_asymmetry(specific_force, readings, data.gravity, i) for i in range(3)])
-    if np.linalg.det(Mg) > 0.0 and np.linalg.det(Ma) <= 0.0:
-        raise DataError(
-            "The accelerometers come out left-handed against the gyros: " + _wrong_axes(Ma, "accelerometer")
-        )
-    if np.linalg.det(Mg) <= 0.0:
-        raise DataError("The gyros come out left-handed against the rotations: " + _wrong_axes(Mg, "gyro"))
-    errors, U = to_mars(Triad(Mg, np.zeros(3), np.zeros(3)), Triad(Ma, np.zeros(3), accel_bias))
-    earth = U @ np.swapaxes(nominal, 1, 2) @ data.earth_rate_base()
-    vector = errors.vector.copy()
-    vector[-3:] = (rest[start] - earth @ (Mg @ U.T).T).mean(axis=0)
-    return type(errors)(vector), U
+    rows = [_fit_own_asymmetry(specific_force, readings, data.gravity, i) for i in range(3)]
+    Ma, none = np.stack(rows, axis=1), np.zeros((units, 3))
+    right_handed = np.linalg.det(Mg) > 0.0, np.linalg.det(Ma) > 0.0
+    sound = np.logical_and(*right_handed)
+    out: dict[int, tuple[SensorErrors, Array] | DataError] = {}
+    for u in np.flatnonzero(~sound).tolist():
+        if right_handed[0][u]:
+            cause = "The accelerometers come out left-handed against the gyros: " + _wrong_axes(Ma[u], "accelerometer")
+        else:
+            cause = "The gyros come out left-handed against the rotations: " + _wrong_axes(Mg[u], "gyro")
+        out[u] = DataError(cause)
+    which = np.flatnonzero(sound)
+    vectors, U = vectors_in_mars(
+        Triad(Mg[which], none[which], none[which]), Triad(Ma[which], none[which], accel_bias[which])
+    )
+    earth = np.mean(np.swapaxes(nominal, 1, 2), axis=0) @ data.earth_rate_base()
+    vectors[:, GROUP_SLICES["gyro_bias"]] = data.windows.gyro_mean[which][:, start].mean(axis=1) - Mg[which] @ earth
+    out |= {u: (SensorErrors(vectors[i]), U[i]) for i, u in enumerate(which.tolist())}
+    return [out[u] for u in range(units)]
+
+
+def _gyro_matrices(data: PreparedUnits, streams: Sequence[GyroStream]) -> Array:
+    """Gyro matrices of units from the nominal rotations, shape (units, 3, 3)."""
+    rest = data.windows.gyro_mean
+    between = 0.5 * (rest[:, data.start] + rest[:, data.end])
+    pooled, one_bias = _pooled_bias(data)
+    single = np.array([s is not None and len(s.rotations) == 1 for s in data.catalogue])
+    earth_rates = data.of_schedule("mean Earth rate of rotations", lambda: _mean_earth_rates(data))
+    bias = np.where(one_bias[:, None, None] & single[:, None], pooled[:, None] + earth_rates, between)
+    turned: list[dict[int, Array]] = []
+    for stream, own in zip(streams, bias, strict=True):
+        whole = whole_rotations(stream, own)
+        turned.append({k: whole[k][None] for k in np.flatnonzero(single).tolist()})
+        for k, sequence in enumerate(data.catalogue):
+            if sequence is not None and len(sequence.rotations) > 1:
+                legs = rotation_angles(stream, k, sequence, own[k])
+                if legs is not None:
+                    turned[-1][k] = legs
+    out = np.broadcast_to(np.eye(3), (len(streams), 3, 3)).copy()
+    for seen in {tuple(sorted(own)) for own in turned if own}:
+        which = [u for u, own in enumerate(turned) if tuple(sorted(own)) == seen]
+        sequences = [s for k in seen if (s := data.catalogue[k]) is not None]
+        angles = np.concatenate([s.axes * s.angles_rad[:, None] for s in sequences])
+        readings = np.stack([np.concatenate([turned[u][k] for k in seen]) for u in which])
+        out[which] = _fit_triads(angles, readings)[0]
+    return out
 
 
 _ONE_BIAS: Final = 1.5
 """Largest rms of the rest rates about one bias, over their noise; beyond it the bias is taken to drift."""
 
 
-def _pooled_bias(data: PreparedRecording) -> Array | None:
-    """Gyro bias from all windows, shape (3,), rad/s; None if it changes, or the Earth rate is not known."""
-    recording = data.recording
+def _pooled_bias(data: PreparedUnits) -> tuple[Array, Mask]:
+    """Gyro biases of units from all windows, (units, 3), rad/s; False if it changes, or the Earth rate is not known."""
+    recording, rest = data.recording, data.windows.gyro_mean
     fixture = recording.fixture
     if data.nominal is None or recording.site.latitude_rad is None or fixture is None or fixture.heading_rad is None:
-        return None
-    rest = data.windows.gyro_mean - data.of_schedule("Earth rate at rest", lambda: _earth_rate_at_rest(data))
+        return np.zeros((len(rest), 3)), np.zeros(len(rest), dtype=np.bool_)
+    rest = rest - data.of_schedule("Earth rate at rest", lambda: _earth_rate_at_rest(data))
     T = data.windows.duration_s[:, None]
-    bias = np.sum(T * rest, axis=0) / T.sum()
-    scatter = np.sqrt(np.mean(T * (rest - bias) ** 2, axis=0))
-    return np.asarray(bias) if np.all(scatter < _ONE_BIAS * data.noise.gyro_white) else None
+    bias = np.sum(T * rest, axis=1) / T.sum()
+    scatter = np.sqrt(np.mean(T * (rest - bias[:, None]) ** 2, axis=1))
+    return bias, np.asarray(np.all(scatter < _ONE_BIAS * data.noise.gyro_white, axis=1))
 
 
 def _earth_rate_at_rest(data: PreparedRecording) -> Array:
@@ -175,46 +225,34 @@ def _mean_earth_rates(data: PreparedRecording) -> Array:
     return out
 
 
-def rotation_angles(stream: GyroStream, k: int, sequence: RotationSequence, bias: Array) -> Array | None:
-    """Summed raw gyro increments of each rotation of sequence k, less bias, shape (number of rotations, 3), rad.
+def _fit_triads(x: Array, y: Array, scale: float = 1.0, *, with_bias: bool = False) -> tuple[Array, Array]:
+    """Least-squares solutions M, b of y = M x + b with a weak prior, of units; x and y are of size ``scale``.
 
-    Returns None if the pauses between the rotations cannot be found. Only pauses separate the rotations; axes are not
-    used, because raw axes may be far from those of the table.
-    """
-    s, e = stream.rotation[k]
-    increments = stream.increments[:, s:e] - bias[:, None] * stream.interval_s[s:e]
-    m = len(sequence.rotations)
-    if m == 1:
-        whole: Array = increments.sum(axis=1)[None]
-        return whole
-    speed = np.linalg.norm(stream.smooth[:, s:e] / stream.interval_s[s:e] - bias[:, None], axis=0)
-    borders = leg_borders(np.where(speed > MOVING * speed.max(), 0, -1), through_stops=False)
-    if len(borders) != m + 1:
-        return None
-    return np.stack([increments[:, a:b].sum(axis=1) for a, b in pairwise(borders.tolist())])
-
-
-def _fit_triad(x: Array, y: Array, scale: float = 1.0, *, with_bias: bool = False) -> tuple[Array, Array]:
-    """Least-squares solution M, b of y = M x + b with a weak prior; x and y are of size ``scale``.
-
-    b is zero unless ``with_bias``.
+    x has the shape (n, 3), y (units, n, 3). b is zero unless ``with_bias``.
 
     The prior gives an initial estimate for every recording. The fits of the diagnosis answer other questions:
     whether the labels explain the readings, and which triad most of them agree on (:mod:`srt.diagnosis.triad_fits`).
     """
     design = np.hstack([x / scale, np.ones((len(x), 1))]) if with_bias else x / scale
     n = design.shape[1]
-    A, target = np.concatenate([design, _RIDGE * np.eye(n)]), np.concatenate([y / scale, _RIDGE * np.eye(n, 3)])
-    solution = np.linalg.lstsq(A, target, rcond=None)[0]
-    return solution[:3].T, solution[3] * scale if with_bias else np.zeros(3)
+    solution = _fit(design, y / scale, np.eye(n, 3))
+    return np.swapaxes(solution[:, :3], 1, 2), solution[:, 3] * scale if with_bias else np.zeros((len(y), 3))
 
 
 def _fit_own_asymmetry(x: Array, y: Array, scale: float, axis: int) -> Array:
-    """Row m of an axis in y = m x + bias + asymmetry · |x| of the own axis, with a weak prior, shape (3,)."""
+    """Row m of an axis in y = m x + bias + asymmetry · |x| of the own axis, with a weak prior, shape (units, 3)."""
     own = np.abs(x[:, axis, None]) / scale
-    A = np.concatenate([np.hstack([x / scale, np.ones((len(x), 1)), own]), _RIDGE * np.eye(5)])
-    target = np.concatenate([y[:, axis] / scale, _RIDGE * np.eye(5)[axis]])
-    return np.asarray(np.linalg.lstsq(A, target, rcond=None)[0][:3])
+    design = np.hstack([x / scale, np.ones((len(x), 1)), own])
+    return _fit(design, y[..., axis, None] / scale, np.eye(5)[axis][:, None])[:, :3, 0]
+
+
+def _fit(design: Array, y: Array, prior: Array) -> Array:
+    """Least-squares solutions, (units, n, q), of y (units, m, q) by a design (m, n), with a weak prior (n, q)."""
+    (units, _, q), n = y.shape, design.shape[1]
+    target = np.concatenate([y, np.broadcast_to(_RIDGE * prior, (units, n, q))], axis=1)
+    A = np.concatenate([design, _RIDGE * np.eye(n)])
+    solution = np.linalg.lstsq(A, np.moveaxis(target, 0, 1).reshape(len(A), -1), rcond=None)[0]
+    return np.moveaxis(solution.reshape(n, units, q), 1, 0)
 
 
 def _wrong_axes(M: Array, sensor: str) -> str:

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from scipy.special import chdtri
 
-from srt.estimation.drift_model import gyro_statistics
-from srt.estimation.error_sources import raw_rate_variance
+from srt.estimation.drift_model import centred_course, gyro_statistics
+from srt.estimation.error_sources import earth_rate_sigma, raw_rate_variance
 from srt.estimation.g_sensitivity import MODE as G_SENSITIVE
-from srt.noise.drift_forms import likelihood_gain, variance_component
+from srt.noise.drift_forms import likelihood_gain, variance_component, variance_components
 from srt.noise.variance_components import expected_variance
 from srt.result.verdict import MISFIT_PROBABILITY
 
@@ -31,6 +31,8 @@ _POINTS: Final = 500
 """Points of the integral over a standard deviation."""
 _SCATTER_PROBABILITY: Final = 1e-3
 """p-value of chi-square below which the biases of the sequences differ by more than their noise."""
+_LEAST_SHOWN: Final = float(chdtri(1, 2.0 * MISFIT_PROBABILITY))
+"""Chi-square of the rates at rest from which they can show a bias instability."""
 
 
 def bias_gain(measurements: SrtMeasurements, data: PreparedRecording, mode: str, wander: Array) -> Array:
@@ -73,7 +75,7 @@ def gyro_instability(
     courses = {"instability": data.window_drift, "sequences": np.eye(data.K)[owner]}
     found = gyro_statistics(data, slope, rest, integrated, present, courses)
     # The likelihood ratio is at most what the best coefficients explain, and these no more than all residuals.
-    if found["instability"].chi_square < chdtri(1, 2.0 * MISFIT_PROBABILITY):
+    if found["instability"].chi_square < _LEAST_SHOWN:
         return None
     flicker = variance_component(found["instability"])
     if flicker.p_value > MISFIT_PROBABILITY or flicker.ratio < variance_component(found["sequences"]).ratio:
@@ -81,6 +83,26 @@ def gyro_instability(
     rates = found["instability"]
     gain = likelihood_gain(flicker.ratio, 1, rates.chi_square, rates.freedom)
     return math.sqrt(expected_variance(rates, 0.0, (0.0, math.inf))), gain
+
+
+def may_be_unstable(data: PreparedRecording, slope: Array, rest: Array, integrated: Mask) -> Mask:
+    """False for units in which :func:`gyro_instability` is not significant, shape (units,); for all at once.
+
+    Where the rates of the windows differ in noise, it is not told before, and all are True. Parameters are those of
+    that function, with a leading axis of units in ``slope`` and ``rest``.
+    """
+    out = np.ones(len(rest), dtype=np.bool_)
+    if data.noise.gyro_flicker is not None or integrated.any():
+        return out
+    noise = raw_rate_variance(data.noise, data.windows.duration_s) @ np.swapaxes(slope**2, -1, -2)
+    variance = noise[:, :1] + earth_rate_sigma(data.recording) ** 2
+    if np.any(noise != noise[:, :1]):
+        return out
+    left, (values, vectors) = centred_course(data, data.window_drift)
+    from_mean = rest - rest.mean(axis=1, keepdims=True)
+    along = ((left @ vectors).T @ from_mean / variance).reshape(len(rest), -1)
+    p_value = variance_components((values[:, None] / variance).reshape(along.shape), along)[1]
+    return np.asarray((np.sum(from_mean**2 / variance, axis=(1, 2)) >= _LEAST_SHOWN) & (p_value <= MISFIT_PROBABILITY))
 
 
 def window_rate_variance(measurements: SrtMeasurements, data: PreparedRecording) -> Array:

@@ -30,7 +30,7 @@ from srt.model.rotation_integrals import RotationIntegrals
 if TYPE_CHECKING:
     from srt.model.gyro_stream import GyroStream
     from srt.model.sensor_model import Triad
-    from srt.types import Array, Indices
+    from srt.types import Array, Indices, Mask
 
 BLOCK: Final = 16384
 """Samples per block: the 3x3 matrices of a block fit into a processor's cache."""
@@ -105,8 +105,10 @@ class _ErrorSums:
         self._sums = np.zeros((K, 9, self._columns + (9 if with_noise else 0)))
         self._parts = _PartSums(stream, K // units) if with_noise else None
         self._angle = np.zeros((K, 3))
-        begun, ended = (np.bincount(at, minlength=int(stream.starts[-1]) + 1) for at in stream.rotation.T)
-        self._turning = np.cumsum(begun - ended)[:-1] > 0
+        self._turning: Mask | None = None
+        if stream.F is not None:  # samples of integrated windows lie between the rotations
+            begun, ended = (np.bincount(at, minlength=int(stream.starts[-1]) + 1) for at in stream.rotation.T)
+            self._turning = np.cumsum(begun - ended)[:-1] > 0
 
     def add(self, theta: Array, X: Array, a: int) -> None:
         """Add a block of m samples from number ``a`` on: Δθ (3, m) and Ĉ D (3, 3, m)."""
@@ -131,7 +133,7 @@ class _ErrorSums:
                 weighted *= F
         first, last = np.searchsorted(stream.starts, (a, b), side="right").tolist()
         within = np.clip(stream.starts[first - 1 : last + 1] - a, 0, m)
-        turned = np.where(self._turning[a:b], theta, 0.0)
+        turned = theta if self._turning is None else np.where(self._turning[a:b], theta, 0.0)
         rows = np.flatnonzero(within[1:] > within[:-1])
         self._angle[rows + first - 1] += np.add.reduceat(turned, within[rows], axis=1).T
         for k, (s, e) in enumerate(pairwise(within.tolist()), first - 1):

@@ -74,14 +74,14 @@ def gyro_stream(
     lengths = spans[:, 1] - spans[:, 0]
     starts = np.concatenate([[0], np.cumsum(lengths)])
     n = int(starts[-1])
-    increments, dt = np.empty((3, n)), np.empty(n)
-    for (a, b), s in zip(spans.tolist(), starts.tolist(), strict=False):
-        end = s + b - a
-        dt[s:end] = interval_s if isinstance(interval_s, float) else interval_s[a:b]
-        if rates:
-            np.multiply(gyro[a:b].T, dt[s:end], out=increments[:, s:end])
-        else:
-            increments[:, s:end] = gyro[a:b].T
+    parts = [slice(a, b) for a, b in spans.tolist()]
+    increments = np.ascontiguousarray(np.concatenate([gyro[part] for part in parts]).T) if n else np.empty((3, 0))
+    if isinstance(interval_s, float):
+        dt = np.full(n, interval_s)
+    else:
+        dt = np.concatenate([interval_s[part] for part in parts]) if n else np.empty(0)
+    if rates:
+        increments *= dt
     width = max(1, round(_SMOOTHING_S / float(np.median(dt)))) if n else 1
     smooth = moving_average(increments, width)
     offset = starts[:-1] - spans[:, 0]

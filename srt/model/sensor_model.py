@@ -22,7 +22,6 @@ from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from scipy.linalg import polar
 
 from srt.exceptions import DataError
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SensorErrors
@@ -199,17 +198,23 @@ def triads(vector: Array) -> tuple[Triad, Triad]:
 
 def errors_from_triads(gyro: Triad, accel: Triad) -> SensorErrors:
     """Sensor errors of two triads whose gyro matrix is symmetric (MARS)."""
-    vector = np.empty(N_PARAMETERS)
+    return SensorErrors(_vectors(gyro, accel))
+
+
+def _vectors(gyro: Triad, accel: Triad) -> Array:
+    """Sensor errors (..., 27) of triads, the inverse of :func:`triads`."""
+    vector, axes = np.empty((*gyro.bias.shape[:-1], N_PARAMETERS)), np.arange(3)
     dg, da = gyro.matrix - np.eye(3), accel.matrix - np.eye(3)
-    vector[GROUP_SLICES["gyro_scale"]] = np.diag(dg)
-    vector[GROUP_SLICES["gyro_orthogonality"]] = [dg[i, j] + dg[j, i] for i, j in _ORTHOGONALITY_PAIRS]
-    vector[GROUP_SLICES["gyro_asymmetry"]] = gyro.asymmetry
-    vector[GROUP_SLICES["gyro_bias"]] = gyro.bias
-    vector[GROUP_SLICES["accel_scale"]] = np.diag(da)
-    vector[GROUP_SLICES["accel_misalignment"]] = [da[i, j] for i, j in _MISALIGNMENT_PAIRS]
-    vector[GROUP_SLICES["accel_asymmetry"]] = accel.asymmetry
-    vector[GROUP_SLICES["accel_bias"]] = accel.bias
-    return SensorErrors(vector)
+    (i, j), (k, m) = np.transpose(_ORTHOGONALITY_PAIRS), np.transpose(_MISALIGNMENT_PAIRS)
+    vector[..., GROUP_SLICES["gyro_scale"]] = dg[..., axes, axes]
+    vector[..., GROUP_SLICES["gyro_orthogonality"]] = dg[..., i, j] + dg[..., j, i]
+    vector[..., GROUP_SLICES["gyro_asymmetry"]] = gyro.asymmetry
+    vector[..., GROUP_SLICES["gyro_bias"]] = gyro.bias
+    vector[..., GROUP_SLICES["accel_scale"]] = da[..., axes, axes]
+    vector[..., GROUP_SLICES["accel_misalignment"]] = da[..., k, m]
+    vector[..., GROUP_SLICES["accel_asymmetry"]] = accel.asymmetry
+    vector[..., GROUP_SLICES["accel_bias"]] = accel.bias
+    return vector
 
 
 def to_mars(gyro: Triad, accel: Triad) -> tuple[SensorErrors, Array]:
@@ -237,14 +242,18 @@ def to_mars(gyro: Triad, accel: Triad) -> tuple[SensorErrors, Array]:
             "The gyro triad is left-handed (determinant of its scale and misalignment matrix "
             f"{np.linalg.det(gyro.matrix):.3g}): one axis is flipped or two are swapped; correct the axis mapping."
         )
-    U, P = polar(gyro.matrix, side="left")
-    return (
-        errors_from_triads(
-            Triad(0.5 * (P + P.T), gyro.asymmetry, gyro.bias),
-            Triad(accel.matrix @ U.T, accel.asymmetry, accel.bias),
-        ),
-        U,
-    )
+    vector, U = vectors_in_mars(gyro, accel)
+    return SensorErrors(vector), U
+
+
+def vectors_in_mars(gyro: Triad, accel: Triad) -> tuple[Array, Array]:
+    """:func:`to_mars` of triads with det Mg > 0 or those of units: sensor errors (..., 27), and U (..., 3, 3)."""
+    left, singular, right = np.linalg.svd(gyro.matrix)
+    # The polar decomposition Mg = P U
+    U, P = left @ right, (left * singular[..., None, :]) @ np.swapaxes(left, -1, -2)
+    symmetric = Triad(0.5 * (P + np.swapaxes(P, -1, -2)), gyro.asymmetry, gyro.bias)
+    turned = Triad(accel.matrix @ np.swapaxes(U, -1, -2), accel.asymmetry, accel.bias)
+    return _vectors(symmetric, turned), U
 
 
 def compose(errors: SensorErrors, delta: ArrayLike) -> tuple[SensorErrors, Array]:

@@ -48,7 +48,10 @@ _WALK_RANGE: Final = (-9.0, 12.0)
 _LEAST_CHANGE: Final = 1e-3 - 1.0
 """Least relative change of the noise along an effect: a thousandth of it is left."""
 _VARIANCES: Final = 1000
-"""Variances at which the likelihood of a component is computed."""
+"""Variances among which the likelihood of a component is largest."""
+_COARSE: Final = 10
+"""Every so many of them are computed first: the logarithm of a variance changes by 0.37, and no term of the likelihood
+rises or falls within less than 1."""
 _LEAST_CHI_SQUARE: Final = 1e-300
 """Chi-square below which this limit counts: a form may explain noise-free residuals entirely."""
 _SEEN: Final = 1e-10
@@ -250,9 +253,14 @@ class Statistics:
         v λ > −1, but where weights and effects are two models of the same noise.
         """
         values, vectors = self.eigen
-        v = variances[:, None]
-        changed = np.maximum(v * np.maximum(values, 0.0), _LEAST_CHANGE)
-        return np.asarray(np.sum(v * (vectors.T @ self.gradient) ** 2 / (1.0 + changed) - np.log1p(changed), axis=1))
+        return _likelihood_ratio(variances, values, vectors.T @ self.gradient)
+
+
+def _likelihood_ratio(variances: Array, values: Array, along: Array) -> Array:
+    """:meth:`Statistics.likelihood_ratio` of variances (..., n), eigenvalues and gradients along them (..., q)."""
+    v = variances[..., None]
+    changed = np.maximum(v * np.maximum(values, 0.0)[..., None, :], _LEAST_CHANGE)
+    return np.asarray(np.sum(v * along[..., None, :] ** 2 / (1.0 + changed) - np.log1p(changed), axis=-1))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -439,15 +447,35 @@ def form_or_scatter(found: Statistics, course: Array, scatter: float, *, walk: b
 
 def variance_component(found: Statistics) -> VarianceComponent:
     """Estimate the common variance of coefficients, and test it."""
-    largest = float(found.eigen[0].max()) if found.information.size else 0.0
-    if not largest > 0.0:
+    if not found.information.size:
         return VarianceComponent(0.0, 1.0, 0.0)
+    values, vectors = found.eigen
+    sigma, p_value, ratio = variance_components(values[None], (vectors.T @ found.gradient)[None])
+    return VarianceComponent(float(sigma[0]), float(p_value[0]), float(ratio[0]))
+
+
+def variance_components(values: Array, along: Array) -> tuple[Array, Array, Array]:
+    """:class:`VarianceComponent` of several units: sigma, p-value and ratio, shape (units,) each.
+
+    Parameters
+    ----------
+    values, along : ndarray, shape (units, q)
+        Eigenvalues of the information on the coefficients, and the gradient along its eigenvectors.
+    """
+    largest = values.max(axis=1)
+    shown = largest > 0.0
     # From a hundredth of the sigma of the best-known coefficient to a million times that sigma, then a parabola.
-    log_variance = np.linspace(-9.2, 27.6, _VARIANCES) - math.log(largest)
-    ratio = found.likelihood_ratio(np.exp(log_variance))
-    i = min(max(int(np.argmax(ratio)), 1), _VARIANCES - 2)
-    slope, bend = 0.5 * (ratio[i + 1] - ratio[i - 1]), ratio[i + 1] - 2.0 * ratio[i] + ratio[i - 1]
-    shift = float(np.clip(-slope / bend, -1.0, 1.0)) if bend < 0.0 else 0.0
-    best = max(float(ratio[i] + (slope + 0.5 * bend * shift) * shift), 0.0)
-    sigma = math.exp(0.5 * float(log_variance[i] + shift * (log_variance[1] - log_variance[0])))
-    return VarianceComponent(sigma, 0.5 * float(chdtrc(1, best)), best)
+    steps, units = np.linspace(-9.2, 27.6, _VARIANCES), np.arange(len(values))[:, None]
+    log_variance = steps - np.log(np.where(shown, largest, 1.0))[:, None]
+    coarse = _likelihood_ratio(np.exp(log_variance[:, ::_COARSE]), values, along)
+    near = _COARSE * np.argmax(coarse, axis=1)[:, None] + np.arange(-_COARSE - 1, _COARSE + 2)
+    near = np.clip(near, 0, _VARIANCES - 1)
+    ratio = _likelihood_ratio(np.exp(log_variance[units, near]), values, along)
+    # The largest one has a neighbour on either side.
+    i = np.argmax(np.where((near > 0) & (near < _VARIANCES - 1), ratio, -np.inf), axis=1)
+    before, at, after = (ratio[units[:, 0], i + k] for k in (-1, 0, 1))
+    slope, bend = 0.5 * (after - before), after - 2.0 * at + before
+    shift = np.where(bend < 0.0, np.clip(-slope / np.where(bend < 0.0, bend, -1.0), -1.0, 1.0), 0.0)
+    best = np.where(shown, np.maximum(at + (slope + 0.5 * bend * shift) * shift, 0.0), 0.0)
+    log_sigma = 0.5 * (log_variance[units[:, 0], near[units[:, 0], i]] + shift * (steps[1] - steps[0]))
+    return np.where(shown, np.exp(log_sigma), 0.0), np.where(shown, 0.5 * chdtrc(1, best), 1.0), best

@@ -21,7 +21,7 @@ from scipy.special import chdtrc, chdtri
 from srt.noise.nonnegative import nonnegative_least_squares
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Hashable, Sequence
 
     from srt.recording.recording import Recording
     from srt.types import Array, Indices
@@ -100,7 +100,8 @@ def random_walk(recording: Recording, windows: Indices) -> RandomWalk:
     windows : ndarray of int, shape (W, 2)
         First sample and one past the last.
     """
-    octaves = _allan_octaves(recording, windows)
+    key = octaves_key(windows)
+    octaves = recording.memo(key, lambda: allan_octaves([recording], windows)[0])
     triads = [_triad(recording, windows, octaves, columns) for columns in (slice(0, 3), slice(3, 6))]
     squares = np.array([fit.squares for fits, _ in triads for fit in fits])
     return RandomWalk(np.sqrt(squares[:, 0]), np.sqrt(squares[:, 1]), np.array([filter_s for _, filter_s in triads]))
@@ -133,7 +134,7 @@ def _fitting(octaves: _Octaves) -> Callable[[int, bool], list[_Fit]]:
 
 def _typical(recording: Recording, windows: Indices) -> _Octaves:
     """Octaves of the median window, which motion in single windows leaves alone, unlike the sum over windows."""
-    table = [_allan_octaves(recording, windows[w : w + 1]) for w in range(len(windows))]
+    table = [allan_octaves([recording], windows[w : w + 1])[0] for w in range(len(windows))]
     tau = max((each.tau for each in table), key=len)
     variance, numbers = np.full((len(table), 6, len(tau)), np.nan), np.zeros((len(table), len(tau)))
     for row, number, each in zip(variance, numbers, table, strict=True):
@@ -184,17 +185,23 @@ def _falls_short(octaves: _Octaves, first: int, fits: list[_Fit]) -> bool:
     return bool((live * tau[:first] < (1.0 - _SIGNIFICANT * sigma) * white[:, None]).any())
 
 
-def _allan_octaves(recording: Recording, windows: Indices) -> _Octaves:
-    """Allan variances of non-overlapping averages by octave.
+def octaves_key(windows: Indices) -> Hashable:
+    """Name of the octaves of windows among the derived values of a recording."""
+    return "octaves", windows.tobytes()
+
+
+def allan_octaves(recordings: Sequence[Recording], windows: Indices) -> list[_Octaves]:
+    """Allan variances of non-overlapping averages by octave, of each of the recordings of one run.
 
     The averages are formed in one pass, octave from octave, over pieces that fit into a processor's cache. A piece of
     2^k samples gives k octaves and one average; the averages of a window's pieces give the higher octaves.
     """
-    power: defaultdict[int, Array] = defaultdict(lambda: np.zeros(6))
+    channels = 6 * len(recordings)
+    power: defaultdict[int, Array] = defaultdict(lambda: np.zeros(channels))
     number: defaultdict[int, int] = defaultdict(int)
 
     def add(x: Array, octave: int) -> Array:
-        """Add the octaves of averages (w, 6, n), from the given octave on; return the last averages, (w, 6)."""
+        """Add the octaves of averages (w, c, n), from the given octave on; return the last averages, (w, c)."""
         while x.shape[2] >= 2:
             m = x.shape[2] // 2
             even, odd = x[:, :, 0 : 2 * m : 2], x[:, :, 1 : 2 * m : 2]
@@ -209,27 +216,27 @@ def _allan_octaves(recording: Recording, windows: Indices) -> _Octaves:
     for a, b in windows.tolist():
         whole = a + (b - a) // _PIECE * _PIECE
         if whole > a:
-            pieces = [add(_columns(recording, [lo], _PIECE), 0) for lo in range(a, whole, _PIECE)]
+            pieces = [add(_columns(recordings, [lo], _PIECE), 0) for lo in range(a, whole, _PIECE)]
             add(np.stack(pieces, axis=2), _PIECE.bit_length() - 1)
         if b > whole:
             by_length[b - whole].append(whole)
     for n, begins in by_length.items():
         together = max(1, _PIECE // n)
         for i in range(0, len(begins), together):
-            add(_columns(recording, begins[i : i + together], n), 0)
+            add(_columns(recordings, begins[i : i + together], n), 0)
     octaves = sorted(power)
-    return _Octaves(
-        recording.nominal_interval_s * 2.0 ** np.array(octaves),
-        np.array([number[o] for o in octaves], dtype=np.float64),
-        np.stack([power[o] / number[o] for o in octaves], axis=1),
-    )
+    tau = recordings[0].nominal_interval_s * 2.0 ** np.array(octaves)
+    differences = np.array([number[o] for o in octaves], dtype=np.float64)
+    variance = np.stack([power[o] / number[o] for o in octaves], axis=1)
+    return [_Octaves(tau, differences, own) for own in variance.reshape(len(recordings), 6, -1)]
 
 
-def _columns(recording: Recording, begins: list[int], n: int) -> Array:
-    """Readings of pieces of n samples, shape (pieces, 6, n)."""
-    out = np.empty((len(begins), 6, n))
-    for piece, a in zip(out, begins, strict=True):
-        piece[:3], piece[3:] = recording.gyro[a : a + n].T, recording.accel[a : a + n].T
+def _columns(recordings: Sequence[Recording], begins: list[int], n: int) -> Array:
+    """Readings of pieces of n samples of recordings, shape (pieces, 6 for each recording, n)."""
+    out = np.empty((len(begins), 6 * len(recordings), n))
+    for u, recording in enumerate(recordings):
+        for piece, a in zip(out[:, 6 * u : 6 * u + 6], begins, strict=True):
+            piece[:3], piece[3:] = recording.gyro[a : a + n].T, recording.accel[a : a + n].T
     return out
 
 

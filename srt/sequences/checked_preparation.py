@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from srt.exceptions import DataError
+from srt.noise.random_walk import allan_octaves, octaves_key
 from srt.sequences.clipping import clipped_samples, clipping_levels
 from srt.sequences.plausibility import check_interval, check_rest, check_turns, gap_inside
-from srt.sequences.preparation import move_title, prepare, sequence_of_label
+from srt.sequences.preparation import means_key, move_title, prepare, sequence_of_label
+from srt.sequences.window_means import average_windows, of_each, side_by_side
 
 if TYPE_CHECKING:
+    from collections.abc import Hashable, Sequence
+
     from srt.recording.recording import Recording, SequenceLabel
     from srt.sequences.preparation import PreparedRecording
     from srt.sequences.window_means import Average
+    from srt.types import Array, Indices
 
 _CHUNKS: Final = 20
 """Number of parts of a window whose mean rates are summed to the angle."""
@@ -96,22 +102,32 @@ def _window_titles(data: PreparedRecording) -> list[str]:
 
 def _check_turned(data: PreparedRecording) -> None:
     """Check the magnitudes of single-axis rotations against their labels: wrong gyro units, for any axis mapping."""
-    turned, nominal, titles = [], [], []
-    recording = data.recording
-    for k, label in enumerate(data.labels):
-        sequence = sequence_of_label(label)
-        if sequence is None or len(sequence.rotations) != 1:
-            continue
-        a, b = data.rotation[k].tolist()
-        dt = recording.interval_s if isinstance(recording.interval_s, float) else recording.interval_s[a:b]
-        steps = np.full(b - a, dt) if isinstance(dt, float) else dt
-        rest = 0.5 * (data.windows.gyro_mean[data.start[k]] + data.windows.gyro_mean[data.end[k]])
-        angle = (steps if recording.kind == "rate" else np.ones(b - a)) @ recording.gyro[a:b] - rest * steps.sum()
-        turned.append(float(np.linalg.norm(angle)))
-        nominal.append(abs(sequence.rotations[0][1]))
-        titles.append(label.title)
-    if turned:
-        check_turns(turned, nominal, titles, interval_s=recording.nominal_interval_s)
+    sequences = [sequence_of_label(label) for label in data.labels]
+    single = [k for k, s in enumerate(sequences) if s is not None and len(s.rotations) == 1]
+    if not single:
+        return
+    recording, rest = data.recording, data.windows.gyro_mean
+    spans = data.rotation[single]
+    angle, seconds = recording.memo(_turns_key(spans), lambda: _turned([recording], spans)[0])
+    angle = angle - 0.5 * (rest[data.start[single]] + rest[data.end[single]]) * seconds[:, None]
+    nominal = [abs(s.rotations[0][1]) for k in single if (s := sequences[k]) is not None]
+    titles = [data.labels[k].title for k in single]
+    check_turns(np.linalg.norm(angle, axis=1), nominal, titles, interval_s=recording.nominal_interval_s)
+
+
+def _turns_key(spans: Indices) -> Hashable:
+    return "turns", spans.tobytes()
+
+
+def _turned(recordings: Sequence[Recording], spans: Indices) -> list[tuple[Array, Array]]:
+    """Angles that the gyros turned by in spans of samples, (spans, 3), rad, and their duration, s, by recording."""
+    first, gyro = recordings[0], side_by_side([own.gyro for own in recordings])
+    interval = first.interval_s
+    steps = [np.full(b - a, interval) if isinstance(interval, float) else interval[a:b] for a, b in spans.tolist()]
+    weights = steps if first.kind == "rate" else [np.ones(len(own)) for own in steps]
+    angles = np.stack([own @ gyro[a:b] for own, (a, b) in zip(weights, spans.tolist(), strict=True)])
+    seconds = np.array([own.sum() for own in steps])
+    return [(own, seconds) for own in of_each(angles)]
 
 
 _RATE_AGREES: Final = (0.25, 4.0)
@@ -141,19 +157,87 @@ def _check_stillness(data: PreparedRecording) -> None:
     """Refuse a window in which the unit rotated; smaller drifts are integrated later."""
     recording, noise = data.recording, data.noise
     samples, T = data.windows.samples, data.windows.duration_s
-    n = min(_CHUNKS, int(np.diff(samples, axis=1).min()))
-    edges = np.linspace(samples[:, 0], samples[:, 1], n + 1, axis=1).astype(int)
-    sums = np.stack([np.add.reduceat(recording.gyro[e[0] : e[-1]], e[:-1] - e[0], axis=0) for e in edges])
-    rate = sums / np.diff(edges, axis=1)[:, :, None]
-    if recording.kind == "increment":
-        rate = rate / recording.nominal_interval_s
-    rate -= np.median(rate, axis=1, keepdims=True)
-    angle = np.abs(np.cumsum(rate * (T / n)[:, None, None], axis=1)).max(axis=1)
+    rate = recording.memo(_rates_key(samples), lambda: _rates([recording], samples)[0])
+    angle = np.abs(np.cumsum(rate * (T / rate.shape[1])[:, None, None], axis=1)).max(axis=1)
     limit = np.maximum(_MOTION_RAD, _MOTION_SIGMAS * (noise.gyro_white * np.sqrt(T)[:, None] + noise.gyro_edge))
     for w in np.flatnonzero(np.any(angle > limit, axis=1)).tolist():
         chunk = int(np.argmax(np.max(np.abs(rate[w]), axis=1)))
         raise DataError(
-            f"The unit moves in the stationary window from {recording.time[edges[w, 0]]:.6g} s: the gyros turn by "
-            f"{np.degrees(angle[w].max()):.3g}° around {recording.time[edges[w, chunk]]:.6g} s; "
+            f"The unit moves in the stationary window from {recording.time[samples[w, 0]]:.6g} s: the gyros turn by "
+            f"{np.degrees(angle[w].max()):.3g}° around {recording.time[_chunks(samples)[w, chunk]]:.6g} s; "
             "correct the window's times or leave the sequence out."
         )
+
+
+def _chunks(samples: Indices) -> Indices:
+    """Limits of the parts of windows, shape (W, parts + 1)."""
+    n = min(_CHUNKS, int(np.diff(samples, axis=1).min()))
+    return np.linspace(samples[:, 0], samples[:, 1], n + 1, axis=1).astype(np.intp)
+
+
+def _rates_key(samples: Indices) -> Hashable:
+    return "rates in windows", samples.tobytes()
+
+
+def _rates(recordings: Sequence[Recording], samples: Indices) -> list[Array]:
+    """Mean rates in the parts of windows less their median, shape (W, parts, 3), rad/s, of each recording of a run."""
+    first, gyro, edges = recordings[0], side_by_side([own.gyro for own in recordings]), _chunks(samples)
+    sums = np.stack([np.add.reduceat(gyro[e[0] : e[-1]], e[:-1] - e[0], axis=0) for e in edges])
+    rate = sums / np.diff(edges, axis=1)[:, :, None]
+    if first.kind == "increment":
+        rate = rate / first.nominal_interval_s
+    rate -= np.median(rate, axis=1, keepdims=True)
+    return list(of_each(rate))
+
+
+def prepare_together(units: Sequence[tuple[Recording, tuple[SequenceLabel, ...], Average]]) -> None:
+    """Compute what :func:`prepare_checked` needs of recordings, which then find it derived: those of one run as arrays.
+
+    Parameters
+    ----------
+    units : sequence of (Recording, tuple of SequenceLabel, Average)
+        Arguments of that function.
+    """
+    runs: list[tuple[list[Recording], tuple[SequenceLabel, ...], Average]] = []
+    for recording, labels, average in units:
+        alike = (own for own, *how in runs if how == [labels, average] and _of_one_run(own[0], recording))
+        if (run := next(alike, None)) is None:
+            runs.append(([recording], labels, average))
+        elif recording not in run:
+            run.append(recording)
+    for run, labels, average in runs:
+        if len(run) > 1 and labels:
+            _derive_together(run, labels, average)
+
+
+def _derive_together(recordings: Sequence[Recording], labels: tuple[SequenceLabel, ...], average: Average) -> None:
+    try:
+        data = prepare(recordings[0], labels, average)
+    except DataError:  # as each will tell
+        return
+    samples = data.windows.samples
+    single = [s is not None and len(s.rotations) == 1 for s in data.catalogue]
+    spans = data.rotation[single]
+    tables: list[tuple[Hashable, Sequence[object]]] = [
+        (means_key(samples, average), average_windows(recordings, samples, average)),
+        (octaves_key(samples), allan_octaves(recordings, samples)),
+        (_rates_key(samples), _rates(recordings, samples)),
+    ]
+    if len(spans):
+        tables.append((_turns_key(spans), _turned(recordings, spans)))
+    for key, values in tables:
+        for recording, value in zip(recordings, values, strict=True):
+            recording.memo(key, partial(_given, value))
+
+
+def _given(value: object) -> object:
+    return value
+
+
+def _of_one_run(first: Recording, other: Recording) -> bool:
+    """True if two recordings have the same samples in time and the same kind."""
+    return (
+        (first.kind, first.sample_rate_hz) == (other.kind, other.sample_rate_hz)
+        and len(first.time) == len(other.time)
+        and (first.time is other.time or np.array_equal(first.time, other.time))
+    )

@@ -2,7 +2,7 @@
 
 All manoeuvres are split by :func:`leg_borders`. The callers differ in what marks a leg: for unlabelled recordings the
 sensor axis and the sense (:func:`find_manoeuvre`), for labelled ones the pauses between the rotations
-(:func:`srt.estimation.initial_estimates.rotation_angles`) or, in the diagnosis, pauses and changes of axis
+(:func:`rotation_angles`) or, in the diagnosis, pauses and changes of axis
 (:func:`srt.diagnosis.rotation_readings.find_rotations`).
 """
 
@@ -21,6 +21,7 @@ from srt.model.rotations import rotation_matrix
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from srt.model.gyro_stream import GyroStream
     from srt.model.table1 import RotationSequence
     from srt.recording.recording import Recording
     from srt.types import Array, Counts, Indices
@@ -59,6 +60,34 @@ def leg_borders(mark: Array, *, through_stops: bool) -> Indices:
             legs.append([int(at[a]), int(at[b - 1]) + 1])
     middles = [(before[1] + after[0]) // 2 for before, after in pairwise(legs)]
     return np.array([0, *middles, len(mark)], dtype=np.intp)
+
+
+def whole_rotations(stream: GyroStream, bias: Array) -> Array:
+    """Summed raw gyro increments of each rotation less biases (K, 3), shape (K, 3), rad."""
+    # Between the rotations of a stream may lie samples of integrated windows.
+    edges = stream.rotation.ravel()
+    edges = edges[: len(edges) - (edges[-1] == len(stream.interval_s))]
+    turned, seconds = (np.add.reduceat(own, edges, axis=-1)[..., ::2] for own in (stream.increments, stream.interval_s))
+    return np.asarray(turned.T - bias * seconds[:, None])
+
+
+def rotation_angles(stream: GyroStream, k: int, sequence: RotationSequence, bias: Array) -> Array | None:
+    """Summed raw gyro increments of each rotation of sequence k, less bias, shape (number of rotations, 3), rad.
+
+    Returns None if the pauses between the rotations cannot be found. Only pauses separate the rotations; axes are not
+    used, because raw axes may be far from those of the table.
+    """
+    s, e = stream.rotation[k]
+    increments = stream.increments[:, s:e] - bias[:, None] * stream.interval_s[s:e]
+    m = len(sequence.rotations)
+    if m == 1:
+        whole: Array = increments.sum(axis=1)[None]
+        return whole
+    speed = np.linalg.norm(stream.smooth[:, s:e] / stream.interval_s[s:e] - bias[:, None], axis=0)
+    borders = leg_borders(np.where(speed > MOVING * speed.max(), 0, -1), through_stops=False)
+    if len(borders) != m + 1:
+        return None
+    return np.stack([increments[:, a:b].sum(axis=1) for a, b in pairwise(borders.tolist())])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

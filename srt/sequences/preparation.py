@@ -380,6 +380,11 @@ class PreparedRecording:
                 stream.increments[:, last - 1] -= angles[self.end[k], 0]
 
 
+def means_key(samples: Indices, average: Average) -> Hashable:
+    """Name of the means of windows among the derived values of a recording."""
+    return "window means", samples.tobytes(), average
+
+
 def move_title(label: SequenceLabel) -> str:
     """Name of a move in messages."""
     return f"The move at {label.start_static_s[1]:g} s"
@@ -457,9 +462,7 @@ def _prepare(
         recording=recording,
         labels=labels,
         catalogue=tuple(sequence_of_label(label) for label in labels),
-        windows=recording.memo(
-            ("window means", samples.tobytes(), average), lambda: average_windows(recording, samples, average)
-        ),
+        windows=recording.memo(means_key(samples, average), lambda: average_windows([recording], samples, average)[0]),
         start=start,
         end=end,
         average=average,

@@ -14,6 +14,8 @@ import numpy as np
 from srt.recording.recording import by_length
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from srt.recording.recording import Recording
     from srt.types import Array, Indices
 
@@ -65,20 +67,32 @@ class Windows:
     edge_factor: Array
 
 
-def average_windows(recording: Recording, samples: Indices, algorithm: Average) -> Windows:
-    """Average all windows once.
+def side_by_side(readings: Sequence[Array]) -> Array:
+    """Readings (n, 3) of recordings of one run, shape (n, 3 for each recording)."""
+    return readings[0] if len(readings) == 1 else np.concatenate(readings, axis=1)
+
+
+def of_each(values: Array) -> Array:
+    """Values (..., 3 for each recording) of readings side by side, shape (recordings, ..., 3)."""
+    apart = values.reshape(*values.shape[:-1], -1, 3)
+    return np.ascontiguousarray(np.moveaxis(apart, -2, 0))
+
+
+def average_windows(recordings: Sequence[Recording], samples: Indices, algorithm: Average) -> list[Windows]:
+    """Average all windows once, of each of the recordings of one run.
 
     Parameters
     ----------
     samples : ndarray of int, shape (W, 2)
     algorithm : "linear" or "overlapping"
     """
-    W = len(samples)
+    W, columns = len(samples), 3 * len(recordings)
     duration, white, edge = np.empty(W), np.empty(W), np.empty(W)
-    gyro, accel, halves = np.empty((W, 3)), np.empty((W, 3)), np.empty((2, W, 2, 3))
-    rates = recording.kind == "rate"
-    interval = recording.interval_s
-    tables = zip(by_length(recording.gyro, samples), by_length(recording.accel, samples), strict=True)
+    gyro, accel, halves = np.empty((W, columns)), np.empty((W, columns)), np.empty((2, W, 2, columns))
+    rates = recordings[0].kind == "rate"
+    interval = recordings[0].interval_s
+    both = (side_by_side([getattr(own, sensor) for own in recordings]) for sensor in ("gyro", "accel"))
+    tables = zip(*(by_length(readings, samples) for readings in both), strict=True)
     for (which, gyros), (_, forces) in tables:
         n = gyros.shape[1]
         if isinstance(interval, float):
@@ -94,7 +108,10 @@ def average_windows(recording: Recording, samples: Indices, algorithm: Average) 
                 halves[0, w, h] = own.halves[h] @ gyros[part, half]
                 halves[1, w, h] = own.halves[h] @ forces[part, half]
             gyro[w] = own.shares @ halves[0, w]
-    return Windows(samples, duration, gyro, halves[0], halves[1], accel, white, edge)
+    by_unit = zip(of_each(gyro), of_each(halves[0]), of_each(halves[1]), of_each(accel), strict=True)
+    return [
+        Windows(samples, duration, rate, rates, forces, force, white, edge) for rate, rates, forces, force in by_unit
+    ]
 
 
 class _Weights(NamedTuple):

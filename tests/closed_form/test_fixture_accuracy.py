@@ -36,7 +36,7 @@ def excess(tilts):
     data, solution = solved()
     force = solution.measurements.force.copy()
     force[data.start] = np.einsum("kab,kb->ka", rotation_matrix(tilts), force[data.start])
-    return fixture_excess(data, replace(solution, measurements=replace(solution.measurements, force=force)))
+    return fixture_excess(data, replace(solution.measurements, force=force), solution.total)
 
 
 def test_a_fixture_as_stated_has_no_excess():

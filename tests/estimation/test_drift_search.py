@@ -16,6 +16,7 @@ from srt.noise.drift_forms import (
     FALSE_ALARM,
     WALK,
     Intervals,
+    Statistics,
     drift_shapes,
     drift_test,
     form_or_scatter,
@@ -129,6 +130,19 @@ def test_sigma_of_a_random_walk_is_its_restricted_likelihood():
         assert variances[-1] == pytest.approx(expected, rel=2e-2)
     # A variance from 12 coefficients has a relative standard error of √(2 / 12) at least.
     assert np.mean(variances) == pytest.approx(9.0, rel=3.5 * 1.1 * np.sqrt(2.0 / 12.0 / 50.0))
+
+
+@pytest.mark.parametrize("coefficients", [1, 2, 30])
+def test_a_variance_component_is_the_most_likely_of_all_variances(coefficients):
+    """Coefficients that are known to very different accuracy, some zero and some large, have several maxima."""
+    rng = np.random.default_rng(20261126)
+    for _ in range(40):
+        Z = rng.standard_normal((coefficients + 20, coefficients)) * 10.0 ** rng.uniform(-3.0, 3.0, coefficients)
+        r = rng.standard_normal(len(Z)) + Z @ (rng.standard_normal(coefficients) * 10.0 ** rng.uniform(-3.0, 3.0))
+        found = Statistics(Z.T @ r, Z.T @ Z, float(r @ r), 20)
+        variances = np.exp(np.linspace(-9.2, 27.6, 20_000)) / found.eigen[0].max()
+        most = max(float(found.likelihood_ratio(variances).max()), 0.0)
+        assert variance_component(found).ratio == pytest.approx(most, rel=1e-4, abs=1e-3)
 
 
 def test_a_variance_component_of_zero_is_rarely_significant():

@@ -7,7 +7,7 @@ from scipy.special import chdtri
 
 import srt
 from srt.noise.noise_model import ACCEL_FLOOR, GYRO_FLOOR, flicker_spread, noise_model
-from srt.noise.random_walk import _PIECE, _allan_octaves, _fit_one
+from srt.noise.random_walk import _PIECE, _fit_one, allan_octaves
 from srt.noise.variance_components import RestrictedLikelihood, restricted_likelihood
 
 N, RATE = 2000, 200.0
@@ -158,7 +158,7 @@ def test_octaves_of_pieces_are_those_of_the_definition():
     n = int(ends[-1])
     gyro, accel = rng.standard_normal((2, n, 3))
     log = srt.Recording(np.arange(1, n + 1) / RATE, gyro, accel, accuracy_trials.SITE)
-    tau, count, variance = _allan_octaves(log, windows)
+    tau, count, variance = allan_octaves([log], windows)[0]
     both = np.concatenate([gyro, accel], axis=1)
     assert len(tau) == int(np.log2(lengths.max()))
     for k, m in enumerate(2 ** np.arange(len(tau))):

@@ -19,6 +19,8 @@ from srt.comparison.parallel import Engine
 from srt.estimation.options import Options
 from srt.exceptions import DataError
 from srt.sensor_errors import NAMES
+from srt.sequences import checked_preparation
+from srt.sequences.window_means import average_windows
 
 ONE_MOTION = "\ntrials_per_motion = 100"
 
@@ -92,6 +94,26 @@ def test_disputed_results_are_those_of_single_runs(tmp_path):
     found = estimate_units(recordings, [Options()] * len(recordings))
     statuses = {assert_as_alone(*pair) for pair in zip(recordings, found, strict=True)}
     assert {"converged", "partial", "inconsistent"} <= statuses
+
+
+def test_readings_of_one_motion_are_averaged_together(tmp_path, monkeypatch):
+    """Those with a start from the truth too, and a recording with other labels by itself."""
+    campaign = small_campaign(tmp_path, trials="4" + ONE_MOTION)
+    simulations = [simulate(campaign.unit(0, k)[0]) for k in range(4)]
+    recordings = [own.recording for own in simulations]
+    recordings[2] = recordings[2].with_sequences(recordings[2].sequences[1:])
+    sizes = []
+
+    def counted(recordings, *rest):
+        sizes.append(len(recordings))
+        return average_windows(recordings, *rest)
+
+    monkeypatch.setattr(checked_preparation, "average_windows", counted)
+    options = [Options()] * 4 + [Options(start=simulations[0].truth)]
+    found = estimate_units([*recordings, recordings[0]], options)
+    assert sizes == [3]
+    assert {own.status for own in found} <= {"converged", "partial"}
+    np.testing.assert_allclose(found[4].errors.vector, found[0].errors.vector, rtol=0, atol=1e-10)
 
 
 def test_units_with_a_motion_each_are_iterated_together(tmp_path, monkeypatch):

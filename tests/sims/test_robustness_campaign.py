@@ -176,12 +176,13 @@ def test_a_wrong_minimum_is_called_one(small, monkeypatch):
     campaign = small()
 
     def careless(recordings, options):
-        (found,) = estimate_units(recordings, options)
-        if options[0].start != "auto":
-            return [found]
-        wrong = found.errors.vector.copy()
-        wrong[0] += 2e-8 + 0.02 * found.sigma[0]
-        return [replace(found, errors=SensorErrors(wrong))]
+        out = []
+        for found, own in zip(estimate_units(recordings, options), options, strict=True):
+            vector = found.errors.vector.copy()
+            if own.start == "auto":
+                vector[0] += 2e-8 + 0.02 * found.sigma[0]
+            out.append(replace(found, errors=SensorErrors(vector)))
+        return out
 
     monkeypatch.setattr(trial, "estimate_units", careless)
     (row,) = run_trial(campaign, (0, 0))
