@@ -64,18 +64,24 @@ def flicker_covariance(start: Array, end: Array, times_s: Sequence[float] = CORR
     gap = np.maximum(start[..., :, None] - end[..., None, :], start[..., None, :] - end[..., :, None])
     overlap = np.nonzero(gap < -_NO_TIME_S)
     i, j = (*overlap[:-2], overlap[-2]), (*overlap[:-2], overlap[-1])
+    short, other = (np.where(T[i] <= T[j], *pair) for pair in ((start[i], start[j]), (T[j], T[i])))
+    before = short - np.where(T[i] <= T[j], start[j], start[i])
+    point = np.minimum(T[i], T[j]) <= _NO_TIME_S
     out = np.zeros(gap.shape)
     for tau in times_s:
         x = T / tau
         mean = -np.expm1(-x) / x
         part = np.exp(-np.maximum(gap, 0.0) / tau) * (mean[..., :, None] * mean[..., None, :])
-        # Overlapping intervals: the second integral of the correlation at the four differences of their ends.
-        part[overlap] = (
+        # Overlapping intervals: the second integral of the correlation at the four differences of their ends. A point
+        # in an interval: the first integral on both sides.
+        twice = (
             _twice_integrated(end[i] - start[j], tau)
             - _twice_integrated(start[i] - start[j], tau)
             - _twice_integrated(end[i] - end[j], tau)
             + _twice_integrated(start[i] - end[j], tau)
         ) / (T[i] * T[j])
+        once = -(np.expm1(-before / tau) + np.expm1((before - other) / tau)) * tau / other
+        part[overlap] = np.where(point, once, twice)
         out += part
     out *= PROCESS_VARIANCE
     return out

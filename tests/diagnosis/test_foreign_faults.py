@@ -9,6 +9,7 @@ from fault_verdicts import trial
 from foreign_faults import KINDS
 from injected_faults.injection import Case
 
+import srt
 from srt.diagnosis.staged_diagnosis import diagnose
 
 SEED = 20261410
@@ -114,6 +115,11 @@ def test_drawn_fault_is_first(kind, size, number):
     found = diagnose(recording)
     assert found.first.fault in KINDS[kind].causes.split()
     assert found.judgement is None or found.judgement.word != "sound"
+
+
+def test_parts_of_rotations_that_jitter_overlap():
+    recording = trial(KINDS["jitter"], 0.0763, (20261147, 192), faulty=True).recording()
+    assert srt.calibrate(recording).judgement.word == "doubtful"
 
 
 @pytest.mark.parametrize("kind", ["sensors askew in their housing", "gyro scale drifts"])

@@ -62,6 +62,12 @@ def test_against_numerical_integration(tau):
         assert found[j, i] == pytest.approx(found[i, j], rel=1e-12)
 
 
+def test_a_point_in_an_interval_is_the_limit_of_short_ones():
+    start, end = np.array([[0.0, 3.0], [0.0, 3.0]]), np.array([[10.0, 3.0], [10.0, 3.0 + 1e-5]])
+    point, short = flicker_covariance(start, end)
+    np.testing.assert_allclose(point, short, rtol=1e-5)  # the covariance with a mean over 1e-5 s, of 1 s at least
+
+
 def test_against_simulated_drift():
     """Averages of 300 runs of three sensors; every element of the covariance within 3.5 of its standard errors.
 
