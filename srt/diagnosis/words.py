@@ -137,8 +137,11 @@ def _stuck_bit(counts: Array) -> int | None:
     whole = np.rint(np.clip(counts, -1.0 / np.finfo(float).eps, 1.0 / np.finfo(float).eps)).astype(np.int64)
     common = int(np.bitwise_and.reduce(whole))
     bit = (common & -common).bit_length() - 1
-    sound = bit < 0 or np.abs(counts - whole).max() > _WHOLE or len(np.unique(whole >> bit)) < _MANY
-    return None if sound else bit
+    if bit < 0 or np.abs(counts - whole).max() > _WHOLE:
+        return None
+    # Readings that pass through all values of the lower bits, as in rotations, pass through those without the bit, too.
+    values, sixteenths = len(np.unique(whole >> bit)), len(np.unique((whole & ((1 << bit) - 1)) * 16 >> bit))
+    return bit if values >= _MANY or (values > 2 and sixteenths == 16) else None
 
 
 _NEAR_BAND: Final = 10.0
