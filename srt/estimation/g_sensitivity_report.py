@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from scipy.special import fdtrc
+from scipy.special import chdtrc, fdtrc
 
 from srt.constants import DEG_PER_H, STANDARD_GRAVITY_M_S2
 from srt.estimation.error_sources import earth_rate_sigma, raw_rate_variance
@@ -115,26 +115,26 @@ def warnings(unobserved: Array | None, size: float | None, *, automatic: bool) -
     )
 
 
-def _significant(data: PreparedRecording, root: Array, change: Array, rate: Array) -> float | None:
-    """Largest element of Γ in weighted rates (n, 3); None if none is significant, 0 if the force does not vary."""
-    if len(rate) <= _LEAST_FREEDOM:
-        return None
+def _significant(data: PreparedRecording, root: Array, change: Array, rate: Array) -> tuple[float | None, int]:
+    """Largest significant element of Γ in weighted rates (n, 3), or None, and the number of directions of the force.
+
+    The gyros are tested one by one, and together by Fisher's product of the probabilities.
+    """
     constant = root / np.linalg.norm(root)
     change, rate = (v - constant @ (constant.T @ v) for v in (change, rate))
     left, singular, right = np.linalg.svd(change, full_matrices=False)
     seen = singular > LEAST_FORCE_VARIATION * data.gravity * np.linalg.norm(root)
     count, freedom = int(seen.sum()), len(rate) - 1 - int(seen.sum())
-    if count == 0:
-        return 0.0
-    if freedom < _LEAST_FREEDOM:
-        return None
+    if count == 0 or freedom < _LEAST_FREEDOM:
+        return None, count
     by_force = left[:, seen].T @ rate
     explained, rest = np.sum(by_force**2, axis=0), np.sum((rate - left[:, seen] @ by_force) ** 2, axis=0)
     with np.errstate(divide="ignore"):
         F = np.divide(explained / count, rest / freedom, out=np.zeros(3), where=explained > 0.0)
-    if np.min(fdtrc(count, freedom, F)) > FALSE_ALARM_PROBABILITY / 3.0:
-        return None
-    return float(np.abs((right[seen].T / singular[seen]) @ by_force).max())
+    p = np.maximum(fdtrc(count, freedom, F), np.finfo(float).tiny)
+    significant = 2.0 * min(3.0 * p.min(), chdtrc(6, -2.0 * np.log(p).sum())) <= FALSE_ALARM_PROBABILITY
+    size = float(np.abs((right[seen].T / singular[seen]) @ by_force).max())
+    return size if significant else None, count
 
 
 def significant_g_sensitivity(
@@ -161,13 +161,12 @@ def significant_g_sensitivity(
     start, end = data.start[at_rest], data.end[at_rest]
     T = data.windows.duration_s
     root = np.sqrt(T[start] * T[end] / (T[start] + T[end]))[:, None]
-    size = _significant(data, root, root * (force[end] - force[start]), root * (rest_rate[end] - rest_rate[start]))
-    if size is None:
-        return None
-    if size == 0.0:  # single poses, or rotations about the vertical: the sequences differ, not their windows
+    changes = (root * (values[end] - values[start]) for values in (force, rest_rate))
+    size, directions = _significant(data, root, *changes)
+    if size is None and directions < 3:  # single poses, or rotations about the vertical: only the sequences differ
         rest, root = ~integrated, np.sqrt(T)[:, None]
-        size = _significant(data, root[rest], (root * force)[rest], (root * rest_rate)[rest])
-    if not size:
+        size, _ = _significant(data, root[rest], (root * force)[rest], (root * rest_rate)[rest])
+    if size is None:
         return None
     doubt = _EARTH_SIGMAS * earth_rate_sigma(data.recording)
     return size if size * data.gravity > doubt else None

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Final, Protocol
 from srt.estimation.fixed_parameters import in_frame_of_poses
 from srt.estimation.options import Options
 from srt.exceptions import InputError, MissingExtraError
+from srt.model import closed_form
 from srt.model.table1 import SEQUENCES
 from srt.result.calibration import Calibration
 from srt.sequences.recognition import label_sequences
@@ -163,5 +164,6 @@ def _one_thread() -> AbstractContextManager[object]:
 
 def automatic_estimator(recording: Recording) -> str:
     """Name that "auto" stands for: the closed form for sequences of Table 1 on a fixture, else least squares."""
-    labelled = [s for s in recording.sequences if s.id in SEQUENCES]
-    return "closed-form" if recording.fixture is not None and labelled else "least-squares"
+    ids = frozenset(s.id for s in recording.sequences if s.id in SEQUENCES)
+    closed = recording.fixture is not None and closed_form.formulas(ids, asymmetry=False)
+    return "closed-form" if closed else "least-squares"
