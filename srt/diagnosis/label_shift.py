@@ -5,7 +5,6 @@ A unit begins to rotate within one or two samples, which therefore differ clearl
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -28,8 +27,6 @@ _SLACK_S: Final = 0.03
 """Stationary time per window, s, by which a smaller shift may be worse than the best shift and still be preferred."""
 _SOME_WINDOWS: Final = 16
 """Largest number of windows whose edges give the candidates for the common shift, which is the same for all windows."""
-_CORRELATED_S: Final = 0.05
-"""Lag of the autocorrelation that shows a low-pass filter, s: shorter responses do not reach into a window."""
 
 
 class LabelShift(NamedTuple):
@@ -46,7 +43,12 @@ def label_shift(data: PreparedRecording, seen: RawIntegrals, contiguous: Mask, t
     """
     found = _block_shift(data, turning) if turning.any() else None
     found = found or _rotation_at_edges(data, seen, contiguous)
-    return None if found is None or abs(found.late_s) < _filter_tail(data, seen) else found
+    labelled, rest = _spans(data) if found else (np.zeros((0, 2)), np.zeros((0, 2)))
+    if found is None or found.late_s > 0.0 or len(rest) == 0:
+        return found
+    # A low-pass filter makes rotations end late, but not begin late.
+    later = (rest[_shared(labelled, rest).argmax(axis=1), 1] - labelled[:, 1])[data.start]
+    return found if np.median(later) > -0.5 * found.late_s else None
 
 
 def lost_samples(data: PreparedRecording) -> tuple[int, float] | None:
@@ -89,29 +91,6 @@ def _spans(data: PreparedRecording) -> tuple[Array, Array]:
 def _shared(labelled: Array, rest: Array) -> Array:
     """Time that each label shares with each stationary window, s; negative if they are apart."""
     return np.asarray(np.minimum(labelled[:, 1, None], rest[:, 1]) - np.maximum(labelled[:, 0, None], rest[:, 0]))
-
-
-def _filter_tail(data: PreparedRecording, seen: RawIntegrals) -> float:
-    """Time after a rotation, s, in which a filter's response falls below the noise; zero without a filter.
-
-    A low-pass filter of time constant τ correlates the noise of all channels by ``exp(-t/τ)``, as it does the end of a
-    rotation. The least correlated channel and windows count, as vibration and rotations correlate others.
-    """
-    recording, reach = data.recording, max(1, round(_CORRELATED_S / data.recording.nominal_interval_s))
-    rho, scatter = [], []
-    for a, b in data.windows.samples.tolist():
-        inner = slice(a + (b - a) // 4, b - (b - a) // 4)
-        x = np.hstack([recording.gyro[inner], recording.accel[inner]])
-        if len(x) > 4 * reach:
-            x = x - x.mean(axis=0)
-            power = np.maximum(np.mean(x**2, axis=0), np.finfo(float).tiny)
-            rho.append(np.mean(x[reach:] * x[:-reach], axis=0) / power)
-            scatter.append(np.sqrt(power[:3]) * rates_factor(recording))
-    least = float(np.quantile(rho, 0.2, axis=0).min()) if rho else 0.0
-    if least <= 0.0:
-        return 0.0
-    decays = math.log(max(math.e, float(seen.speed.max()) / float(np.median(scatter))))
-    return _CORRELATED_S / -math.log(min(least, 0.99)) * decays
 
 
 def _block_shift(data: PreparedRecording, turning: Mask) -> LabelShift | None:
