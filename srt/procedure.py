@@ -120,7 +120,7 @@ def calibrate(
 
 
 def _beside_moves(recording: Recording, result: Calibration, options: Options) -> Calibration:
-    """Result with what least squares, which uses the recorded moves, shows of it.
+    """Result with what least squares, which uses the recorded moves, shows of it: gain in sigma, contradiction.
 
     Where that result is sound, the two are compared by the specification test of Hausman (1978).
     """

@@ -97,6 +97,7 @@ def run_batch(campaign: Campaign, tasks: Sequence[tuple[int, int]]) -> list[list
 
 
 def _run(campaign: Campaign, tasks: Sequence[tuple[int, int]]) -> list[list[Row]]:
+    """Simulate the units of a batch, then calibrate all of them with each estimator."""
     rows: list[Row] = []
     simulations: list[Simulation] = []
     for point, number in tasks:

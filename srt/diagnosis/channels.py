@@ -334,7 +334,7 @@ SAMPLES_INTERPOLATED: Final = Fault(
 
 
 def spikes(evidence: Evidence) -> Iterator[Finding]:
-    """Find spikes; the message states the largest spike of the channel with the most spikes."""
+    """Find spikes, beyond the limits of :mod:`srt.diagnosis.jumps`; the message states the largest of one channel."""
     there = evidence.spikes[~evidence.spikes.of_repeats(evidence.repeats[0])]
     if there.sample.size == 0:
         return

@@ -4,8 +4,8 @@ All checks together report a fault in at most 1e-4 of the recordings without fau
 up to 5.7e-5: lost samples; repeated samples; truncation; lags; rotation, oscillation, bumps, creep, noise of windows;
 settling; joined units; drift of scale factors; absent Earth rate, latitude and north; drift of bias; noise of gyros and
 of accelerometers; moves that contradict a closed form. The detection of a drift in a calibration adds 2e-5, clipping
-1.4e-5, spikes 5e-6 and vibration 4e-6. The test of an omitted asymmetry, which only runs with the option that fixes it,
-is not included.
+1.4e-5, spikes 5e-6 and vibration 4e-6. Not included are the test of an omitted asymmetry, which only runs with
+the option that fixes it, and wrong scales, whose limit depends on what sound units are (``RARE`` of the scale causes).
 """
 
 from __future__ import annotations

@@ -1,5 +1,7 @@
 """Causes of wrong scales, compared by likelihood: factors on gyros, accelerometers and clock.
 
+Here a wrong value of a count (``gyro_lsb``, ``accel_lsb``: a power of two) competes with a wrong unit.
+
 The measurements are the ratios of reading to truth of the three gyros and of the three accelerometers, and the Earth
 rate in the stationary windows. A cause shifts the logarithms of the ratios by a known amount (another unit) or by an
 unknown one (a sample rate). The Earth rate is measured with the gyro scale factors from the rotations, so that a factor

@@ -1,4 +1,4 @@
-"""Units, scales and ranges: causes of wrong scales, by the ratios of the readings to labels and gravity; saturation."""
+"""Units, scales and ranges: messages of the causes that :mod:`srt.diagnosis.scale_causes` chooses; saturation."""
 
 from __future__ import annotations
 

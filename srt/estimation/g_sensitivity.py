@@ -14,7 +14,8 @@ noise enters as Γ times the velocity random walk, 1e-3 of the gyro noise.
 
 Γ f is subtracted from the raw samples first and updated in every iteration, like the biases of the sequences. An error
 of r_w propagates through Γ into every window and, by ``−∫ F (Ĉ D)_ab f_c dt``, into the attitude error of every
-rotation. The noise of f_w, multiplied by Γ, is neglected.
+rotation. The noise of f_w, multiplied by Γ, is neglected. Whether Γ is estimated unasked,
+:func:`~srt.estimation.g_sensitivity_report.significant_g_sensitivity` tells.
 """
 
 from __future__ import annotations

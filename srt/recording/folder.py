@@ -242,7 +242,7 @@ def _read_site(file: str, document: Mapping[str, Any]) -> Site:
 def _conversion(
     file: str, sensor: str, kind: str, main: Mapping[str, Any], units: Mapping[str, Mapping[str, float]]
 ) -> tuple[Array, Array]:
-    """Offset and factor of a sensor's columns, each of shape (3,)."""
+    """Offset and factor of a sensor's columns, (3,) each: of counts ``gyro_lsb`` or ``accel_lsb``, else of its unit."""
     unit, lsb, offset = (main.get(f"{sensor}_{name}") for name in ("unit", "lsb", "offset_counts"))
     allowed = ", ".join(f'"{name}"' for name in (*units[kind], COUNTS))
     if unit is None:

@@ -367,6 +367,7 @@ def _unit(options: ImportOptions, name: str, stated: str | None, notes: list[str
 
 
 def _to_si(options: ImportOptions, sensor: str, unit: str, kind: Kind, raw: NDArray[Any]) -> Array:
+    """Readings in SI units: counts by ``gyro_lsb`` or ``accel_lsb`` less their offset, others by the table of units."""
     values = np.array(raw, dtype=np.float64)
     lsb, offset = getattr(options, f"{sensor}_lsb"), getattr(options, f"{sensor}_offset")
     if unit == COUNTS:

@@ -14,12 +14,13 @@ IN_WINDOWS = ("rotation", "oscillation", "bumps", "creep", "noise")
 OVER_SEQUENCES = ("lost samples", "lags", "settling", "joined units", "drift of scale factors")
 OF_SAMPLES = ("repeated samples", "truncation")
 OF_RATES = ("absent Earth rate", "latitude", "north", "drift of bias", "noise of gyros", "noise of accelerometers")
+OF_RESULT = ("moves that contradict a closed form",)
 SPIKES = 5e-6
 """By the derivation at the limit of a spike."""
 
 
 def test_all_checks_together_raise_a_finding_in_one_of_10000_recordings():
-    tests = len((*IN_WINDOWS, *OVER_SEQUENCES, *OF_SAMPLES, *OF_RATES))
+    tests = len((*IN_WINDOWS, *OVER_SEQUENCES, *OF_SAMPLES, *OF_RATES, *OF_RESULT))
     total = tests * false_alarms.FALSE_ALARM + vibration.FALSE_ALARM + SPIKES + drift_forms.FALSE_ALARM
     total += 12 * (clipping._CHANCE + 0.5**clipping._PILE)
     assert 0.5 * PER_RECORDING < total <= PER_RECORDING

@@ -1,1 +1,1 @@
-"""Faults injected into simulated recordings."""
+"""Faults injected into simulated recordings; a module registers its injections when it is imported."""
