@@ -12,17 +12,18 @@ the start of the window. At the start of a sequence, L equals the mean reading o
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from scipy.special import ndtri
 
 from srt.diagnosis.cause_comparison import Cause, compare
 from srt.diagnosis.false_alarms import limit
 from srt.diagnosis.findings import Fault
-from srt.diagnosis.window_averages import ACCEL, GYRO
-from srt.exceptions import DataError
+from srt.diagnosis.window_averages import ACCEL
 from srt.model.table1 import AXES
-from srt.sequences.rest_detection import BLOCK_S, blocks_of, steady_runs
+from srt.sequences.rest_detection import BLOCK_S, SPREAD
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -34,6 +35,8 @@ if TYPE_CHECKING:
 _EXPLAINED: Final = 0.5
 """Smallest share of the variance that the filter explains, averaged over all steady time: rotations are a smaller part
 of it than rests. Readings without a filter have less than 0.2, also where accelerometers settle."""
+_STEADY: Final = 10
+"""Distance, in blocks (1 s), over which the readings of a triad at rest do not change."""
 _LONGEST_S: Final = 200.0
 """Longest time constant of a filter, s: accelerometers that settle by 1e-3 of gravity within a window look like a
 filter with a time constant of 1e4 s."""
@@ -41,16 +44,21 @@ filter with a time constant of 1e4 s."""
 
 def high_passed(evidence: Evidence) -> Iterator[Finding]:
     """Test the readings at rest for a decrease in proportion to their own time integral."""
-    try:
-        blocks = blocks_of(evidence.recording)
-    except DataError:
-        return
-    step_s, tiny = blocks.size * evidence.dt, np.finfo(float).tiny
-    for fault, own, other in ((GYRO_HIGH_PASSED, GYRO, ACCEL), (GRAVITY_REMOVED, ACCEL, GYRO)):
+    size = max(1, round(BLOCK_S / evidence.dt))
+    count, tiny = len(evidence.rate) // size, np.finfo(float).tiny
+    gyro, accel = (
+        np.einsum("bsc->bc", table[: count * size].reshape(count, size, 3)) / size
+        for table in (evidence.rate, evidence.force)
+    )
+    rounding = evidence.steps * evidence.per_rate / math.sqrt(12.0 * size)
+    for fault, own, other, least in (
+        (GYRO_HIGH_PASSED, gyro, accel, rounding[1]),
+        (GRAVITY_REMOVED, accel, gyro, rounding[0]),
+    ):
         rows = []
-        for first, last in steady_runs(blocks, other):
-            y = blocks.mean[first:last, own]
-            x = step_s * (np.cumsum(y, axis=0) - 0.5 * y)
+        for first, last in _steady_runs(other, least):
+            y = own[first:last]
+            x = size * evidence.dt * (np.cumsum(y, axis=0) - 0.5 * y)
             y, x = (values - values.mean(axis=0) for values in (y, x))
             power, square = np.vdot(y, y) + tiny, np.vdot(x, x) + tiny
             decay = -np.vdot(x, y) / square
@@ -60,6 +68,19 @@ def high_passed(evidence: Evidence) -> Iterator[Finding]:
             typical = float(np.median(decay))
             if share @ length > _EXPLAINED * length.sum() and 1.0 / _LONGEST_S < typical < 1.0 / BLOCK_S:
                 yield fault.found(time_s=1.0 / typical)
+
+
+def _steady_runs(means: Array, least: Array) -> list[tuple[int, int]]:
+    """Runs of blocks (first, one past last), without their ends, whose means are those one second later, but for noise.
+
+    The noise of a mean, of at least ``least``, is that of the quietest fifth of the successive differences.
+    """
+    if len(means) <= _STEADY:
+        return []
+    fifth = np.quantile(np.abs(np.diff(means, axis=0)), 0.2, axis=0) / (math.sqrt(2.0) * float(ndtri(0.6)))
+    same = np.all(np.abs(means[_STEADY:] - means[:-_STEADY]) <= SPREAD * np.maximum(fifth, least), axis=1)
+    edges = np.flatnonzero(np.diff(same, prepend=False, append=False)).reshape(-1, 2)
+    return [(first + 1, last + _STEADY - 1) for first, last in edges.tolist()]
 
 
 GYRO_HIGH_PASSED: Final = Fault(

@@ -18,7 +18,6 @@ from typing import TYPE_CHECKING, Final, Protocol
 from srt.estimation.fixed_parameters import in_frame_of_poses
 from srt.estimation.options import Options
 from srt.exceptions import InputError, MissingExtraError
-from srt.model import closed_form
 from srt.model.table1 import SEQUENCES
 from srt.result.calibration import Calibration
 from srt.sequences.recognition import label_sequences
@@ -42,6 +41,9 @@ BUILT_IN: Final = {
 """Estimators of ``srt``; the residuals of both are those of :func:`srt.closed_form.iteration.iterate`."""
 ESTIMATORS: Final = (*BUILT_IN, "ekf", "graph")
 """Estimators of this distribution, the least efficient first: compared by default, with fixed colours in figures."""
+
+COMPLETING: Final = frozenset({"10", "11", "12", "13", "14"})
+"""Sequences of Table 1 that complete the formulas of others, and alone support none."""
 
 
 class Estimator(Protocol):
@@ -164,6 +166,5 @@ def _one_thread() -> AbstractContextManager[object]:
 
 def automatic_estimator(recording: Recording) -> str:
     """Name that "auto" stands for: the closed form for sequences of Table 1 on a fixture, else least squares."""
-    ids = frozenset(s.id for s in recording.sequences if s.id in SEQUENCES)
-    closed = recording.fixture is not None and closed_form.formulas(ids, asymmetry=False)
-    return "closed-form" if closed else "least-squares"
+    labelled = {s.id for s in recording.sequences if s.id in SEQUENCES} - COMPLETING
+    return "closed-form" if recording.fixture is not None and labelled else "least-squares"

@@ -108,10 +108,6 @@ def blocks_of(recording: Recording) -> Blocks:
     DataError
         If there are too few samples for one block.
     """
-    return recording.memo("blocks", lambda: _blocks_of(recording))
-
-
-def _blocks_of(recording: Recording) -> Blocks:
     dt = recording.nominal_interval_s
     size = max(MIN_BLOCK_SAMPLES, round(BLOCK_S / dt))
     factor = 1.0 if recording.kind == "rate" else 1.0 / dt
@@ -226,7 +222,7 @@ def _rest_rate(blocks: Blocks, candidates: Indices, level: Array, radius: Array)
     return out
 
 
-def _steady(blocks: Blocks, level: Array, columns: slice = slice(3, None)) -> Mask:
+def _steady(blocks: Blocks, level: Array) -> Mask:
     """Blocks whose specific force equals, within its noise, that one second before or after, shape (B,).
 
     Within a second, even a slow rotation changes the specific force by more than the noise of a block.
@@ -235,8 +231,8 @@ def _steady(blocks: Blocks, level: Array, columns: slice = slice(3, None)) -> Ma
     out = np.zeros(len(blocks.mean), dtype=np.bool_)
     if k == 0:
         return out
-    change = np.abs(blocks.mean[k:, columns] - blocks.mean[:-k, columns])
-    same = np.all(change <= SPREAD * np.sqrt(2.0 * level[columns] / blocks.size), axis=1)
+    change = np.abs(blocks.mean[k:, 3:] - blocks.mean[:-k, 3:])
+    same = np.all(change <= SPREAD * np.sqrt(2.0 * level[3:] / blocks.size), axis=1)
     same &= blocks.piece[k:] == blocks.piece[:-k]
     out[k:] |= same
     out[:-k] |= same
@@ -271,24 +267,9 @@ def still_runs(still: Mask, blocks: Blocks) -> list[tuple[int, int]]:
     scatter = np.sqrt(np.median(blocks.variance[still], axis=0)[3:] / blocks.size) if still.any() else np.ones(3)
     same = np.all(np.abs(blocks.mean[2:, 3:] - blocks.mean[:-2, 3:]) <= SPREAD * np.sqrt(2.0) * scatter, axis=1)
     filled[1:-1] |= lone & same
-    return _runs(np.where(filled, blocks.piece, -1))
-
-
-def steady_runs(blocks: Blocks, columns: slice) -> list[tuple[int, int]]:
-    """Runs of blocks (first, one past last) in which the readings of one triad are steady, of over a second each.
-
-    The ends of a run, which may contain motion, are left out.
-    """
-    level = np.maximum(np.quantile(blocks.variance, 0.1, axis=0), blocks.floor)
-    quiet = np.all((blocks.variance <= _LOUD * level)[:, columns], axis=1)
-    runs = _runs(np.where(quiet & _steady(blocks, level, columns), blocks.piece, -1))
-    return [(a + 1, b - 1) for a, b in runs if b - a > _STEADY_BLOCKS]
-
-
-def _runs(key: Indices) -> list[tuple[int, int]]:
-    """Runs (first, one past last) of equal keys that are not negative."""
+    key = np.where(filled, blocks.piece, -1)
     edges = np.flatnonzero(np.diff(key, prepend=-2, append=-2))
-    return [(a, b) for a, b in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True) if key[a] >= 0]
+    return [(a, b) for a, b in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True) if filled[a]]
 
 
 def longest_rest(recording: Recording) -> tuple[int, int] | None:

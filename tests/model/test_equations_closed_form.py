@@ -10,6 +10,7 @@ from test_equations_signatures import G, ideal_jacobian
 import sims
 from srt.closed_form.formulas import SelectedFormulas
 from srt.estimation.options import Options
+from srt.estimation.registry import COMPLETING
 from srt.estimation.srt_measurements import SrtProcessor
 from srt.model import closed_form
 from srt.model.table1 import SEQUENCES
@@ -213,3 +214,9 @@ def test_a_repeated_sequence_is_averaged():
     # The integrals of a recorded rotation take Ĉ of a 10 ms sample as the mean of its ends, (1 rad/s · 10 ms)²/12
     # = 8e-6 off, on each of some ten rotations' 2π·1e-6; products of two errors are 1e-12 times as much.
     np.testing.assert_allclose(by_jacobian, by_coefficients, rtol=0, atol=8e-6 * 10 * 2 * np.pi * 1e-6)
+
+
+def test_sequences_that_alone_support_no_formula():
+    """Of those, the automatic choice is least squares."""
+    assert not closed_form.formulas(COMPLETING, asymmetry=False)
+    assert all(closed_form.formulas({name}, asymmetry=False) for name in {*SEQUENCES} - COMPLETING)
