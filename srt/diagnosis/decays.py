@@ -32,9 +32,9 @@ if TYPE_CHECKING:
     from srt.diagnosis.findings import Finding
     from srt.types import Array
 
-_EXPLAINED: Final = 0.5
-"""Smallest share of the variance that the filter explains, averaged over all steady time: rotations are a smaller part
-of it than rests. Readings without a filter have less than 0.2, also where accelerometers settle."""
+_EXPLAINED: Final = 0.3
+"""Smallest share of the variance that the filter explains, averaged over all steady time, rests and steady rotations:
+readings without a filter have less than 0.15, also where accelerometers settle."""
 _STEADY: Final = 10
 """Distance, in blocks (1 s), over which the readings of a triad at rest do not change."""
 _LONGEST_S: Final = 200.0
