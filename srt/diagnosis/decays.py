@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from srt.diagnosis.evidence import Evidence
     from srt.diagnosis.findings import Finding
-    from srt.types import Array
+    from srt.types import Array, Indices
 
 _EXPLAINED: Final = 0.3
 """Smallest share of the variance that the filter explains, averaged over all steady time, rests and steady rotations:
@@ -56,7 +56,7 @@ def high_passed(evidence: Evidence) -> Iterator[Finding]:
         (GRAVITY_REMOVED, accel, gyro, rounding[0]),
     ):
         rows = []
-        for first, last in _steady_runs(other, least):
+        for first, last in _steady_runs(other, least, evidence.recording.gaps // size):
             y = own[first:last]
             x = size * evidence.dt * (np.cumsum(y, axis=0) - 0.5 * y)
             y, x = (values - values.mean(axis=0) for values in (y, x))
@@ -70,15 +70,17 @@ def high_passed(evidence: Evidence) -> Iterator[Finding]:
                 yield fault.found(time_s=1.0 / typical)
 
 
-def _steady_runs(means: Array, least: Array) -> list[tuple[int, int]]:
+def _steady_runs(means: Array, least: Array, gaps: Indices) -> list[tuple[int, int]]:
     """Runs of blocks (first, one past last), without their ends, whose means are those one second later, but for noise.
 
-    The noise of a mean, of at least ``least``, is that of the quietest fifth of the successive differences.
+    The noise of a mean, of at least ``least``, is that of the quietest fifth of the successive differences. ``gaps``
+    are the blocks with a gap of the time stamps.
     """
     if len(means) <= _STEADY:
         return []
     fifth = np.quantile(np.abs(np.diff(means, axis=0)), 0.2, axis=0) / (math.sqrt(2.0) * float(ndtri(0.6)))
     same = np.all(np.abs(means[_STEADY:] - means[:-_STEADY]) <= SPREAD * np.maximum(fifth, least), axis=1)
+    same[np.unique(np.clip(gaps[:, None] - np.arange(_STEADY + 1), 0, len(same) - 1))] = False
     edges = np.flatnonzero(np.diff(same, prepend=False, append=False)).reshape(-1, 2)
     return [(first + 1, last + _STEADY - 1) for first, last in edges.tolist()]
 
