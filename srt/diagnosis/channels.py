@@ -108,7 +108,8 @@ def _dead_accel(evidence: Evidence) -> tuple[int, int, int] | None:
     if turns is None or len(turns.spans) == 0:
         return None
     force = turns.force[turns.between.ravel()] / gravity
-    reach, found = np.abs(force).max(axis=0), []
+    reach, found, poses = np.abs(force).max(axis=0), [], evidence.labelled_inputs[1]
+    labelled = len(poses) == len(force)
     for axis in range(3):
         others = np.delete(np.arange(3), axis)
         left = np.sqrt(np.maximum(1.0 - np.sum(force[:, others] ** 2, axis=1), 0.0))
@@ -121,7 +122,8 @@ def _dead_accel(evidence: Evidence) -> tuple[int, int, int] | None:
         one_polarity = np.ptp(off) > MOVED and min(-float(off.min()), float(off.max())) < 2.0 * _SAME_G
         if (
             last - first > 2
-            and np.ptp(left[inside]) > _MISSING
+            and np.ptp(left[inside]) > (MOVED if labelled else _MISSING)
+            and (not labelled or np.ptp(poses[inside, axis]) > _MISSING)
             and np.ptp(force[inside, axis]) < 2.0 * _SAME_G
             and np.all(np.abs(reach[others] - 1.0) < _ERROR)
         ):

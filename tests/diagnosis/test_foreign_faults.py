@@ -105,6 +105,7 @@ def test_named_first_at_a_severity(kind, grade, severity):
         ("gyro of one polarity", 1.0, 44),  # a missing sequence
         ("gyro of one polarity", 1.0, 160),  # a flipped axis
         ("accel of one polarity", 1.0, 153),
+        ("accel wire broken, noisy", 0.5, 73),  # a noisy window
         ("dead band subtracted", 2.12, 46),  # spikes
         ("accel saturated, noisy", 0.68, 25),  # a factor of the accelerometers
         ("gyro saturated, noisy", 0.63, 81),  # a sample rate
