@@ -32,9 +32,9 @@ if TYPE_CHECKING:
     from srt.diagnosis.findings import Finding
     from srt.types import Array, Indices
 
-_EXPLAINED: Final = 0.3
-"""Smallest share of the variance that the filter explains, averaged over all steady time, rests and steady rotations:
-readings without a filter have less than 0.15, also where accelerometers settle."""
+_EXPLAINED: Final = 0.5
+"""Smallest share of the variance of a steady run that the filter explains, and of the steady time in which it does: a
+rotation about the vertical, which the accelerometers do not see, looks like a decay in its own run."""
 _STEADY: Final = 10
 """Distance, in blocks (1 s), over which the readings of a triad at rest do not change."""
 _LONGEST_S: Final = 200.0
@@ -65,8 +65,9 @@ def high_passed(evidence: Evidence) -> Iterator[Finding]:
             rows.append((last - first, max(decay, 0.0) ** 2 * square / power, decay))
         if rows:
             length, share, decay = np.array(rows).T
-            typical = float(np.median(decay))
-            if share @ length > _EXPLAINED * length.sum() and 1.0 / _LONGEST_S < typical < 1.0 / BLOCK_S:
+            follows = share > _EXPLAINED
+            typical = float(np.median(decay[follows])) if follows.any() else 0.0
+            if length[follows].sum() > _EXPLAINED * length.sum() and 1.0 / _LONGEST_S < typical < 1.0 / BLOCK_S:
                 yield fault.found(time_s=1.0 / typical)
 
 

@@ -49,6 +49,7 @@ def case(seed, number, *, slow=True):
         case(20261126, 916, slow=False),  # dead accelerometer: a turn about its axis, with biases of 0.1 g
         case(20261126, 15, slow=False),  # dead gyro: ten turns of a rate table with scale errors
         case(20262301, 823, slow=False),  # a bit stuck: poses alone, in few places of the range
+        case(20261150, 925, slow=False),  # a high-pass filter: steady runs that begin in a rotation about the vertical
     ],
 )
 def test_recordings_that_raised_a_finding(seed, number):
