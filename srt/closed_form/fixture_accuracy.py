@@ -108,7 +108,7 @@ def fixture_excess(data: PreparedRecording, measurements: SrtMeasurements, covar
     measurements : SrtMeasurements
         Those of the last iteration, which converged.
     covariance : ndarray, shape (27, 27)
-        Of the estimate.
+        Covariance of the estimate.
     """
     z, mounting, wobble, angles, aligned, R = _Tilts.of(data, measurements, covariance)
     starts = np.arange(2 * data.K).reshape(-1, 2)

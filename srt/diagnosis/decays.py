@@ -21,6 +21,7 @@ from scipy.special import ndtri
 from srt.diagnosis.cause_comparison import Cause, compare
 from srt.diagnosis.false_alarms import limit
 from srt.diagnosis.findings import Fault
+from srt.diagnosis.gravity_rotation import block_size
 from srt.diagnosis.window_averages import ACCEL
 from srt.model.table1 import AXES
 from srt.sequences.rest_detection import BLOCK_S, SPREAD
@@ -44,7 +45,7 @@ filter with a time constant of 1e4 s."""
 
 def high_passed(evidence: Evidence) -> Iterator[Finding]:
     """Test the readings at rest for a decrease in proportion to their own time integral."""
-    size = max(1, round(BLOCK_S / evidence.dt))
+    size = block_size(evidence.recording)
     count, tiny = len(evidence.rate) // size, np.finfo(float).tiny
     gyro, accel = (
         np.einsum("bsc->bc", table[: count * size].reshape(count, size, 3)) / size

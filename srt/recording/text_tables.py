@@ -86,7 +86,7 @@ def read_table(
         Dates are in UTC, of type ``datetime64[ns]``; without a time zone they are taken as UTC.
 
     Raises InputError for cells that are no numbers, rows of unequal length, a file that is cut off; the line is named.
-    Of a samples file, UnicodeDecodeError if it is not UTF-8, and csv.Error for a cell of more than 131072 characters.
+    A samples file raises UnicodeDecodeError if it is not UTF-8, csv.Error for a cell of more than 131072 characters.
     """
     empty = b"" if layout.own else _empty_rows(path, layout)
     if not empty:

@@ -25,6 +25,11 @@ def score(cause, *measured):
     return float(scores([cause], *measured)[0])
 
 
+def with_mean(x, law, y):
+    """Density of ratios y with an unknown mean x, whose own law is that of Cauchy."""
+    return law.pdf(y - x) / (math.pi * 0.02 * (1.0 + (x / 0.02) ** 2))
+
+
 def by_integration(ratios, common, *, unknown=False):
     """Log-likelihood of one triad, by the covariance of its errors and numerical integration over an unknown mean."""
     grid = np.geomspace(1e-4, 1.0, 25)
@@ -37,8 +42,7 @@ def by_integration(ratios, common, *, unknown=False):
             continue
         reach = 12.0 * math.sqrt(V.sum() / 9.0)
         law = multivariate_normal(np.zeros(3), V)
-        of_mean = lambda x, law=law: law.pdf(y - x) / (math.pi * 0.02 * (1.0 + (x / 0.02) ** 2))  # noqa: E731
-        total += share * quad(of_mean, y.mean() - reach, y.mean() + reach, points=[0.0], limit=200)[0]
+        total += share * quad(with_mean, y.mean() - reach, y.mean() + reach, (law, y), points=[0.0], limit=200)[0]
     return math.log(total)
 
 
