@@ -103,7 +103,7 @@ def force_limit(recording: Recording, turns: ManoeuvreReadings) -> Limit | None:
 
     Within 1 % of its largest reading, an axis that measures gravity is upright to 0.14 rad.
     """
-    at, _, force, _ = map(np.concatenate, zip(*(row[1:] for row in _blocks(recording, turns)), strict=True))
+    at, _, force, _ = _all_blocks(recording, turns)
     for axis, sign in product(range(3), (1.0, -1.0)):
         others = np.delete(np.arange(3), axis)
         best = turns.force[np.argmax(sign * turns.force[:, axis])] / rates_factor(recording)
@@ -120,9 +120,9 @@ def rate_limit(recording: Recording, turns: ManoeuvreReadings) -> Limit | None:
 
     Statistic: difference of the two ratios over its standard deviation from the scatter. Distribution: normal.
     """
-    at, angle, force, change = map(np.concatenate, zip(*(row[1:] for row in _blocks(recording, turns)), strict=True))
+    at, angle, force, change = _all_blocks(recording, turns)
     size, expected = np.abs(angle).max(axis=1), cross(force, angle)
-    top = float(size.max())
+    top = float(size.max(initial=0.0))
     held, ratio, variance = at[size > (1.0 - _NEAR_TOP) * top], [], []
     for part in (size > (1.0 - _NEAR_TOP) * top, (size > 2.0 * _UPRIGHT * top) & (size < 0.9 * top)):
         power = float(np.sum(expected[part] ** 2))
@@ -156,6 +156,13 @@ def _blocks(recording: Recording, turns: ManoeuvreReadings) -> Iterator[tuple[in
         force = recording.accel[a:stop].reshape(count, size, 3).mean(axis=1)
         at = a + size * np.arange(1, count)
         yield k, at, 0.5 * (angle[1:] + angle[:-1]), 0.5 * (force[1:] + force[:-1]), np.diff(force, axis=0)
+
+
+def _all_blocks(recording: Recording, turns: ManoeuvreReadings) -> tuple[Indices, Array, Array, Array]:
+    """Blocks of all manoeuvres one after the other; none where all manoeuvres are shorter than two blocks."""
+    rows = [(np.zeros(0, dtype=np.intp), *np.zeros((3, 0, 3))), *(row[1:] for row in _blocks(recording, turns))]
+    at, angle, force, change = (np.concatenate(values) for values in zip(*rows, strict=True))
+    return at, angle, force, change
 
 
 def missed_rotations(recording: Recording, turns: ManoeuvreReadings) -> tuple[Array, Array]:

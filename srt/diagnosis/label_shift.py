@@ -43,8 +43,10 @@ def label_shift(data: PreparedRecording, seen: RawIntegrals, contiguous: Mask, t
     """
     found = _block_shift(data, turning) if turning.any() else None
     found = found or _rotation_at_edges(data, seen, contiguous)
-    labelled, rest = _spans(data) if found else (np.zeros((0, 2)), np.zeros((0, 2)))
-    if found is None or found.late_s > 0.0 or len(rest) == 0:
+    if found is None or found.late_s > 0.0:
+        return found
+    labelled, rest = _spans(data)
+    if len(rest) == 0:
         return found
     # A low-pass filter makes rotations end late, but not begin late.
     later = (rest[_shared(labelled, rest).argmax(axis=1), 1] - labelled[:, 1])[data.start]

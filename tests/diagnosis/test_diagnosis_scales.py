@@ -15,13 +15,16 @@ from diagnosing import WithoutRecognition, examine_stages, findings_of_stage, gr
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from injected_faults.injection import GRADES, INJECTIONS, Case
+from scipy.spatial.transform import Rotation
 
 from srt.constants import DEG
 from srt.diagnosis import faults
 from srt.diagnosis.axes import mapping, nearest_axes
 from srt.diagnosis.evidence import Evidence
 from srt.diagnosis.faults import sort_by_cause
+from srt.diagnosis.staged_diagnosis import diagnose
 from srt.recording.import_options import parse_axis_map
+from srt.recording.recording import Recording, Site
 
 SEED = 330_000
 STAGES = ("units", "frames")
@@ -229,3 +232,18 @@ def test_without_labels_recognition_takes_their_place(fault):
     evidence = Evidence(recording)
     found = [finding for stage in STAGES for finding in findings_of_stage(evidence, stage)]
     assert sort_by_cause(found)[0].fault == fault
+
+
+def test_turns_shorter_than_two_blocks_show_no_limit():
+    """Turns of 90° in 0.15 s, and a factor of the accelerometers, which saturation is compared with."""
+    rng, rest, turn, at = np.random.default_rng(5), 400, 15, Rotation.identity()
+    rate, force = [np.zeros((rest, 3))], [np.tile([0.0, 0.0, 9.8], (rest, 1))]
+    for axis in (0, 1, 0, 1, 0, 1, 0, 2, 1, 0, 2, 1):
+        step = np.eye(3)[axis] * 0.5 * np.pi / turn
+        attitudes = at * Rotation.from_rotvec(np.arange(1, turn + 1)[:, None] * step)
+        at = attitudes[-1]
+        rate += [np.tile(step / 0.01, (turn, 1)), np.zeros((rest, 3))]
+        force += [attitudes.inv().apply([0.0, 0.0, 9.8]), np.tile(at.inv().apply([0.0, 0.0, 9.8]), (rest, 1))]
+    gyro, accel = rng.normal(np.concatenate(rate), 2e-3), rng.normal(1.5 * np.concatenate(force), 2e-2)
+    turned = Recording(0.01 * np.arange(1, len(gyro) + 1), gyro, accel, Site(9.8))
+    assert diagnose(turned).first.fault == "accel_factor"
