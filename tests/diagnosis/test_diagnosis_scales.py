@@ -238,8 +238,9 @@ def test_turns_shorter_than_two_blocks_show_no_limit():
     """Turns of 90° in 0.15 s, and a factor of the accelerometers, which saturation is compared with."""
     rng, rest, turn, at = np.random.default_rng(5), 400, 15, Rotation.identity()
     rate, force = [np.zeros((rest, 3))], [np.tile([0.0, 0.0, 9.8], (rest, 1))]
-    for axis in (0, 1, 0, 1, 0, 1, 0, 2, 1, 0, 2, 1):
-        step = np.eye(3)[axis] * 0.5 * np.pi / turn
+    senses = (1, 1, 1, -1, 1, 1, -1, 1, 1, 1, 1, 1)
+    for axis, sense in zip((0, 1, 0, 1, 0, 1, 0, 2, 1, 0, 2, 1), senses, strict=True):
+        step = sense * np.eye(3)[axis] * 0.5 * np.pi / turn
         attitudes = at * Rotation.from_rotvec(np.arange(1, turn + 1)[:, None] * step)
         at = attitudes[-1]
         rate += [np.tile(step / 0.01, (turn, 1)), np.zeros((rest, 3))]
