@@ -114,8 +114,10 @@ def check_median_force(recording: Recording) -> None:
     """Raise DataError for accelerometers that do not read gravity: a unit, or the kind of the samples, is wrong."""
     from srt.sequences.plausibility import check_rest
 
-    force, where = [[median_force(recording), 0.0, 0.0]], ["the whole recording"]
-    check_rest(force, recording.site.gravity_m_s2, where, interval_s=recording.nominal_interval_s)
+    force = [[median_force(recording), 0.0, 0.0]]
+    check_rest(
+        force, recording.site.gravity_m_s2, lambda: ["the whole recording"], interval_s=recording.nominal_interval_s
+    )
 
 
 def _below(folder: Path) -> list[Path]:

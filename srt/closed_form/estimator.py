@@ -121,15 +121,15 @@ def estimate_units(recordings: Sequence[Recording], options: Sequence[Options]) 
     prepare_together([(own, _labels(own), chosen.average) for own, chosen in zip(recordings, options, strict=True)])
     for number, (recording, chosen) in enumerate(zip(recordings, options, strict=True)):
         try:
-            unit = _Prepared.of(recording, chosen)
+            unit = _Prepared.of(recording, chosen, [group[0][1] for group in groups])
         except Exception as error:  # a unit that cannot be calibrated leaves the others
             out[number] = error
             continue
-        group = next((own for own in groups if own[0][1].is_like(unit)), None)
+        group = next((own for own in groups if own[0][1].formulas is unit.formulas), None)
         if group is None:
             groups.append([(number, unit)])
         else:
-            group.append((number, replace(unit, formulas=group[0][1].formulas)))
+            group.append((number, unit))
     for group in groups:
         units = []
         for (number, prepared), first in zip(group, _first_estimates([unit for _, unit in group]), strict=True):
@@ -210,7 +210,8 @@ class _Prepared:
     formulas: SelectedFormulas
 
     @classmethod
-    def of(cls, recording: Recording, options: Options) -> _Prepared:
+    def of(cls, recording: Recording, options: Options, others: Sequence[_Prepared] = ()) -> _Prepared:
+        """Prepare a recording; formulas are those of the first of others that can be iterated together with it."""
         options.refuse(("loss", "filter", "prior", "fixture_states", "live", "targets"), "The closed form")
         labels = _labels(recording)
         if recording.fixture is None or not labels:
@@ -219,14 +220,17 @@ class _Prepared:
                 "use the least-squares estimator."
             )
         data = prepare_checked(recording, labels, options.average)
-        return cls(recording, options, labels, data, fixed_sigma(data, options), SelectedFormulas(data, options))
+        uncertain = fixed_sigma(data, options)
+        like = next((own for own in others if own.is_like(data, options, uncertain)), None)
+        formulas = SelectedFormulas(data, options) if like is None else like.formulas
+        return cls(recording, options, labels, data, uncertain, formulas)
 
-    def is_like(self, other: _Prepared) -> bool:
-        """True if the two can be iterated together."""
+    def is_like(self, data: PreparedRecording, options: Options, uncertain: Array) -> bool:
+        """True if another unit can be iterated together with this one."""
         # The initial estimates are arrays by unit.
         names = [f.name for f in fields(Options) if f.name != "start"]
-        same = all(getattr(self.options, name) == getattr(other.options, name) for name in names)
-        return same and np.array_equal(self.uncertain, other.uncertain) and alike(self.data, other.data)
+        same = all(getattr(self.options, name) == getattr(options, name) for name in names)
+        return same and np.array_equal(self.uncertain, uncertain) and alike(self.data, data)
 
     def from_estimate(self, initial: SensorErrors, U: Array) -> _Unit:
         """Unit with an initial estimate, whose fixed parameters have their values."""
@@ -438,7 +442,7 @@ def _drift(data: PreparedRecording, solution: Solution) -> tuple[DriftEstimate, 
         return DriftEstimate(term.sensor, term.form, change_by, modelled=False)
 
     linear: dict[tuple[Sensor, str], Statistics] = {
-        ("accel", LINEAR): statistics("accel", course),
+        ("accel", LINEAR): solution.by_linear_drift[1],
         ("gyro", LINEAR): statistics("gyro", course),
     }
     return tuple(estimated(term) for term in most_likely(data, linear, (), 0.0, by_window).terms)
@@ -452,7 +456,7 @@ def _by_accel_drift(solution: Solution, course: Array) -> tuple[Array, Statistic
 
 def _unseen(data: PreparedRecording, solution: Solution) -> tuple[float, Array]:
     """Possible linear drift of the accelerometers, m/s², and the covariance by what the residuals do not exclude."""
-    by_drift, linear = _by_accel_drift(solution, data.drift_shapes[LINEAR].windows)
+    by_drift, linear = solution.by_linear_drift
     possible = 0.0 if (test := drift_test(linear)) is None else possible_sigma(linear, test.p_value)
     root = possible * solution.gain @ by_drift
     by_unseen = root @ root.T

@@ -326,7 +326,7 @@ class _Iteration:
         left = np.eye(measurements.z.shape[1]) - measurements.H @ gain
         residual = left @ total @ np.swapaxes(left, -1, -2)
         of_parameters = np.asarray(sum(by_source.values()))
-        of_units = residuals_of_units(self.data, self.formulas.kept, measurements, total, of_parameters)
+        of_units = residuals_of_units(self.data, self.formulas.kept, measurements, total, of_parameters, projected)
         for u, number in enumerate(self.number.tolist()):
             corrections = self.corrections[u].tolist()
             last = corrections[-1] if corrections else np.inf

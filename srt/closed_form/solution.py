@@ -9,12 +9,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from srt.closed_form.fixture_accuracy import verticals_disagree
+from srt.closed_form.measurement_covariance import effect
+from srt.estimation.error_sources import by_drift
 from srt.estimation.leave_one_out import by_size
 from srt.estimation.rest_rate_scatter import may_be_unstable
 from srt.estimation.white_residuals import PredictedGroups, WhiteResiduals
+from srt.noise.drift_forms import LINEAR
 
 if TYPE_CHECKING:
+    from srt.closed_form.measurement_covariance import Draws
     from srt.estimation.srt_measurements import SrtMeasurements
+    from srt.noise.drift_forms import Statistics
     from srt.sensor_errors import SensorErrors
     from srt.sequences.preparation import PreparedRecording
     from srt.sequences.prepared_units import PreparedUnits
@@ -32,12 +37,20 @@ class UnitsResiduals:
     measurements : SrtMeasurements
     R, covariance : ndarray, shape (units, n, n) and (units, 27, 27)
         Covariance of the measurements and of the estimate.
+    projected : dict of str to ndarray
+        :func:`srt.closed_form.measurement_covariance.projection`.
     """
 
     def __init__(
-        self, data: PreparedUnits, kept: Indices, measurements: SrtMeasurements, R: Array, covariance: Array
+        self,
+        data: PreparedUnits,
+        kept: Indices,
+        measurements: SrtMeasurements,
+        R: Array,
+        covariance: Array,
+        projected: Draws,
     ) -> None:
-        self._data, self._m, self._covariance = data, measurements, covariance
+        self._data, self._m, self._covariance, self._projected = data, measurements, covariance, projected
         self._z, self._H, self._R = measurements.z, measurements.H[..., kept], R
         self._squares = second_order_variance(data, self._z.shape[-1])
         self._groups = [rows_of_sequence(data, k)[0] for k in range(data.K)]
@@ -51,6 +64,14 @@ class UnitsResiduals:
     def with_squares(self) -> WhiteResiduals:
         """Residuals with :func:`second_order_variance` in the noise."""
         return WhiteResiduals.of(self._z, self._H, self._R + np.diag(self._squares))
+
+    @cached_property
+    def by_linear_drift(self) -> tuple[Array, list[Statistics]]:
+        """Effect of linear drifts of the three accelerometers, (units, n, 3), and its statistics in the residuals."""
+        slopes = zip(self._m.accel.sensitivity(self._m.force), self._data.units, strict=True)
+        drifts = [by_drift(slope, unit.drift_shapes[LINEAR].windows) for slope, unit in slopes]
+        effects = effect(self._projected, {"force": np.stack(drifts)})
+        return effects, self.white.statistics_by_unit(effects)
 
     @cached_property
     def sequence_tests(self) -> tuple[Array, Counts]:
@@ -74,18 +95,25 @@ class UnitsResiduals:
 
 
 def residuals_of_units(
-    data: PreparedUnits, kept: Indices, measurements: SrtMeasurements, R: Array, covariance: Array
+    data: PreparedUnits, kept: Indices, measurements: SrtMeasurements, R: Array, covariance: Array, projected: Draws
 ) -> list[tuple[UnitsResiduals, int]]:
     """Residuals that contain each unit, and its number in them; each by itself where a covariance is singular."""
-    found = UnitsResiduals(data, kept, measurements, R, covariance)
+    found = UnitsResiduals(data, kept, measurements, R, covariance, projected)
     try:
         _ = found.white
     except np.linalg.LinAlgError:
         if len(R) > 1:
             each = np.arange(len(R))[:, None]
-            parts = ((data.of_units(own), kept, measurements.of(own), R[own], covariance[own]) for own in each)
+            parts = (
+                (data.of_units(own), kept, measurements.of(own), R[own], covariance[own], _of_units(projected, own))
+                for own in each
+            )
             return [found for part in parts for found in residuals_of_units(*part)]
     return [(found, u) for u in range(len(R))]
+
+
+def _of_units(projected: Draws, which: Indices) -> Draws:
+    return {kind: part[which] for kind, part in projected.items()}
 
 
 def second_order_variance(data: PreparedRecording, rows: int) -> Array:
@@ -177,6 +205,12 @@ class Solution:
     def white_with_squares(self) -> WhiteResiduals:
         """Residuals with the neglected squares of the fixture's errors in the noise; raises as :attr:`white`."""
         return self.of_units.with_squares.of_unit(self.row)
+
+    @property
+    def by_linear_drift(self) -> tuple[Array, Statistics]:
+        """Effect of linear drifts of the accelerometers on z, (n_z, 3), and its statistics; raises as :attr:`white`."""
+        effects, statistics = self.of_units.by_linear_drift
+        return effects[self.row], statistics[self.row]
 
     @property
     def total(self) -> Array:

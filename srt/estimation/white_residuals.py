@@ -120,6 +120,13 @@ class WhiteResiduals:
         Z = self.left(effect)
         return Statistics(Z.T @ self.value, Z.T @ Z, *self.test)
 
+    def statistics_by_unit(self, effects: Array) -> list[Statistics]:
+        """The same of each of several units, with effects (units, n, q)."""
+        Z = self.left(effects)
+        products = np.swapaxes(Z, -1, -2) @ np.concatenate([self.value[..., None], Z], axis=-1)
+        tests = zip(self.chi_square.tolist(), self.freedom.tolist(), strict=True)
+        return [Statistics(own[:, 0], own[:, 1:], *test) for own, test in zip(products, tests, strict=True)]
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PredictedGroups:

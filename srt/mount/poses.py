@@ -149,7 +149,7 @@ def find_poses(recording: Recording, calibration: Calibration, *, level_sigma_ra
     times = np.array([window_times(recording, (a, b)) for a, b in samples.tolist()])
     names = [f"The static pose from {a:.6g} s to {b:.6g} s" for a, b in times.tolist()]
     g = recording.site.gravity_m_s2
-    check_rest(windows.accel_mean, g, names, interval_s=recording.nominal_interval_s)
+    check_rest(windows.accel_mean, g, lambda: names, interval_s=recording.nominal_interval_s)
     accel = accel_triad(calibration.errors)
     force = accel.compensate(windows.accel_mean)
     kind = pose_kinds(force)

@@ -16,6 +16,7 @@ the recording.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Final, NamedTuple
@@ -24,6 +25,8 @@ import numpy as np
 from scipy.special import chdtrc, fdtrc
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from srt.types import Array, Mask
 
 
@@ -116,19 +119,41 @@ class Intervals:
     temperature: Array | None
 
 
-def drift_shapes(intervals: Intervals) -> dict[str, DriftShape]:
-    """Shapes of all forms by name."""
-    times = a, b = _shares(intervals)
-    values = {LINEAR: 0.5 * (a + b)[:, None]}
-    for name, share in _WARM_UP.items():
-        falls = [(-share * np.exp(-x / share), -(x + share) * np.exp(-x / share)) for x in (a, b)]
-        values[name] = np.column_stack([_mean(begin, end, b - a) for begin, end in zip(*falls, strict=True)])
-    if intervals.temperature is not None:
-        own = intervals.temperature
-        if np.ptp(own[: intervals.windows]) > _LEAST_TEMPERATURE_RANGE:
-            values["temperature"] = own[:, None]
-    shapes = {name: _scaled(value, intervals) for name, value in values.items()}
-    return shapes | {WALK: _walk(times, intervals)}
+class DriftShapes(Mapping[str, DriftShape]):
+    """Shapes of all forms by name, each computed at its first use: that of a random walk costs most."""
+
+    def __init__(self, intervals: Intervals) -> None:
+        self._intervals = intervals
+        warm = None if intervals.temperature is None else np.ptp(intervals.temperature[: intervals.windows])
+        temperature = () if warm is None or warm <= _LEAST_TEMPERATURE_RANGE else ("temperature",)
+        self._shapes: dict[str, DriftShape | None] = dict.fromkeys((LINEAR, *_WARM_UP, *temperature, WALK))
+
+    def __getitem__(self, form: str) -> DriftShape:
+        found = self._shapes[form]
+        if found is None:
+            found = self._shapes[form] = self._shape(form)
+        return found
+
+    def __contains__(self, form: object) -> bool:
+        return form in self._shapes
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._shapes)
+
+    def __len__(self) -> int:
+        return len(self._shapes)
+
+    def _shape(self, form: str) -> DriftShape:
+        own = self._intervals
+        a, b = times = _shares(own)
+        if form == WALK:
+            return _walk(times, own)
+        if form in _WARM_UP:
+            share = _WARM_UP[form]
+            falls = [(-share * np.exp(-x / share), -(x + share) * np.exp(-x / share)) for x in (a, b)]
+            return _scaled(np.column_stack([_mean(begin, end, b - a) for begin, end in zip(*falls, strict=True)]), own)
+        values = 0.5 * (a + b) if own.temperature is None or form == LINEAR else own.temperature
+        return _scaled(values[:, None], own)
 
 
 def _shares(intervals: Intervals) -> Array:

@@ -21,9 +21,11 @@ from srt.noise.variance_components import expected_variance
 from srt.recording.recording import by_length
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from srt.noise.drift_forms import Statistics
     from srt.recording.recording import Recording
-    from srt.types import Array, Indices
+    from srt.types import Array, Indices, Mask
 
 
 GYRO_FLOOR: Final = 1e-10
@@ -149,68 +151,69 @@ class NoiseModel:
 
 
 def noise_model(recording: Recording, windows: Indices) -> NoiseModel:
-    """Complete the stated noise of a unit from its stationary windows.
+    """:func:`noise_models` of one recording."""
+    return noise_models([recording], windows)[0]
+
+
+def noise_models(recordings: Sequence[Recording], windows: Indices) -> list[NoiseModel]:
+    """Complete the stated noise of units from their stationary windows.
 
     Parameters
     ----------
+    recordings : sequence of Recording
+        Of one run, with the same stated noise.
     windows : ndarray of int, shape (W, 2)
         First sample and one past the last of every window.
     """
-    stated = recording.noise
-    dt = recording.nominal_interval_s
-    found = random_walk(recording, windows)
-    unit = 1.0 if recording.kind == "rate" else dt
-    white, edge = found.white / unit, found.edge / unit
-    estimated, floored = [], []
-    figures = {}
-    for sensor, columns, floor in (("gyro", slice(0, 3), GYRO_FLOOR), ("accel", slice(3, 6), ACCEL_FLOOR)):
-        given = getattr(stated, f"{sensor}_noise")
-        if given is None:
-            figures[f"{sensor}_white"] = white[columns]
-            estimated.append(f"{sensor}_noise")
-        else:
-            figures[f"{sensor}_white"] = np.full(3, given)
-        given = getattr(stated, f"{sensor}_quantization")
-        if given is None:
-            figures[f"{sensor}_edge"] = edge[columns]
-            estimated.append(f"{sensor}_quantization")
-        else:
-            figures[f"{sensor}_edge"] = np.full(3, given / math.sqrt(12.0))
-        step = _resolution(recording, windows, sensor)
+    stated, dt, unit = recordings[0].noise, recordings[0].nominal_interval_s, _unit(recordings[0])
+    found = [random_walk(recording, windows) for recording in recordings]
+    seen_white, seen_edge = (np.stack([getattr(own, name) for own in found]) / unit for name in ("white", "edge"))
+    of_sensors = (("gyro", slice(0, 3), GYRO_FLOOR), ("accel", slice(3, 6), ACCEL_FLOOR))
+    keys = [f"{sensor}_{what}" for sensor, *_ in of_sensors for what in ("noise", "quantization")]
+    keys += ["accel_bias_instability", "gyro_bias_instability"]
+    estimated = tuple(key for key in keys if getattr(stated, key) is None)
+    figures: dict[str, Array] = {}
+    floored: list[list[str]] = [[] for _ in recordings]
+    for sensor, columns, floor in of_sensors:
+        noise, pulse = getattr(stated, f"{sensor}_noise"), getattr(stated, f"{sensor}_quantization")
+        edge = seen_edge[:, columns] if pulse is None else np.full((len(found), 3), pulse / math.sqrt(12.0))
+        step = _resolution(recordings, windows, sensor)
+        rounding, own = _step_error(recordings, windows, sensor, step, seen_edge[:, columns])
         resolution = step / math.sqrt(12.0)
-        figures[f"{sensor}_rounding"], own = _step_error(recording, windows, sensor, step, edge[columns])
-        figures[f"{sensor}_step"] = own
-        if f"{sensor}_noise" not in estimated:  # what the windows show contains the rounding
-            undithered = np.any(figures[f"{sensor}_rounding"], axis=0) | (own > 0.0)
-            rounding = np.where(undithered, resolution * math.sqrt(dt), 0.0)
-            figures[f"{sensor}_white"] = np.hypot(figures[f"{sensor}_white"], rounding)
-        shown = np.hypot(figures[f"{sensor}_white"] / math.sqrt(dt), math.sqrt(2.0) * figures[f"{sensor}_edge"] / dt)
+        white = seen_white[:, columns]
+        if noise is not None:  # what the windows show contains the rounding
+            undithered = np.any(rounding, axis=1) | (own > 0.0)
+            white = np.hypot(noise, np.where(undithered, resolution * math.sqrt(dt), 0.0))
+        shown = np.hypot(white / math.sqrt(dt), math.sqrt(2.0) * edge / dt)
         least = np.maximum(np.where(shown < resolution, resolution * math.sqrt(dt), 0.0), floor)
-        if np.any(figures[f"{sensor}_white"] < least):
-            floored.append(f"{sensor}_noise")
-        figures[f"{sensor}_white"] = np.maximum(figures[f"{sensor}_white"], least)
-    instability = stated.gyro_bias_instability
-    spread = flicker_spread(windows)
-    accel = (stated.accel_bias_instability or 0.0, 0.0, stated.accel_bias_instability or 0.0, (0.0, 0.0))
-    if stated.accel_bias_instability is None:
-        if np.any(white[3:] > ACCEL_FLOOR):  # without noise, as in simulations, rounding would count
-            accel = _accel_instability(recording, windows, float(found.filter_s[1]))
-        estimated.append("accel_bias_instability")
-    if instability is None:
-        estimated.append("gyro_bias_instability")
-    return NoiseModel(
-        **figures,
-        gyro_wander=None if instability is None else np.full(3, instability * spread),
-        accel_wander=np.full(3, math.hypot(*accel[:2]) * spread),
-        gyro_flicker=None if instability is None else np.full(3, instability),
-        accel_flicker=np.full(3, accel[0]),
-        accel_unseen=np.full(3, accel[1]),
-        accel_spectra=np.array(accel[3]),
-        accel_limit=np.full(3, accel[2]),
-        filter_s=found.filter_s,
-        estimated=tuple(estimated),
-        floored=tuple(floored),
-    )
+        for u in np.flatnonzero(np.any(white < least, axis=1)).tolist():
+            floored[u].append(f"{sensor}_noise")
+        values = (np.maximum(white, least), edge, rounding, own)
+        figures |= zip((f"{sensor}_{what}" for what in ("white", "edge", "rounding", "step")), values, strict=True)
+    spread, flicker = flicker_spread(windows), stated.gyro_bias_instability
+    none = stated.accel_bias_instability or 0.0
+    models = []
+    for u, recording in enumerate(recordings):
+        accel = (none, 0.0, none, (0.0, 0.0))
+        # Without noise, as in simulations, rounding would count.
+        if stated.accel_bias_instability is None and np.any(seen_white[u, 3:] > ACCEL_FLOOR):
+            accel = _accel_instability(recording, windows, float(found[u].filter_s[1]))
+        models.append(
+            NoiseModel(
+                **{name: values[u] for name, values in figures.items()},
+                gyro_wander=None if flicker is None else np.full(3, flicker * spread),
+                accel_wander=np.full(3, math.hypot(*accel[:2]) * spread),
+                gyro_flicker=None if flicker is None else np.full(3, flicker),
+                accel_flicker=np.full(3, accel[0]),
+                accel_unseen=np.full(3, accel[1]),
+                accel_spectra=np.array(accel[3]),
+                accel_limit=np.full(3, accel[2]),
+                filter_s=found[u].filter_s,
+                estimated=estimated,
+                floored=tuple(floored[u]),
+            )
+        )
+    return models
 
 
 def _accel_instability(
@@ -246,20 +249,65 @@ def flicker_spread(windows: Indices) -> float:
     return math.sqrt(max(1.0, math.log(ratio) / (2.0 * math.log(2.0))))
 
 
-def _resolution(recording: Recording, windows: Indices, sensor: str) -> Array:
-    """Smallest step between distinct readings of a column, as a rate; 0 where readings hardly repeat."""
-    table = getattr(recording, sensor)
-    stride = max(1, sum(b - a for a, b in windows.tolist()) // _MAX_SAMPLES_FOR_RESOLUTION)
-    still = np.concatenate([table[a:b:stride] for a, b in windows.tolist()])
-    step = smallest_step(still)
-    constant = np.all(still == still[0], axis=0)
-    if constant.any():  # readings constant at rest: the step is estimated during motion
-        step = np.where(constant, smallest_step(table[:: max(1, len(table) // _MAX_SAMPLES_FOR_RESOLUTION)]), step)
-    return step if recording.kind == "rate" else step / recording.nominal_interval_s
+def _resolution(recordings: Sequence[Recording], windows: Indices, sensor: str) -> Array:
+    """Smallest step between distinct readings of a column, as a rate, (units, 3); 0 where readings hardly repeat."""
+    tables, spans = [getattr(own, sensor) for own in recordings], windows.tolist()
+    stride = max(1, sum(b - a for a, b in spans) // _MAX_SAMPLES_FOR_RESOLUTION)
+    still = np.concatenate([np.concatenate([table[a:b:stride] for a, b in spans]).T for table in tables])
+    step = smallest_step(still.T).reshape(-1, 3)
+    constant = (still.max(axis=1) == still.min(axis=1)).reshape(-1, 3)
+    for u in np.flatnonzero(constant.any(axis=1)).tolist():
+        # Readings constant at rest: the step is estimated during motion.
+        every = _some(tables[u])
+        step[u] = np.where(constant[u], smallest_step(every), step[u])
+    return step / _unit(recordings[0])
 
 
-def _step_error(recording: Recording, windows: Indices, sensor: str, step: Array, edge: Array) -> tuple[Array, Array]:
-    """Expected error of means of rounded readings at rest, (W, 3), and 1-sigma of the remainder, (3,), rad/s or m/s².
+def _step_error(
+    recordings: Sequence[Recording], windows: Indices, sensor: str, step: Array, edge: Array
+) -> tuple[Array, Array]:
+    """Expected error of means of rounded readings at rest, (units, W, 3), and 1-sigma of the remainder, (units, 3)."""
+    pulse, count = getattr(recordings[0].noise, f"{sensor}_quantization"), len(recordings)
+    error, remainder = np.zeros((count, len(windows), 3)), np.zeros((count, 3))
+    if pulse or (pulse is None and recordings[0].kind == "increment"):
+        return error, remainder  # the error of pulse counts is that of the integral at the edges
+    coarse = _on_grid([getattr(own, sensor) for own in recordings], step * _unit(recordings[0]))
+    for u in np.flatnonzero(coarse.any(axis=1)).tolist():
+        if pulse is None:
+            pulses = edge[u] >= _PULSES * step[u] * recordings[u].nominal_interval_s / math.sqrt(12.0)
+            coarse[u] &= ~pulses
+        error[u], remainder[u] = _rounding(recordings[u], windows, sensor, step[u], coarse[u])
+    return error, remainder
+
+
+def _unit(recording: Recording) -> float:
+    """Readings of a recording over their rates: one, or the interval, s, of increments."""
+    return 1.0 if recording.kind == "rate" else recording.nominal_interval_s
+
+
+def _some(readings: Array) -> Array:
+    """As many of all readings as tell their steps."""
+    return readings[:: max(1, len(readings) // _MAX_SAMPLES_FOR_RESOLUTION)]
+
+
+def _on_grid(tables: Sequence[Array], step: Array) -> Mask:
+    """Channels of each of several units whose readings lie on a grid of steps, shape (units, 3).
+
+    Distinct readings without a grid, as in simulations without noise, are not rounded: the first ones tell mostly.
+    """
+    coarse = step > 0.0
+    for count in (_FEW, max(len(table) for table in tables)):
+        units = np.flatnonzero(coarse.any(axis=1)).tolist()
+        if not units:
+            break
+        some = np.stack([_some(tables[u])[:count] for u in units])
+        steps = (some - some[:, :1]) / np.where(coarse[units], step[units], np.inf)[:, None]
+        coarse[units] &= np.all(np.abs(steps - np.round(steps)) < OFF_GRID, axis=1)
+    return coarse
+
+
+def _rounding(recording: Recording, windows: Indices, sensor: str, step: Array, coarse: Mask) -> tuple[Array, Array]:
+    """:func:`_step_error` of one unit, (W, 3) and (3,), rad/s or m/s²; ``coarse`` channels lie on a grid of steps.
 
     The mean of readings with normal noise s, rounded to steps q, is off by ``Σ (−1)^k q/(π k) exp(−2 π² k² s²/q²)
     sin(2 π k x/q)`` at the true value x (Widrow & Kollár, Quantization Noise, 2008). Means and scatter of the windows
@@ -267,34 +315,22 @@ def _step_error(recording: Recording, windows: Indices, sensor: str, step: Array
     first order the correlation at x and y is cos(2 π (x − y)/q). As errors of single windows, which are independent, it
     counts so many times as there are such windows, for the reading that most of them share.
     """
-    table, dt = getattr(recording, sensor), recording.nominal_interval_s
-    scale, none = 1.0 if recording.kind == "rate" else dt, (np.zeros((len(windows), 3)), np.zeros(3))
-    pulse = getattr(recording.noise, f"{sensor}_quantization")
-    if pulse or (pulse is None and recording.kind == "increment"):
-        return none  # the error of pulse counts is that of the integral at the edges
-    coarse = step > 0.0
-    every = table[:: max(1, len(table) // _MAX_SAMPLES_FOR_RESOLUTION)] / scale
-    # Distinct readings without a grid, as in simulations without noise, are not rounded: the first ones tell mostly.
-    for part in (every[:_FEW], every):
-        steps = (part - every[0]) / np.where(coarse, step, np.inf)
-        coarse &= np.all(np.abs(steps - np.round(steps)) < OFF_GRID, axis=0)
-        if not coarse.any():
-            return none
+    table, scale = getattr(recording, sensor), _unit(recording)
+    error, remainder = np.zeros((len(windows), 3)), np.zeros(3)
     each = np.concatenate([np.var(readings, axis=1) for _, readings in by_length(table, windows)])
     variance = each.mean(axis=0) / scale**2
-    coarse &= variance < (step / _DITHERED) ** 2 + step**2 / 12.0
-    if pulse is None:
-        coarse &= edge < _PULSES * step * dt / math.sqrt(12.0)
-    coarse &= np.array([len(np.unique(own)) for own in np.round(steps).T]) >= _FEWEST_READINGS
+    coarse = coarse & (variance < (step / _DITHERED) ** 2 + step**2 / 12.0)
+    unit = np.where(coarse, step, np.inf)
+    every = _some(table) / scale
+    steps = np.round((every - every[0]) / unit)
+    coarse &= np.array([len(np.unique(own)) for own in steps.T]) >= _FEWEST_READINGS
     if not coarse.any():
-        return none
+        return error, remainder
     first = table[windows[:, 0]] / scale  # the grid of the readings may lie off zero
     x = np.array([table[a:b].mean(axis=0) for a, b in windows.tolist()]) / scale
-    unit = np.where(coarse, step, np.inf)
     apart = np.abs(x[:, None] - x) / unit
     shared = np.where(apart < 0.25, np.cos(2.0 * math.pi * apart), 0.0).sum(axis=1).max(axis=0)
     number, scatter = np.diff(windows, axis=1)[:, 0], variance / unit**2
-    error, remainder = none
     for axis in np.flatnonzero(coarse).tolist():
         means = (x - first)[:, axis] / step[axis]
         off, unknown = _rounded_means(means, number, _below_steps(means, scatter[axis]))
@@ -343,11 +379,11 @@ def _below_steps(means: Array, scatter: float) -> float:
 
 
 def smallest_step(values: Array) -> Array:
-    """Smallest difference between distinct readings, per column of an (n, 3) table; 0 where readings hardly repeat."""
-    step = np.zeros(values.shape[1])
-    for axis in range(values.shape[1]):
-        gaps = np.diff(np.sort(values[:, axis]))
-        if 1 < 1 + np.count_nonzero(gaps) <= 0.5 * len(values):
-            step[axis] = gaps[gaps > 1e-9 * np.abs(values[:, axis]).max()].min(initial=np.inf)
+    """Smallest difference between distinct readings, per column of an (n, c) table; 0 where readings hardly repeat."""
+    gaps = np.diff(np.sort(np.ascontiguousarray(values.T), axis=1), axis=1)
+    step, distinct = np.zeros(values.shape[1]), 1 + np.count_nonzero(gaps, axis=1)
+    for axis in np.flatnonzero((distinct > 1) & (distinct <= 0.5 * len(values))).tolist():
+        own = gaps[axis]
+        step[axis] = own[own > 1e-9 * np.abs(values[:, axis]).max()].min(initial=np.inf)
     step[~np.isfinite(step)] = 0.0
     return step

@@ -369,6 +369,17 @@ def by_length(values: Array, windows: Indices) -> Iterator[tuple[Indices, Array]
         yield which, values[windows[which, :1] + np.arange(n)]
 
 
+def side_by_side(readings: Sequence[Array]) -> Array:
+    """Readings (n, 3) of recordings of one run, shape (n, 3 for each recording)."""
+    return readings[0] if len(readings) == 1 else np.concatenate(readings, axis=1)
+
+
+def of_each(values: Array) -> Array:
+    """Values (..., 3 for each recording) of readings side by side, shape (recordings, ..., 3)."""
+    apart = values.reshape(*values.shape[:-1], -1, 3)
+    return np.ascontiguousarray(np.moveaxis(apart, -2, 0))
+
+
 def require_bounded(recording: Recording) -> None:
     """Raise InputError that names the first value read from a file that is too large for its quantity.
 

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from srt.exceptions import DataError
+from srt.noise.noise_model import noise_models
 from srt.noise.random_walk import allan_octaves, octaves_key
+from srt.recording.recording import of_each, side_by_side
 from srt.sequences.clipping import clipped_samples, clipping_levels
 from srt.sequences.plausibility import check_interval, check_rest, check_turns, gap_inside
-from srt.sequences.preparation import means_key, move_title, prepare, sequence_of_label
-from srt.sequences.window_means import average_windows, of_each, side_by_side
+from srt.sequences.preparation import means_key, move_title, noise_key, prepare, prepared_key, sequence_of_label
+from srt.sequences.window_means import average_windows
 
 if TYPE_CHECKING:
     from collections.abc import Hashable, Sequence
@@ -62,16 +65,15 @@ def _prepare_checked(
     check_interval(recording)
     voided: dict[str, str] = {}
     whole = []
-    for label in labels:
-        gaps = gap_inside(recording, _part(recording, label)) if recording.gaps.size else recording.gaps
-        if gaps.size:
-            voided[label.title] = f"samples are missing before {recording.time[int(gaps[0])]:.6g} s"
-        else:
+    for label, gap in zip(labels, recording.memo(_gaps_key(labels), lambda: _gaps(recording, labels)), strict=True):
+        if gap is None:
             whole.append(label)
+        else:
+            voided[label.title] = f"samples are missing before {recording.time[gap]:.6g} s"
     data = prepare(recording, whole, average, voided=voided, poses=poses, moves=moves)
     # Units are checked before clipping: degrees read as radians exceed any range.
     dt = recording.nominal_interval_s
-    check_rest(data.windows.accel_mean, data.gravity, _window_titles(data), interval_s=dt)
+    check_rest(data.windows.accel_mean, data.gravity, lambda: _window_titles(data), interval_s=dt)
     _check_turned(data)
     _check_rates(data)
     levels = clipping_levels(recording)
@@ -87,6 +89,16 @@ def _prepare_checked(
         # Windows that were detected contain no large motion; small motion in them is integrated.
         _check_stillness(data)
     return data
+
+
+def _gaps_key(labels: tuple[SequenceLabel, ...]) -> Hashable:
+    return "gaps", labels
+
+
+def _gaps(recording: Recording, labels: tuple[SequenceLabel, ...]) -> list[int | None]:
+    """First sample after a gap inside each sequence; None without a gap."""
+    inside = (gap_inside(recording, _part(recording, label)) for label in labels if recording.gaps.size)
+    return [int(gaps[0]) if gaps.size else None for gaps in inside] or [None] * len(labels)
 
 
 def _part(recording: Recording, label: SequenceLabel) -> slice:
@@ -218,13 +230,24 @@ def _derive_together(recordings: Sequence[Recording], labels: tuple[SequenceLabe
     samples = data.windows.samples
     single = [s is not None and len(s.rotations) == 1 for s in data.catalogue]
     spans = data.rotation[single]
+    windows = average_windows(recordings, samples, average)
     tables: list[tuple[Hashable, Sequence[object]]] = [
-        (means_key(samples, average), average_windows(recordings, samples, average)),
+        (means_key(samples, average), windows),
         (octaves_key(samples), allan_octaves(recordings, samples)),
         (_rates_key(samples), _rates(recordings, samples)),
+        (_gaps_key(labels), [_gaps(recordings[0], labels)] * len(recordings)),
     ]
     if len(spans):
         tables.append((_turns_key(spans), _turned(recordings, spans)))
+    _give(recordings, tables)
+    units = zip(recordings, windows, strict=True)
+    prepared = [replace(data, recording=recording, windows=own) for recording, own in units]
+    noise = noise_models(recordings, samples)
+    _give(recordings, [(noise_key(samples), noise), (prepared_key(labels, average), prepared)])
+
+
+def _give(recordings: Sequence[Recording], tables: Sequence[tuple[Hashable, Sequence[object]]]) -> None:
+    """Store derived values of recordings, by name."""
     for key, values in tables:
         for recording, value in zip(recordings, values, strict=True):
             recording.memo(key, partial(_given, value))
@@ -235,9 +258,9 @@ def _given(value: object) -> object:
 
 
 def _of_one_run(first: Recording, other: Recording) -> bool:
-    """True if two recordings have the same samples in time and the same kind."""
+    """True if two recordings have the same samples in time, the same kind and the same stated noise."""
     return (
-        (first.kind, first.sample_rate_hz) == (other.kind, other.sample_rate_hz)
+        (first.kind, first.sample_rate_hz, first.noise) == (other.kind, other.sample_rate_hz, other.noise)
         and len(first.time) == len(other.time)
         and (first.time is other.time or np.array_equal(first.time, other.time))
     )

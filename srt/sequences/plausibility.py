@@ -17,7 +17,7 @@ from srt.exceptions import DataError
 from srt.sequences.wrong_units import WRONG_UNITS
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import ArrayLike
 
@@ -57,7 +57,7 @@ def check_interval(recording: Recording) -> None:
 
 
 def check_rest(
-    mean_accel: ArrayLike, gravity: float, labels: Sequence[str], *, interval_s: float | None = None
+    mean_accel: ArrayLike, gravity: float, labels: Callable[[], Sequence[str]], *, interval_s: float | None = None
 ) -> None:
     """Refuse implausible accelerometer means at rest.
 
@@ -67,8 +67,8 @@ def check_rest(
         Mean uncompensated specific force of each stationary window.
     gravity : float
         m/s².
-    labels : sequence of str
-        Name of each window in messages.
+    labels : callable
+        Returns the name of each window in messages.
     interval_s : float, optional
         Sampling interval, with which increments taken for rates (or back) are recognised.
 
@@ -82,17 +82,17 @@ def check_rest(
     bad = _illegal(ratio, "accel")
     if bad.size == 0:
         return
-    typical = float(np.median(ratio))
+    typical, names = float(np.median(ratio)), labels()
     if _is_legal(typical, "accel"):
         k = int(bad[0])
         raise DataError(
-            f"{labels[k]}: the accelerometers read {magnitude[k]:.4g} m/s² in the mean, but about "
+            f"{names[k]}: the accelerometers read {magnitude[k]:.4g} m/s² in the mean, but about "
             f"{gravity:.4g} is expected at rest ({bad.size} of {ratio.size} windows): the unit moved, or a "
             "reading is clipped; correct the window, or leave it out."
         )
     raise DataError(
         f"At rest the accelerometers read {typical * gravity:.4g} m/s² ({bad.size} of {ratio.size} windows, "
-        f"first {labels[int(bad[0])]}), but about {gravity:.4g} is expected: "
+        f"first {names[int(bad[0])]}), but about {gravity:.4g} is expected: "
         f"{size_cause(typical * gravity, gravity, interval_s)}; correct accel_unit or kind."
     )
 

@@ -15,7 +15,7 @@ from srt.model.gyro_stream import GyroStream, gyro_stream
 from srt.model.table1 import SEQUENCES, RotationSequence, axis_vector
 from srt.noise.bias_instability import DriftDraws, drift_draws, interval_times, window_draws
 from srt.noise.bias_steps import step_shapes
-from srt.noise.drift_forms import WALK, DriftShape, Intervals, drift_shapes, walk_between_windows
+from srt.noise.drift_forms import WALK, DriftShape, DriftShapes, Intervals, walk_between_windows
 from srt.noise.noise_model import NoiseModel, noise_model
 from srt.sequences.manoeuvres import end_attitude
 from srt.sequences.vibration import Vibration, rectified, vibration
@@ -109,7 +109,7 @@ class PreparedRecording:
     @property
     def _noise_with_vibration(self) -> NoiseModel:
         samples = self.windows.samples
-        return self.recording.memo(("noise", samples.tobytes()), lambda: noise_model(self.recording, samples))
+        return self.recording.memo(noise_key(samples), lambda: noise_model(self.recording, samples))
 
     @property
     def K(self) -> int:
@@ -255,9 +255,9 @@ class PreparedRecording:
         return self.of_schedule("drift of windows", lambda: window_draws(*own))
 
     @property
-    def drift_shapes(self) -> dict[str, DriftShape]:
+    def drift_shapes(self) -> DriftShapes:
         """Shapes of a bias drift within the recording, by form."""
-        return self.of_schedule("drift shapes", lambda: drift_shapes(self._drift_intervals))
+        return self.of_schedule("drift shapes", lambda: DriftShapes(self._drift_intervals))
 
     @property
     def step_shapes(self) -> dict[str, DriftShape]:
@@ -385,6 +385,22 @@ def means_key(samples: Indices, average: Average) -> Hashable:
     return "window means", samples.tobytes(), average
 
 
+def noise_key(samples: Indices) -> Hashable:
+    """Name of the noise model of windows among them."""
+    return "noise", samples.tobytes()
+
+
+def prepared_key(
+    labels: tuple[SequenceLabel, ...],
+    average: Average,
+    voided: tuple[tuple[str, str], ...] = (),
+    poses: tuple[SequenceLabel, ...] = (),
+    moves: tuple[SequenceLabel, ...] = (),
+) -> Hashable:
+    """Name of the prepared recording among them."""
+    return "prepared", labels, average, voided, poses, moves
+
+
 def move_title(label: SequenceLabel) -> str:
     """Name of a move in messages."""
     return f"The move at {label.start_static_s[1]:g} s"
@@ -411,7 +427,7 @@ def prepare(
     reasons = tuple((voided or {}).items())
     starts, ends = {s.start_static_s for s in labels}, {s.end_static_s for s in labels}
     kept = tuple(s for s in moves if s.start_static_s in ends and s.end_static_s in starts)
-    key = ("prepared", tuple(labels), average, reasons, tuple(poses), kept)
+    key = prepared_key(tuple(labels), average, reasons, tuple(poses), kept)
     return recording.memo(key, lambda: _prepare(recording, tuple(labels), average, dict(reasons), tuple(poses), kept))
 
 

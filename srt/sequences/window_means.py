@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
-from srt.recording.recording import by_length
+from srt.recording.recording import by_length, of_each, side_by_side
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -65,17 +65,6 @@ class Windows:
     accel_mean: Array
     white_factor: Array
     edge_factor: Array
-
-
-def side_by_side(readings: Sequence[Array]) -> Array:
-    """Readings (n, 3) of recordings of one run, shape (n, 3 for each recording)."""
-    return readings[0] if len(readings) == 1 else np.concatenate(readings, axis=1)
-
-
-def of_each(values: Array) -> Array:
-    """Values (..., 3 for each recording) of readings side by side, shape (recordings, ..., 3)."""
-    apart = values.reshape(*values.shape[:-1], -1, 3)
-    return np.ascontiguousarray(np.moveaxis(apart, -2, 0))
 
 
 def average_windows(recordings: Sequence[Recording], samples: Indices, algorithm: Average) -> list[Windows]:

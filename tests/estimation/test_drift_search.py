@@ -15,9 +15,9 @@ from srt.constants import DEG_PER_H, STANDARD_GRAVITY_M_S2
 from srt.noise.drift_forms import (
     FALSE_ALARM,
     WALK,
+    DriftShapes,
     Intervals,
     Statistics,
-    drift_shapes,
     drift_test,
     form_or_scatter,
     residual_statistics,
@@ -45,7 +45,7 @@ def test_shapes_are_means_over_the_intervals():
     functions = {"linear": t[:, None]}
     for name, rate in {"warm-up": 6.0, "fast warm-up": 12.0, "slow warm-up": 2.5}.items():
         functions[name] = np.stack([np.exp(-rate * t), rate * t * np.exp(-rate * t)], axis=1)
-    shapes = drift_shapes(intervals)
+    shapes = DriftShapes(intervals)
     assert set(shapes) == {*functions, WALK}
     for shape in shapes.values():
         np.testing.assert_allclose(shape.halves.mean(axis=1), shape.windows, atol=1e-12)
@@ -61,7 +61,7 @@ def test_shapes_are_means_over_the_intervals():
 def test_random_walk_has_its_covariance():
     """Sampled Wiener processes of unit variance at the end, about their mean over the windows, within 4.5 sigma."""
     intervals, n = intervals_of(START, END, 3, (1, 2)), 20_000
-    shape = drift_shapes(intervals)[WALK]
+    shape = DriftShapes(intervals)[WALK]
     between = walk_between_windows(intervals, shape)
     rng = np.random.default_rng(20261127)
     steps = np.cumsum(rng.normal(0.0, np.sqrt(1.0 / 1000.0), (n, 1000)), axis=1)
@@ -78,7 +78,7 @@ def test_random_walk_has_its_covariance():
     assert np.all(np.abs(found - expected) <= 4.5 * error + 2e-3)
     # Without the mean, three components have 83 % of the variance of many windows.
     even = np.linspace(0.0, 100.0, 201)
-    many = drift_shapes(intervals_of(even[:-1], even[1:], 200, (0, 1)))[WALK]
+    many = DriftShapes(intervals_of(even[:-1], even[1:], 200, (0, 1)))[WALK]
     assert np.sum(many.tested.windows**2) / np.sum(many.windows**2) == pytest.approx(0.83, abs=0.01)
 
 
@@ -88,7 +88,7 @@ def test_a_form_is_told_from_independent_errors_of_the_windows(form):
     rng = np.random.default_rng(20261128)
     W, scatter, walk = 15, 3.0, form == WALK
     even = np.linspace(0.0, 300.0, W + 1)
-    course = drift_shapes(intervals_of(even[:-1], even[1:], W, (0, 1)))[form].windows
+    course = DriftShapes(intervals_of(even[:-1], even[1:], W, (0, 1)))[form].windows
 
     def p_value(size):
         errors = scatter * rng.standard_normal((W, 3)) + size * course @ rng.standard_normal((course.shape[1], 3))
