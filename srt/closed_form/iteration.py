@@ -3,8 +3,10 @@
 Each iteration re-processes (plays back, [P] §8) the recorded data with the corrected compensation, and solves for a
 correction δ = G z. Two steps are available:
 
-* Jacobian (default): the full Jacobian at the estimate; δ is added. This is a Gauss-Newton step. It converges
-  quadratically, and its fixed point is that of the closed form.
+* Jacobian (default): the full Jacobian at the estimate; δ is added. This is a Gauss-Newton step, and its fixed point
+  is that of the closed form. What the next iteration takes from this one, U and the biases of the sequences, is that of
+  the corrected errors (:meth:`SrtProcessor.after`). So a correction is followed by one of its square, and of a
+  hundredth of it: the Jacobian neglects that the Earth's rate refers to the measured vertical.
 * Coefficients: those of [P] eq. 13, the Jacobian at zero error. δ is then an error of the compensated data and is
   composed with the estimate: Mg ← Mg (I + δκ).
 """
@@ -130,7 +132,9 @@ class _Iteration:
             self._keep(np.flatnonzero(sound))
         if not self.number.size:
             return
-        settled = self._update_offsets(measurements)
+        ahead = self._processing.after(measurements, correction)
+        self.U = ahead.U
+        settled = self._update_offsets(ahead)
         tolerance = np.maximum(CONVERGED_CORRECTION * PARAMETER_UNITS, CONVERGED_SIGMAS * self.sigma)
         # A comparison with the NaN of a sigma that is not known yet is false.
         settled &= np.all(np.abs(correction) <= tolerance, axis=1)
@@ -164,10 +168,15 @@ class _Iteration:
         if which.size:
             self.data, self._processor = self.data.of_units(which), None
 
-    def _process(self, *, nominal: bool, noise: bool) -> SrtMeasurements:
+    @property
+    def _processing(self) -> SrtProcessor:
+        """Processor of the data of the units that still iterate."""
         if self._processor is None:
             self._processor = SrtProcessor(self.data, self.options, self.integrated)
-        return self._processor.process(
+        return self._processor
+
+    def _process(self, *, nominal: bool, noise: bool) -> SrtMeasurements:
+        return self._processing.process(
             self.vector,
             U=self.U,
             nominal_vertical=nominal,

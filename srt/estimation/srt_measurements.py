@@ -16,7 +16,7 @@ import numpy as np
 from srt.estimation.g_sensitivity import MODE, PoseRegression, compensate_stream, pose_regression
 from srt.model import measurement_model as model
 from srt.model.analytic_platform import integrate_attitude
-from srt.model.rotations import smallest_rotation
+from srt.model.rotations import cross_matrix, smallest_rotation
 from srt.model.sensor_model import accel_triad, gyro_triad, triads
 from srt.model.table1 import AXES
 from srt.sensor_errors import SensorErrors
@@ -289,11 +289,34 @@ class SrtProcessor:
             earth_rate=earth_rate,
             gyro=gyro,
             accel=accel,
-            U=self._orientation(integrals, force, U),
+            U=self._orientation(integrals.angle, force, U),
             integrated=self.integrated,
             nominal_vertical=nominal_vertical and data.nominal is not None,
             poses=poses,
         )
+
+    def after(self, m: SrtMeasurements, correction: Array) -> SrtMeasurements:
+        """Rates at rest and U after a correction of the sensor errors (units, 27), to first order in it.
+
+        Those of ``m`` belong to the errors before: the next iteration would follow with a delay of one.
+        """
+        data, integrals = self.data, m.integrals
+
+        def corrected(values: Array, jacobian: Array) -> Array:
+            return np.asarray(values - np.einsum("...nap,...p->...na", jacobian, correction))
+
+        rate = corrected(m.rate, model.rate_error_jacobian(m.rate, m.gyro, data.rectified(m.gyro, m.accel)[0]))
+        force = corrected(m.force, model.force_error_jacobian(m.force, m.accel))
+        seconds = integrals.weight_s[..., None]
+        mean_rate = integrals.angle / seconds
+        angle = seconds * corrected(mean_rate, model.rate_error_jacobian(mean_rate, m.gyro))
+        phi = np.einsum("...kap,...p->...ka", model.attitude_error_jacobian(integrals), correction)
+        C_end = integrals.C_end - cross_matrix(phi) @ integrals.C_end
+        U = self._orientation(angle, force, m.U)
+        known, _ = self._earth_rate(U, force[..., data.start, :], not self.options.measured_vertical)
+        window_C = np.where(self._is_end[:, None, None], C_end[..., self._sequence, :, :], np.eye(3))
+        rest = rate - np.einsum("...ab,...a->...b", window_C, known[..., self._sequence, :])
+        return replace(m, rate=rate, force=force, rest_rate=rest, U=U)
 
     def _without_g_sensitivity(
         self, accel: Triad, force: Array, gyro_mean: Array, matrix: Array | None
@@ -377,7 +400,7 @@ class SrtProcessor:
                     flat[row, side] = np.einsum("abn,bn->a", attitude[:, :, lo:hi], f * self._weights[lo:hi])
         return flat.reshape(out.shape)
 
-    def _orientation(self, integrals: RotationIntegrals, force: Array, U: Array) -> Array:
+    def _orientation(self, angle: Array, force: Array, U: Array) -> Array:
         """Rotation U from T to MARS by Wahba's problem: measured rotation axes and measured verticals at rest.
 
         U includes the mounting error of the IMU on the table, so that ω̂e is free of it.
@@ -393,7 +416,7 @@ class SrtProcessor:
             if s is not None and len(s.rotations) == 1 and data.labels[k].rate is None
         }
         in_T = np.concatenate([data.nominal[self._labelled, 2], *(axis[None] for axis in single.values())])
-        in_B = np.concatenate([-starts, integrals.angle[..., list(single), :]], axis=-2)
+        in_B = np.concatenate([-starts, angle[..., list(single), :]], axis=-2)
         B = np.swapaxes(in_B / np.linalg.norm(in_B, axis=-1, keepdims=True), -1, -2) @ in_T
         left, singular, right = np.linalg.svd(B)
         # Parallel verticals without a single-axis rotation leave the angle about the vertical unknown: U keeps it.

@@ -13,6 +13,7 @@ from sims.physics.table_motion import table1_motion
 from sims.robustness.campaign import load_campaign
 from sims.robustness.trial import score
 from srt.constants import EARTH_RATE_RAD_S
+from srt.estimation.convergence import PARAMETER_UNITS
 from srt.estimation.options import Options
 from srt.estimation.srt_measurements import SrtProcessor
 from srt.model.rotations import rotation_vector
@@ -55,6 +56,21 @@ def test_an_earth_rate_that_is_added_turns_the_start_frame_backwards(unit):
     expected = -offset * before.integrals.weight_s[:, None]
     # The Earth turns by 3e-3 rad meanwhile, which turns the direction of the change.
     np.testing.assert_allclose(turned, expected, rtol=0, atol=3e-3 * np.abs(expected).max())
+
+
+def test_what_the_next_iteration_takes_from_this_one_is_that_of_the_corrected_errors(unit):
+    """U and the rates at rest after a correction: what is neglected has its square, so a quarter at half of it."""
+    processor, truth = SrtProcessor(unit[0].data, Options()), unit[1].vector
+    off = []
+    for size in (3e-2, 1.5e-2):
+        correction = size * PARAMETER_UNITS * np.random.default_rng(3).uniform(-1.0, 1.0, len(NAMES))
+        before = processor.process((truth - correction)[None], U=np.eye(3)[None])
+        ahead = processor.after(before, correction[None])
+        after = processor.process(truth[None], U=ahead.U)
+        assert np.abs(after.U - before.U).max() > 0.1 * size
+        off.append([np.abs(after.U - ahead.U).max(), np.abs(after.rest_rate - ahead.rest_rate).max()])
+    ratio = np.array(off[0]) / off[1]
+    assert np.all((ratio > 3.0) & (ratio < 5.0))
 
 
 def test_a_unit_that_shows_the_vertical_as_its_smallest_component_has_two_horizontal_directions():
