@@ -300,20 +300,17 @@ class SrtProcessor:
 
         Those of ``m`` belong to the errors before: the next iteration would follow with a delay of one.
         """
-        data, integrals = self.data, m.integrals
-
-        def corrected(values: Array, jacobian: Array) -> Array:
-            return np.asarray(values - np.einsum("...nap,...p->...na", jacobian, correction))
-
-        rate = corrected(m.rate, model.rate_error_jacobian(m.rate, m.gyro, data.rectified(m.gyro, m.accel)[0]))
-        force = corrected(m.force, model.force_error_jacobian(m.force, m.accel))
+        data, integrals, by_gyro, by_accel = self.data, m.integrals, *triads(correction)
         seconds = integrals.weight_s[..., None]
-        mean_rate = integrals.angle / seconds
-        angle = seconds * corrected(mean_rate, model.rate_error_jacobian(mean_rate, m.gyro))
-        phi = np.einsum("...kap,...p->...ka", model.attitude_error_jacobian(integrals), correction)
-        C_end = integrals.C_end - cross_matrix(phi) @ integrals.C_end
+        rate, force = _corrected(m.rate, m.gyro, by_gyro), _corrected(m.force, m.accel, by_accel)
+        angle = seconds * _corrected(integrals.angle / seconds, m.gyro, by_gyro)
+        # φ = ∫ F Ĉ (δMg ω̂ + δκ_Asym ∘ |ω̂| + δκ_Bias) dt  ([P] eq. 3)
+        phi = np.einsum("...kabc,...bc->...ka", integrals.rate, by_gyro.matrix - np.eye(3))
+        phi += np.einsum("...kab,...b->...ka", integrals.abs_rate, by_gyro.asymmetry)
+        phi += np.einsum("...kab,...b->...ka", integrals.time, by_gyro.bias)
         U = self._orientation(angle, force, m.U)
         known, _ = self._earth_rate(U, force[..., data.start, :], not self.options.measured_vertical)
+        C_end = integrals.C_end - cross_matrix(phi) @ integrals.C_end
         window_C = np.where(self._is_end[:, None, None], C_end[..., self._sequence, :, :], np.eye(3))
         rest = rate - np.einsum("...ab,...a->...b", window_C, known[..., self._sequence, :])
         return replace(m, rate=rate, force=force, rest_rate=rest, U=U)
@@ -426,3 +423,10 @@ class SrtProcessor:
         left[..., 2] *= np.linalg.det(left @ right)[..., None]
         out: Array = left @ right
         return out
+
+
+def _corrected(values: Array, triad: Triad, correction: Triad) -> Array:
+    """Compensated values (units, n, 3) after a correction of the sensor errors, to first order in it."""
+    own = values @ np.swapaxes(correction.matrix - np.eye(3), -1, -2) + correction.bias[:, None]
+    own += correction.asymmetry[:, None] * np.abs(values)
+    return np.asarray(values - (triad.sensitivity(values) @ own[..., None])[..., 0])
