@@ -78,7 +78,7 @@ def test_a_wrong_accelerometer_unit_is_named(factor, kwargs, fragment, error):
 def test_one_window_off_is_no_unit():
     means = POSES.copy()
     means[3] *= 4.0
-    message = sentence(check_rest, means, G, LABELS)
+    message = sentence(check_rest, means, G, lambda: LABELS)
     assert "window 4: the accelerometers read 39.23 m/s²" in message
     assert "1 of 6 windows" in message
     assert "unit moved" in message
