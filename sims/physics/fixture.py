@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -84,20 +84,6 @@ class FixtureDraw:
     legs: tuple[Array, ...] | None = None
     wobble: Array | None = None
 
-    def start_errors(self, sequence: int) -> tuple[float, float]:
-        """Error of the (inner, outer) start angle of a sequence, rad."""
-        if self.starts is None:
-            return 0.0, 0.0
-        return float(self.starts[sequence, 0]), float(self.starts[sequence, 1])
-
-    def wobble_of(self, sequence: int) -> tuple[float, float]:
-        """Addition to ε in the start and end pose of a sequence (axis wobble), rad."""
-        return (0.0, 0.0) if self.wobble is None else (float(self.wobble[sequence, 0]), float(self.wobble[sequence, 1]))
-
-    def leg_errors(self, sequence: int, count: int) -> Array:
-        """Errors of a sequence's rotations, shape (count,), rad."""
-        return np.zeros(count) if self.legs is None else self.legs[sequence]
-
     def check_covers(self, sequences: Sequence[TurnSequence]) -> None:
         """Raise InputError unless the draw has start errors and all rotation errors for every sequence."""
         wanted = [len(s.rotations) for s in sequences]
@@ -141,6 +127,14 @@ def draw_fixture(
     )
 
 
+class FixtureTurned(NamedTuple):
+    """Cosines and sines of the inner angle, the outer angle, and ε with the wobble, at some angles of the fixture."""
+
+    inner: tuple[Array, Array]
+    outer: tuple[Array, Array]
+    lean: tuple[Array, Array]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class FixtureGeometry:
     """Attitude of the IMU on the fixture for any pair of fixture angles.
@@ -165,57 +159,63 @@ class FixtureGeometry:
         ned_from_base = rotation([0.0, 0.0, heading_rad]) @ rotation(draw.base)
         return cls(ned_from_base.T, draw.non_orthogonality, U @ rotation(draw.mounting).T)
 
-    def to_body(
-        self,
-        v_base: Array,
-        inner: Array,
-        outer: Array,
-        wobble: Array | float = 0.0,
-    ) -> Array:
-        """B-components of vectors that are constant in the base.
+    def turned(self, inner: Array, outer: Array, wobble: Array | float = 0.0) -> FixtureTurned:
+        """Cosines and sines at these angles; shapes (...) that broadcast, rad; the wobble is added to ε."""
+        lean = self.non_orthogonality + np.asarray(wobble)
+        return FixtureTurned(*((np.cos(angle), np.sin(angle)) for angle in (inner, outer, lean)))
+
+    def to_body(self, v_base: Array, at: FixtureTurned) -> Array:
+        """B-components of j vectors that are constant in the base.
 
         Parameters
         ----------
-        v_base : ndarray, shape (k, 3)
-        inner, outer : ndarray, shape (...), rad
-        wobble : ndarray, shape (...), or float, rad
-            Addition to ε.
+        v_base : ndarray, shape (j, 3)
+        at : FixtureTurned
+            At angles of shape (...).
 
         Returns
         -------
-        ndarray, shape (k, ..., 3)
+        ndarray, shape (3, j, ...)
         """
-        columns = v_base.T.reshape(3, -1, *(1,) * inner.ndim)
-        co, so, ci, si = np.cos(outer), np.sin(outer), np.cos(inner), np.sin(inner)
-        x = co * columns[0] - so * columns[2]  # R_y(outer)ᵀ
-        z = so * columns[0] + co * columns[2]
-        lean = self.non_orthogonality + np.asarray(wobble)
-        ce, se = np.cos(lean), np.sin(lean)
-        y, z = ce * columns[1] + se * z, ce * z - se * columns[1]  # R_x(ε)ᵀ
-        x, y = ci * x + si * y, ci * y - si * x  # R_z(inner)ᵀ
-        m = self.body_from_inner
-        return np.stack([m[i, 0] * x + m[i, 1] * y + m[i, 2] * z for i in range(3)], axis=-1)
+        return self._from_inner(self._constant(v_base, at))
 
     def turning_rate(
-        self,
-        inner: Array,
-        inner_rate: Array,
-        outer_rate: Array,
-        wobble: Array | float = 0.0,
-        wobble_rate: Array | float = 0.0,
+        self, at: FixtureTurned, inner_rate: Array, outer_rate: Array, wobble_rate: Array | float = 0.0
     ) -> Array:
-        """Rate of B relative to the base in B-components, shape (..., 3), rad/s."""
-        lean = self.non_orthogonality + np.asarray(wobble)
-        ce, se = np.cos(lean), np.sin(lean)
+        """Rate of B relative to the base in B-components, shape (3, ...), rad/s."""
+        return self._from_inner(self._turning(at, inner_rate, outer_rate, wobble_rate))
+
+    def sensed(
+        self, v_base: Array, at: FixtureTurned, inner_rate: Array, outer_rate: Array, wobble_rate: Array | float = 0.0
+    ) -> Array:
+        """Sum of :meth:`turning_rate` and the first vector of :meth:`to_body`, and its other vectors."""
+        vectors = self._constant(v_base, at)
+        vectors[:, 0] += self._turning(at, inner_rate, outer_rate, wobble_rate)
+        return self._from_inner(vectors)
+
+    # In the frame fixed to the inner axis:
+
+    def _constant(self, v_base: Array, at: FixtureTurned) -> Array:
+        (ci, si), (co, so), (ce, se) = at
+        columns = v_base.T.reshape(3, -1, *(1,) * max(ci.ndim, co.ndim, ce.ndim))
+        x = co * columns[0] - so * columns[2]  # R_y(outer)ᵀ
+        z = so * columns[0] + co * columns[2]
+        y, z = ce * columns[1] + se * z, ce * z - se * columns[1]  # R_x(ε)ᵀ
+        return np.stack(np.broadcast_arrays(ci * x + si * y, ci * y - si * x, z))  # R_z(inner)ᵀ
+
+    @staticmethod
+    def _turning(at: FixtureTurned, inner_rate: Array, outer_rate: Array, wobble_rate: Array | float) -> Array:
+        (ci, si), _, (ce, se) = at
         # The outer axis is y of the outer frame, ε turns about its x; both rotate with the inner angle.
-        ci, si = np.cos(inner), np.sin(inner)
-        x, y = si * ce * outer_rate + ci * wobble_rate, ci * ce * outer_rate - si * wobble_rate
-        z = inner_rate - se * outer_rate
-        m = self.body_from_inner
-        return np.stack([m[i, 0] * x + m[i, 1] * y + m[i, 2] * z for i in range(3)], axis=-1)
+        along = ce * outer_rate
+        x, y = si * along + ci * wobble_rate, ci * along - si * wobble_rate
+        return np.stack(np.broadcast_arrays(x, y, inner_rate - se * outer_rate))
+
+    def _from_inner(self, vectors: Array) -> Array:
+        return np.asarray((self.body_from_inner @ vectors.reshape(3, -1)).reshape(vectors.shape))
 
     def attitude(self, inner: Array, outer: Array, wobble: Array | float = 0.0) -> Array:
         """C_NED,B at fixture angles of shape (...), shape (..., 3, 3)."""
-        # Row k of to_body(I) is axis k of the base in B; the stacked rows are C_base,B.
-        base_from_body = np.moveaxis(self.to_body(np.eye(3), np.asarray(inner), np.asarray(outer), wobble), 0, -2)
-        return np.asarray(self.base_from_ned.T @ base_from_body)
+        # Axes of the base in B are the columns of C_B,base.
+        body_from_base = self.to_body(np.eye(3), self.turned(np.asarray(inner), np.asarray(outer), wobble))
+        return np.asarray(self.base_from_ned.T @ np.moveaxis(body_from_base, (1, 0), (-2, -1)))

@@ -12,16 +12,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sims.physics.fixture import rotation
-from sims.physics.integrals import Episode
+from sims.physics.integrals import Pieces
 from sims.physics.table_motion import check_rotation, check_sample_rate, constants_of_site
 from sims.physics.true_motion import Clock, TrueMotion
 from sims.physics.turn_profiles import TurnProfile, peak_factor, turn_profile
 from srt.exceptions import InputError
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from sims.physics.turn_profiles import ProfileName
     from srt.recording.recording import Site
-    from srt.types import Array, Indices
+    from srt.types import Array, Indices, Mask
 
 
 def random_turns(
@@ -198,7 +200,7 @@ def placed_motion(
         Beginning of each step's first turn, s; the middle of the pose for a placement without a step.
     """
     constants = constants_of_site(site, earth_rate=earth_rate)
-    clock = Clock.start(check_sample_rate(sample_rate_hz), start_time_s)
+    clock = Clock(check_sample_rate(sample_rate_hz), start_time_s)
     pairs: list[tuple[tuple[float, float], tuple[float, float]]] = []
     attitudes: list[tuple[Array, Array]] = []
     starts: list[float] = []
@@ -206,34 +208,37 @@ def placed_motion(
     def samples(rest_s: float) -> int:
         return max(1, round(rest_s * sample_rate_hz))
 
+    def at(sample: int) -> float:
+        return float(clock.at(sample))
+
     for number, placement in enumerate(placements):
         if number:
-            clock.now += clock.samples(pause_s)
+            clock.now += int(clock.samples(pause_s))
         attitude, dwell = placement.attitude, samples(placement.rest_s)
-        before = clock.at(clock.now), clock.at(clock.now + dwell)
-        clock.record(_rest_episode(constants @ attitude, dwell))
+        before = at(clock.now), at(clock.now + dwell)
+        _record_rest(clock, constants @ attitude, dwell)
         if not placement.steps:
-            middle = clock.at(clock.now - dwell // 2)
+            middle = at(clock.now - dwell // 2)
             pairs.append(((before[0], middle), (middle, before[1])))
             attitudes.append((attitude, attitude))
             starts.append(middle)
         for turns, rest_s in zip(placement.steps, placement.rests_s, strict=True):
-            starts.append(clock.at(clock.now))
+            starts.append(at(clock.now))
             old, after = attitude, samples(rest_s)
             for leg, turn in enumerate(turns, start=1):
                 still = (settle_s, after) if leg == len(turns) else (0.0, 0)
                 _record_turn(clock, constants @ attitude, turn, still, rng)
                 attitude = attitude @ rotation(turn.vector)
-            end = clock.at(clock.now - after), clock.at(clock.now)
+            end = at(clock.now - after), at(clock.now)
             pairs.append((before, end))
             attitudes.append((old, attitude))
             before = end
-    time, piece_starts, total = clock.stack()
+    time, piece_starts, integrals = clock.stack()
     motion = TrueMotion(
         time,
         clock.interval,
         piece_starts,
-        *total,
+        *integrals,
         windows=tuple(pairs),
         attitudes=np.array(attitudes),
         labels=(),
@@ -249,52 +254,51 @@ def _record_turn(
     clock: Clock, constants_b: Array, turn: Turn, still: tuple[float, int], rng: np.random.Generator | None
 ) -> None:
     """Record a turn, and the settling time (s) and number of samples at rest after it."""
-    n_samples = clock.samples(turn.duration_s + still[0]) + still[1]
-    if turn.duration_s > 0.0:
-        clock.record(_turn_episode(constants_b, turn.vector, turn.duration_s, n_samples, turn.shape(rng)))
-    else:
-        clock.record(_rest_episode(constants_b, n_samples))
-
-
-def _rest_episode(constants_b: Array, n_samples: int) -> Episode:
-    """Episode at rest with constant Earth rate (rad/s) and specific force (m/s²) in B, shape (2, 3)."""
-
-    def evaluate(_: Indices, time: Array) -> Array:
-        return np.broadcast_to(constants_b.ravel(), (*time.shape, 6))
-
-    return Episode(n_samples, np.array([0.0, math.inf]), np.array([False]), 0.0, evaluate)
-
-
-def _turn_episode(
-    constants_b: Array, vector: Array, duration_s: float, n_samples: int, profile: TurnProfile
-) -> Episode:
-    """Episode of one turn about a fixed axis and the rest after it.
-
-    Parameters
-    ----------
-    constants_b : ndarray, shape (2, 3)
-        Earth rate (rad/s) and specific force (m/s²) in B before the turn.
-    vector : ndarray, shape (3,), rad
-        Rotation vector, not zero.
-    duration_s : float
-    n_samples : int
-    profile : TurnProfile
-    """
-    total = float(np.linalg.norm(vector))
-    axis = vector / total
+    n_samples = int(clock.samples(turn.duration_s + still[0])) + still[1]
+    if turn.duration_s == 0.0:
+        _record_rest(clock, constants_b, n_samples)
+        return
+    profile, total = turn.shape(rng), float(np.linalg.norm(turn.vector))
+    axis = turn.vector / total
     along = (constants_b @ axis)[:, np.newaxis] * axis
-    across = constants_b - along
-    third = np.cross(axis, constants_b)
+    along, across, third = (
+        vectors.T[..., np.newaxis, np.newaxis] for vectors in (along, constants_b - along, np.cross(axis, constants_b))
+    )
     last = len(profile.borders) + 1
 
     def evaluate(piece: Indices, time: Array) -> Array:
         turning = np.broadcast_to(piece < last, time.shape)
-        angle, slope = profile.evaluate(total, np.where(turning, time / duration_s, 1.0))
-        angle, rate = angle[..., np.newaxis], (np.where(turning, slope, 0.0) / duration_s)[..., np.newaxis]
+        angle, slope = profile.evaluate(total, np.where(turning, time / turn.duration_s, 1.0))
         # Vectors fixed in space rotate backwards in B.
-        earth, force = (along[i] + np.cos(angle) * across[i] - np.sin(angle) * third[i] for i in (0, 1))
-        return np.concatenate([earth + rate * axis, force], axis=-1)
+        sensed = along + np.cos(angle) * across - np.sin(angle) * third
+        sensed[:, 0] += np.where(turning, slope, 0.0) / turn.duration_s * axis[:, np.newaxis, np.newaxis]
+        return np.asarray(sensed)
 
-    breaks = np.array([0.0, *(border * duration_s for border in profile.borders), duration_s, math.inf])
-    bandwidth = profile.peak * total / duration_s + profile.bandwidth / duration_s
-    return Episode(n_samples, breaks, np.arange(last + 1) < last, bandwidth, evaluate)
+    borders = np.array([0.0, *profile.borders, 1.0, math.inf]) * turn.duration_s
+    bandwidth = (profile.peak * total + profile.bandwidth) / turn.duration_s
+    _record(clock, n_samples, borders, np.arange(last + 1) < last, bandwidth, evaluate)
+
+
+def _record_rest(clock: Clock, constants_b: Array, n_samples: int) -> None:
+    """Record samples at rest, with constant Earth rate (rad/s) and specific force (m/s²) in B, shape (2, 3)."""
+
+    def evaluate(_: Indices, time: Array) -> Array:
+        return np.broadcast_to(constants_b.T[..., np.newaxis, np.newaxis], (3, 2, *time.shape))
+
+    _record(clock, n_samples, np.array([0.0, math.inf]), np.array([False]), 0.0, evaluate)
+
+
+def _record(
+    clock: Clock,
+    n_samples: int,
+    borders_s: Array,
+    moving: Mask,
+    bandwidth_rad_s: float,
+    evaluate: Callable[[Indices, Array], Array],
+) -> None:
+    """Record an episode, see :class:`sims.physics.integrals.Pieces`."""
+    none = np.zeros(len(moving), dtype=np.intp)
+    pieces = Pieces(
+        none, none + n_samples, borders_s[:-1], borders_s[1:], moving.astype(np.intp), bandwidth_rad_s, evaluate
+    )
+    clock.record(pieces, np.arange(clock.now, clock.now + n_samples))

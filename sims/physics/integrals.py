@@ -17,55 +17,57 @@ import numpy as np
 from numpy.polynomial import legendre
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable
 
-    from srt.types import Array, Indices, Mask
+    from srt.types import Array, Indices
 
 _MAX_PHASE = 0.5
 """Largest product of half interval and bandwidth, rad; larger intervals are subdivided."""
 
-_BLOCK = 2048
+_BLOCK = 1024
 """Number of intervals per quadrature call, chosen so that the data fit into the processor's cache."""
 
 _GRID = np.linspace(-1.0, 1.0, 33)
 """Grid on which the interpolating polynomial is searched for changes of sign."""
 
 
-class Integrals(NamedTuple):
-    """Per-sample integrals in B, each of shape (n, 3): rad and m/s."""
-
-    angle: Array
-    angle_abs: Array
-    velocity: Array
-    velocity_abs: Array
-
-
 @dataclass(frozen=True, slots=True, eq=False)
-class Episode:
-    """Consecutive samples of a motion in closed form.
+class Pieces:
+    """Recorded samples of a motion in closed form, in m pieces of one formula each, in the order of time.
+
+    Pieces without a gap between them form an episode, which begins on a sample edge; its time counts from there.
 
     Attributes
     ----------
-    n_samples : int
-    breaks_s : ndarray, shape (m + 1,), s
-        Borders of the pieces, as time since the start of the episode; the first is 0, the last at or after its end.
-    moving : ndarray of bool, shape (m,)
-        False: rate and specific force are constant over the piece.
+    first_sample : ndarray of int, shape (m,)
+        Number of the episode's first sample; samples count from 0, without those in gaps.
+    n_samples : ndarray of int, shape (m,)
+        Number of the episode's samples; 0 in an episode that is not recorded.
+    begin_s, end_s : ndarray, shape (m,), s
+        Borders of the piece; those after the end of the episode are cut off.
+    kind : ndarray of int, shape (m,)
+        0: rate and specific force are constant over the piece. Only pieces of one kind are evaluated together.
     bandwidth_rad_s : float
         Highest angular frequency of the integrand while moving, rad/s.
     evaluate : callable
-        ``(piece, time) -> (k, n, 6)``: rate (rad/s) and specific force (m/s²) in B for pieces of shape (k,
-        1) and times of shape (k, n).
-    first_piece : int
-        Number of the first piece in ``evaluate``; episodes with the same function are evaluated together.
+        ``(piece, time) -> (3, 2, n, k)``: components in B of rate (rad/s) and specific force (m/s²) for pieces of shape
+        (k,) and times of shape (n, k).
     """
 
-    n_samples: int
-    breaks_s: Array
-    moving: Mask
+    first_sample: Indices
+    n_samples: Indices
+    begin_s: Array
+    end_s: Array
+    kind: Indices
     bandwidth_rad_s: float
     evaluate: Callable[[Indices, Array], Array]
-    first_piece: int = 0
+
+
+def ranges(first: Indices, stop: Indices) -> tuple[Indices, Indices]:
+    """Whole numbers of consecutive ranges: number of the range, and number in it, shape (sum of the lengths,) each."""
+    count = np.maximum(stop - first, 0)
+    own = np.repeat(np.arange(len(count)), count)
+    return own, np.arange(len(own)) + (first - np.cumsum(count) + count)[own]
 
 
 def node_count(phase: float) -> int:
@@ -86,109 +88,91 @@ def node_count(phase: float) -> int:
 
 
 class _Intervals(NamedTuple):
-    """Intervals between sample edges and breaks of an episode: left ends, widths, pieces, first of each sample."""
+    """Intervals between sample edges and borders of pieces, in the order of time, shape (k,) each."""
 
+    piece: Indices
+    sample: Indices
     left: Array
     width: Array
-    piece: Indices
-    first: Indices
-    moving: Mask
+
+    def evaluated(self, rows: Indices, nodes: Array, pieces: Pieces) -> Array:
+        """Rate and specific force at n nodes of some of the intervals, shape (6, n, rows)."""
+        time = self.left[rows] + 0.5 * self.width[rows] * (1.0 + nodes[:, np.newaxis])
+        return pieces.evaluate(self.piece[rows], time).reshape(6, *time.shape)
 
 
-def integrate(episodes: Sequence[Episode], interval_s: float) -> Integrals:
-    """Integrate rate, specific force and their absolute values over every sample of consecutive episodes.
+def integrate(pieces: Pieces, interval_s: float) -> Array:
+    """Integrate rate, specific force and their absolute values over every sample.
 
     Parameters
     ----------
-    episodes : sequence of Episode
+    pieces : Pieces
     interval_s : float
         Sample interval, s.
+
+    Returns
+    -------
+    ndarray, shape (12, samples)
+        Rate, rad, and specific force, m/s, of axis x, y and z of B; then the integrals of the absolute values.
     """
-    cut = [_intervals(episode, interval_s) for episode in episodes]
-    ends = np.cumsum([len(c.left) for c in cut])
-    # Episodes of one motion and bandwidth share a quadrature call, as its cost is mainly per call.
-    groups: dict[tuple[object, float], list[int]] = {}
-    for k, episode in enumerate(episodes):
-        groups.setdefault((episode.evaluate, episode.bandwidth_rad_s), []).append(k)
-    parts = [_integrated([episodes[k] for k in members], [cut[k] for k in members]) for members in groups.values()]
-    values = parts[0]
-    if len(parts) > 1:
-        order = [np.arange(ends[k] - len(cut[k].left), ends[k]) for members in groups.values() for k in members]
-        values = np.concatenate(parts)[np.argsort(np.concatenate(order))]
-    starts = [c.first + end - len(c.left) for c, end in zip(cut, ends.tolist(), strict=True)]
-    first = np.concatenate(starts)
-    total = values[first]
-    # Only a few samples are divided; their parts follow in order.
-    is_rest = np.ones(len(values), dtype=np.bool_)
-    is_rest[first] = False
-    rest = np.flatnonzero(is_rest)
-    np.add.at(total, np.searchsorted(first, rest, side="right") - 1, values[rest])
-    angle, velocity, angle_abs, velocity_abs = (np.ascontiguousarray(total[:, a : a + 3]) for a in (0, 3, 6, 9))
-    return Integrals(angle, angle_abs, velocity, velocity_abs)
-
-
-def _intervals(episode: Episode, interval_s: float) -> _Intervals:
-    """Divide the samples of an episode where the formula of the motion changes."""
-    edges = np.arange(episode.n_samples + 1) * interval_s
-    inside = episode.breaks_s[(episode.breaks_s > 0.0) & (episode.breaks_s < edges[-1])]
-    place = np.searchsorted(edges, inside)
-    new = edges[place] != inside
-    points = np.insert(edges, place[new], inside[new])
-    is_edge = np.insert(np.ones(len(edges), dtype=bool), place[new], False)
-    width = np.diff(points)
-    # An interval between neighbouring edges is one whole sample; its exact width avoids the rounding of the edges.
-    width[is_edge[:-1] & is_edge[1:]] = interval_s
-    left = points[:-1]
-    piece = np.searchsorted(episode.breaks_s, left + 0.5 * width, side="right") - 1
-    return _Intervals(left, width, piece, np.flatnonzero(is_edge[:-1]), episode.moving[piece])
-
-
-def _integrated(episodes: Sequence[Episode], cut: Sequence[_Intervals]) -> Array:
-    """Integrals over the intervals of episodes that share ``evaluate`` and bandwidth, shape (k, 12)."""
-    left, width, _, _, moving = (np.concatenate(column) for column in zip(*cut, strict=True))
-    piece = np.concatenate([c.piece + e.first_piece for c, e in zip(cut, episodes, strict=True)])
-    begin = np.concatenate([e.breaks_s[c.piece] for c, e in zip(cut, episodes, strict=True)])
-    evaluate = episodes[0].evaluate
-    values = np.empty((len(left), 12))
-    still_pieces, where, row = np.unique(piece[~moving], return_index=True, return_inverse=True)
-    if len(still_pieces):
-        constant = evaluate(still_pieces[:, np.newaxis], begin[~moving][where][:, np.newaxis])[:, 0]
-        still = np.flatnonzero(~moving)
-        rates = np.hstack([constant, np.abs(constant)])[row]
-        rates *= width[still, np.newaxis]
-        values[still] = rates
-    turning = np.flatnonzero(moving)
-    for rows in np.split(turning, range(_BLOCK, len(turning), _BLOCK)) if len(turning) else ():
-        values[rows] = _quadrature(episodes[0], piece[rows], left[rows], width[rows])
-    return values
-
-
-def _quadrature(episode: Episode, piece: Indices, left: Array, width: Array) -> Array:
-    """Integrals of the six components and of their absolute values over moving intervals, shape (k, 12).
-
-    ``episode`` is one of the episodes with this motion and bandwidth.
-    """
-    phase = 0.5 * episode.bandwidth_rad_s * float(width.max())
+    phase = 0.5 * pieces.bandwidth_rad_s * interval_s
     parts = max(1, math.ceil(phase / _MAX_PHASE))
-    if parts > 1:
-        width = np.repeat(width / parts, parts)
-        left = np.repeat(left, parts) + np.tile(np.arange(parts), len(left)) * width
-        piece = np.repeat(piece, parts)
-    basis = _basis(node_count(phase / parts))
-    half = 0.5 * width
-    time = left[:, np.newaxis] + half[:, np.newaxis] * (1.0 + basis.nodes)
-    samples = episode.evaluate(piece[:, np.newaxis], time)
-    integral = np.einsum("knc,n->kc", samples, basis.weights)
-    absolute = np.abs(integral)
+    exact = _basis(node_count(phase / parts))
+    # A polynomial of degree n - 1 is integrated by half as many nodes; three show an extremum between two of them.
+    basis = _basis(max(3, (len(exact.nodes) + 1) // 2))
+    own = _intervals(pieces, interval_s, parts)
+    first = np.diff(own.sample, prepend=-1) > 0
+    count = int(np.count_nonzero(first))
+    # Only a few samples are divided: their further intervals follow after one interval of every sample.
+    place = np.where(first, own.sample, count - 1 + np.cumsum(~first))
+    values = np.empty((12, len(place)))
+    integral, absolute = np.split(values, 2)
+    doubtful = [np.zeros((2, 0), dtype=np.intp)]
+    kind = pieces.kind[own.piece]
+    still = np.flatnonzero(kind == 0)
+    constant = pieces.evaluate(np.arange(len(pieces.kind)), pieces.begin_s[np.newaxis]).reshape(6, -1)
+    integral[:, place[still]] = constant[:, own.piece[still]] * own.width[still]
+    for moving in (1, 2, 3):
+        rows = np.flatnonzero(kind == moving)
+        for block in (rows[at : at + _BLOCK] for at in range(0, len(rows), _BLOCK)):
+            samples = own.evaluated(block, basis.nodes, pieces)
+            integral[:, place[block]] = basis.weights @ samples * (0.5 * own.width[block])
+            low, high = samples.min(axis=1), samples.max(axis=1)
+            # One spread beyond the nodes covers the ends of the interval and an extremum between two nodes.
+            component, row = np.nonzero((2.0 * low < high) & (2.0 * high > low))
+            doubtful.append(np.stack([component, block[row]]))
+    np.abs(integral, out=absolute)
+    component, row = np.concatenate(doubtful, axis=1)
+    rows, number = np.unique(row, return_inverse=True)
+    samples = own.evaluated(rows, exact.nodes, pieces)[component, :, number]
+    absolute[component, place[row]] = _absolute_integral(samples, exact) * (0.5 * own.width[row])
+    np.add.at(values.T, own.sample[~first], values.T[count:])
+    return values[:, :count]
 
-    by_node = np.ascontiguousarray(np.swapaxes(samples, 0, 1))  # reductions over the first axis are ten times as fast
-    low, high = by_node.min(axis=0), by_node.max(axis=0)
-    spread = high - low
-    # One spread beyond the nodes covers the ends of the interval and an extremum between two nodes.
-    rows, columns = np.nonzero((low - spread < 0.0) & (high + spread > 0.0))
-    absolute[rows, columns] = _absolute_integral(samples[rows, :, columns], basis)
-    result = np.hstack([integral, absolute]) * half[:, np.newaxis]
-    return np.asarray(result.reshape(-1, parts, 12).sum(axis=1))
+
+def _intervals(pieces: Pieces, interval_s: float, parts: int) -> _Intervals:
+    """Divide the samples where the formula of the motion changes, and every interval into equal parts."""
+    end = pieces.n_samples * interval_s
+    begin, end = np.minimum(pieces.begin_s, end), np.minimum(pieces.end_s, end)
+
+    def next_edge(time: Array) -> Indices:
+        """Number of the first sample edge at or after a time; the quotient alone may be off by its rounding."""
+        edge = np.ceil(time / interval_s)
+        edge += edge * interval_s < time
+        edge -= (edge - 1.0) * interval_s >= time
+        return edge.astype(np.intp)
+
+    after = next_edge(begin)
+    piece, number = ranges(after - (after * interval_s > begin), next_edge(end))
+    left_edge, right_edge = number * interval_s, (number + 1) * interval_s
+    left, right = np.maximum(left_edge, begin[piece]), np.minimum(right_edge, end[piece])
+    # An interval between neighbouring edges is one whole sample; its exact width avoids the rounding of the edges.
+    width = np.where((left == left_edge) & (right == right_edge), interval_s, right - left) / parts
+    sample = pieces.first_sample[piece] + number
+    if parts > 1:
+        piece, sample, width = np.repeat(piece, parts), np.repeat(sample, parts), np.repeat(width, parts)
+        left = np.repeat(left, parts) + np.tile(np.arange(parts), len(left)) * width
+    return _Intervals(piece, sample, left, width)
 
 
 class _Basis(NamedTuple):
@@ -232,13 +216,17 @@ def _absolute_integral(samples: Array, basis: _Basis) -> Array:
     -------
     ndarray, shape (p,)
     """
+    absolute = np.abs(samples @ basis.weights)
     coefficients = samples @ basis.to_coefficients
-    primitive = coefficients @ basis.to_primitive
     on_grid = coefficients @ basis.to_grid
+    negative = np.signbit(on_grid)
+    changing = np.flatnonzero(np.any(negative[:, :-1] != negative[:, 1:], axis=1))
+    coefficients, on_grid, negative = coefficients[changing], on_grid[changing], negative[changing]
+    primitive = coefficients @ basis.to_primitive
     sums = primitive @ basis.primitive_to_grid
     cells = np.abs(np.diff(sums, axis=1))
 
-    item, cell = np.nonzero(np.signbit(on_grid[:, :-1]) != np.signbit(on_grid[:, 1:]))
+    item, cell = np.nonzero(negative[:, :-1] != negative[:, 1:])
     left, right = _GRID[cell], _GRID[cell + 1]
     y_left, y_right = on_grid[item, cell], on_grid[item, cell + 1]
     root = left + (right - left) * y_left / np.where(y_left == y_right, 1.0, y_left - y_right)
@@ -250,4 +238,5 @@ def _absolute_integral(samples: Array, basis: _Basis) -> Array:
         root = np.clip(root - np.divide(value, d, out=np.zeros_like(d), where=d != 0.0), left, right)
     at_root = np.einsum("pd,pd->p", legendre.legvander(root, len(basis.nodes)), primitive[item])
     cells[item, cell] = np.abs(at_root - sums[item, cell]) + np.abs(sums[item, cell + 1] - at_root)
-    return np.asarray(cells.sum(axis=1))
+    absolute[changing] = cells.sum(axis=1)
+    return np.asarray(absolute)

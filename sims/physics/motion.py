@@ -16,17 +16,16 @@ time of day is too coarse for integrals exact to 1e-15 rad.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from sims.physics.integrals import ranges
 from srt.exceptions import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from srt.types import Array, Indices, Mask
+    from srt.types import Array, Indices
 
 NEGLIGIBLE_RAD = 1e-17
 """A ringing ends when its envelope is below this, as the rounding error of the angle is larger."""
@@ -66,18 +65,16 @@ class RateProfile:
         if not (math.isfinite(self.settling_rad) and self.settling_rad >= 0.0):
             raise InputError(f"The motion's settling_rad is {self.settling_rad!r}: it must be zero or positive.")
 
-    def ramp_and_plateau_s(self, angle_rad: float) -> tuple[float, float]:
-        """Durations of one ramp and of the plateau for a leg of this angle, s."""
-        size = abs(angle_rad)
-        if size * self.accel_rad_s2 < self.rate_rad_s**2:
-            return math.sqrt(size / self.accel_rad_s2), 0.0
-        ramp_s = self.rate_rad_s / self.accel_rad_s2
-        return ramp_s, size / self.rate_rad_s - ramp_s
+    def ramp_and_plateau_s(self, angle_rad: Array) -> tuple[Array, Array]:
+        """Durations of one ramp and of the plateau of legs of these angles, s."""
+        size, ramp_s = np.abs(angle_rad), self.rate_rad_s / self.accel_rad_s2
+        shorter = np.minimum(np.sqrt(size / self.accel_rad_s2), ramp_s)
+        return shorter, np.maximum(size / self.rate_rad_s - ramp_s, 0.0)
 
     def duration_s(self, angle_rad: float) -> float:
         """Duration of a leg of this angle, s."""
-        ramp_s, plateau_s = self.ramp_and_plateau_s(angle_rad)
-        return 2.0 * ramp_s + plateau_s
+        ramp_s, plateau_s = self.ramp_and_plateau_s(np.array(angle_rad))
+        return float(2.0 * ramp_s + plateau_s)
 
     @property
     def settling_life_s(self) -> float:
@@ -85,249 +82,202 @@ class RateProfile:
         ratio = 4.0 * self.settling_rad / NEGLIGIBLE_RAD
         return self.settling_decay_s * math.log(ratio) if ratio > 1.0 else 0.0
 
+    def ringing(self, since_s: Array) -> tuple[Array, Array]:
+        """Oscillation at times since its start, and its rate, rad and rad/s."""
+        slow = np.exp(-since_s / self.settling_decay_s)
+        w = 2.0 * math.pi * self.settling_hz
+        sine = 4.0 * self.settling_rad * np.sin(w * since_s)
+        cosine = 4.0 * self.settling_rad * np.cos(w * since_s)
+        envelope, envelope_rate = slow - slow**2, (2.0 * slow**2 - slow) / self.settling_decay_s
+        return sine * envelope, w * cosine * envelope + sine * envelope_rate
 
-@dataclass(frozen=True, slots=True)
-class Ringing:
-    """Settling oscillation of one axis (0 inner, 1 outer) that begins at ``start_s`` of an episode."""
 
-    axis: int
-    start_s: float
+class Legs(NamedTuple):
+    """Executed legs, shape (r,) each: episode, axis, and end as time since the start of the episode, s."""
+
+    episode: Indices
+    axis: Indices
+    end_s: Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AngleProfile:
-    """Both fixture angles over one episode, which begins with a leg and ends at rest.
+    """Both fixture angles over the episodes of a run, in m pieces of one formula; every episode ends at rest.
 
     Attributes
     ----------
-    breaks_s : ndarray, shape (m + 1,), s
-        Borders of the pieces, from 0; the last is infinite.
-    coefficients : ndarray, shape (m, 2, 3)
+    episode : ndarray of int, shape (m,)
+        Episode of each piece; the pieces are in the order of time.
+    begin_s, end_s : ndarray, shape (m,), s
+        Borders of the piece, as time since the start of its episode; the last of an episode ends at infinity.
+    coefficients : ndarray, shape (2, 3, m)
         Quadratic of each axis in the time since the piece's border, lowest power first, rad, rad/s, rad/s².
-    moving : ndarray of bool, shape (m,)
-        False: both angles are constant.
-    ringings : tuple of Ringing
+    progress : ndarray, shape (2, m)
+        Time for which the episode's legs turned before the piece, over that of all its legs, and the rate of this
+        share in the piece, 1/s.
+    legs : Legs
+    legs_end_s : ndarray, shape (e,), s
+        End of the last leg of every episode.
     profile : RateProfile
-    end_rad : (float, float)
-        Angles (inner, outer) at rest after the last leg, rad.
-    legs_end_s : float
-        End of the last leg, s.
+    ringing_axis : ndarray of int, shape (j, m)
+        Axis that each of the oscillations of a piece is about; -1 for none.
+    ringing_start_s : ndarray, shape (j, m), s
+        Its start, as time since the start of the episode; negative for one that began in an earlier episode.
     """
 
-    breaks_s: Array
+    episode: Indices
+    begin_s: Array
+    end_s: Array
     coefficients: Array
-    moving: Mask
-    ringings: tuple[Ringing, ...]
+    progress: Array
+    legs: Legs
+    legs_end_s: Array
     profile: RateProfile
-    end_rad: tuple[float, float]
-    legs_end_s: float
+    ringing_axis: Indices
+    ringing_start_s: Array
 
     @property
     def bandwidth_rad_s(self) -> float:
         """Highest angular frequency in functions of the attitude, rad/s; determines the number of quadrature nodes."""
         turning = self.profile.rate_rad_s + math.sqrt(self.profile.accel_rad_s2)
-        if not self.ringings:
+        if not len(self.ringing_axis):
             return turning
         return turning + 2.0 * math.pi * self.profile.settling_hz + 2.0 / self.profile.settling_decay_s
 
-    def angles(self, piece: Indices, time_s: Array) -> tuple[Array, Array]:
-        """Angles and their rates.
+    @property
+    def kind(self) -> Indices:
+        """Axes that move in each piece, shape (m,): 0 none, 1 inner, 2 outer, 3 both."""
+        turns = np.any(self.coefficients[:, 1:], axis=1)
+        inner, outer = (turns[axis] | np.any(self.ringing_axis == axis, axis=0) for axis in (0, 1))
+        return np.asarray(inner + 2 * outer)
+
+    def angle(self, axis: int, piece: Indices, time_s: Array) -> tuple[Array, Array]:
+        """Angle of one axis and its rate, rad and rad/s.
 
         Parameters
         ----------
-        piece : ndarray of int, shape (k, 1)
-            Piece that each row of times belongs to.
-        time_s : ndarray, shape (k, n), s
+        axis : int
+            0 inner, 1 outer.
+        piece : ndarray of int, shape (k,)
+        time_s : ndarray, shape (n, k), s
             Time since the start of the episode.
 
         Returns
         -------
-        angle, rate : ndarray, shape (k, n, 2), rad and rad/s
-            Columns inner, outer.
+        angle, rate : ndarray, shape (n, k), or (k,) if the axis rests in all of the pieces
         """
-        angle, rate = _polynomial(time_s - self.breaks_s[piece], self.coefficients[piece])
-        for ringing in self.ringings:
-            self.add_ringing(ringing, piece, time_s, angle, rate)
+        angle, rate, half_accel = self.coefficients[axis][:, piece]
+        if rate.any() or half_accel.any():
+            since = time_s - self.begin_s[piece]
+            angle, rate = angle + since * (rate + since * half_accel), rate + since * (2.0 * half_accel)
+        for of, start_s in zip(self.ringing_axis[:, piece], self.ringing_start_s[:, piece], strict=True):
+            rings = of == axis
+            if rings.any():
+                swing, swing_rate = self.profile.ringing(time_s - start_s)
+                angle, rate = angle + np.where(rings, swing, 0.0), rate + np.where(rings, swing_rate, 0.0)
         return angle, rate
 
-    def ramp(self, before: float, after: float) -> tuple[Array, float]:
-        """Value that changes at a constant rate while an axis turns: as bearings do, it stays while both rest.
+    def with_ringings(self, first_sample: Indices, interval_s: float) -> AngleProfile:
+        """Profile in which every leg is followed by its oscillation, also in later episodes.
 
-        Returns
-        -------
-        ramp : ndarray, shape (2, m)
-            Value at the border of each piece, and its rate in the piece, 1/s.
-        at_end : float
-            ``after``; ``before`` in an episode without a rotation.
+        ``first_sample``, shape (e,), is the number of the sample interval with which each episode begins.
         """
-        border = self.breaks_s[:-1]
-        if before == after:
-            return np.stack([np.full(len(border), before), np.zeros(len(border))]), before
-        turning = np.any(self.coefficients[:, :, 1:], axis=(1, 2)) & (border < self.legs_end_s)
-        spent = np.where(turning, np.diff(self.breaks_s), 0.0)
-        if not turning.any():
-            return np.stack([np.full(len(border), before), np.zeros(len(border))]), before
-        slope = np.where(turning, (after - before) / spent.sum(), 0.0)
-        at_border = before + np.concatenate([[0.0], np.cumsum(slope * spent)[:-1]])
-        return np.stack([np.where(border >= self.legs_end_s, after, at_border), slope]), after
+        life_s = self.profile.settling_life_s
+        if life_s == 0.0:
+            return self
+        starts_s, began = first_sample * interval_s, first_sample[self.legs.episode]
+        last = np.searchsorted(starts_s, began * interval_s + self.legs.end_s + life_s)
+        leg, episode = ranges(self.legs.episode, last)
+        start_s = self.legs.end_s[leg] + (began[leg] - first_sample[episode]) * interval_s
+        episodes = np.concatenate([self.episode, episode, episode])
+        borders = np.concatenate([self.begin_s, np.maximum(start_s, 0.0), start_s + life_s])
+        is_piece = np.arange(len(borders)) < len(self.episode)
+        order = np.lexsort((~is_piece, borders, episodes))
+        place = np.empty_like(order)
+        place[order] = np.arange(len(order))
+        began_at, ended_at = np.split(place[len(self.episode) :], 2)
+        split = self._divided(episodes[order], borders[order], np.cumsum(is_piece[order]) - 1)
+        ringing, piece = ranges(began_at, ended_at)
+        # Oscillations of one piece, in any order, one below the other
+        by_piece = np.argsort(piece, kind="stable")
+        ringing, piece = ringing[by_piece], piece[by_piece]
+        row = np.arange(len(piece)) - np.searchsorted(piece, piece)
+        axes = np.full((row.max(initial=-1) + 1, len(order)), -1)
+        starts = np.zeros(axes.shape)
+        axes[row, piece], starts[row, piece] = self.legs.axis[leg[ringing]], start_s[ringing]
+        return replace(split, ringing_axis=axes, ringing_start_s=starts)
 
-    def add_ringing(
-        self,
-        ringing: Ringing,
-        piece: Indices,
-        time_s: Array,
-        angle: Array,
-        rate: Array,
-    ) -> None:
-        """Add one oscillation, in place, to angles and rates of shape (k, n, 2)."""
-        border = self.breaks_s[piece[:, 0]]
-        rows = (border >= ringing.start_s) & (border < ringing.start_s + self.profile.settling_life_s)
-        t = time_s[rows] - ringing.start_s
-        slow = np.exp(-t / self.profile.settling_decay_s)
-        w = 2.0 * math.pi * self.profile.settling_hz
-        envelope = 4.0 * self.profile.settling_rad * (slow - slow**2)
-        envelope_rate = 4.0 * self.profile.settling_rad * (2.0 * slow**2 - slow) / self.profile.settling_decay_s
-        angle[rows, :, ringing.axis] += np.sin(w * t) * envelope
-        rate[rows, :, ringing.axis] += w * np.cos(w * t) * envelope + np.sin(w * t) * envelope_rate
-
-
-class JoinedProfile:
-    """Profiles of many episodes with consecutive numbers of all pieces, so that one call evaluates all."""
-
-    def __init__(self) -> None:
-        self._profiles: list[AngleProfile] = []
-        self._first: list[int] = [0]
-        self._joined: tuple[Array, Array] | None = None
-
-    def append(self, profile: AngleProfile) -> int:
-        """Add the profile of an episode, and return the number of its first piece."""
-        first = self._first[-1]
-        self._profiles.append(profile)
-        self._first.append(first + len(profile.moving))
-        self._joined = None
-        return first
-
-    def since_border(self, piece: Indices, time_s: Array) -> Array:
-        """Time since the border of each piece, s."""
-        return np.asarray(time_s - self._pieces()[0][piece])
-
-    def _pieces(self) -> tuple[Array, Array]:
-        """Borders and coefficients of all pieces."""
-        if self._joined is None:
-            self._joined = (
-                np.concatenate([p.breaks_s[:-1] for p in self._profiles]),
-                np.concatenate([p.coefficients for p in self._profiles]),
-            )
-        return self._joined
-
-    def angles(self, piece: Indices, time_s: Array) -> tuple[Array, Array]:
-        """Angles and rates, see :meth:`AngleProfile.angles`; times count from the start of each piece's episode."""
-        breaks, coefficients = self._pieces()
-        angle, rate = _polynomial(time_s - breaks[piece], coefficients[piece])
-        for first, profile in zip(self._first, self._profiles, strict=False):
-            if profile.ringings:
-                rows = np.flatnonzero((piece[:, 0] >= first) & (piece[:, 0] < first + len(profile.moving)))
-                part = angle[rows], rate[rows]
-                for ringing in profile.ringings:
-                    profile.add_ringing(ringing, piece[rows] - first, time_s[rows], *part)
-                angle[rows], rate[rows] = part
-        return angle, rate
-
-
-def _polynomial(since: Array, coefficients: Array) -> tuple[Array, Array]:
-    """Angles and rates, shape (k, n, 2) each, of quadratics (k, 1, 2, 3) at times (k, n) since the pieces' borders."""
-    t, c = since[..., np.newaxis], coefficients
-    return c[..., 0] + t * (c[..., 1] + t * c[..., 2]), c[..., 1] + 2.0 * t * c[..., 2]
+    def _divided(self, episode: Indices, begin_s: Array, old: Indices) -> AngleProfile:
+        """Profile with pieces from other borders, each within the piece ``old``."""
+        since, c, progress = begin_s - self.begin_s[old], self.coefficients[..., old], self.progress[:, old]
+        return replace(
+            self,
+            episode=episode,
+            begin_s=begin_s,
+            end_s=np.where(np.diff(episode, append=-1) == 0, np.append(begin_s[1:], math.inf), math.inf),
+            coefficients=np.stack(
+                [c[:, 0] + since * (c[:, 1] + since * c[:, 2]), c[:, 1] + 2.0 * since * c[:, 2], c[:, 2]], axis=1
+            ),
+            progress=np.stack([progress[0] + since * progress[1], progress[1]]),
+        )
 
 
 def angle_profile(
-    start_rad: tuple[float, float],
-    legs: Sequence[tuple[int, float]],
-    profile: RateProfile,
-    *,
-    leg_dwell_s: float = 0.0,
-    ringings: tuple[Ringing, ...] = (),
+    start_rad: Array, axis: Indices, turn_rad: Array, profile: RateProfile, *, rest_s: Array | float = 0.0
 ) -> AngleProfile:
-    """Concatenate legs from time 0, with rest after the last.
+    """Concatenate the legs of each of e episodes from time 0, with rest after the last.
 
     Parameters
     ----------
-    start_rad : (float, float)
+    start_rad : ndarray, shape (e, 2)
         Angles (inner, outer) at the start, rad.
-    legs : sequence of (axis, angle in rad)
-        Axis 0 inner, 1 outer; one axis turns at a time.
+    axis : ndarray of int, shape (e, l)
+        Axis of each leg, 0 inner, 1 outer; one axis turns at a time.
+    turn_rad : ndarray, shape (e, l)
+        Angle of each leg, rad; 0 for none.
     profile : RateProfile
-    leg_dwell_s : float
-        Rest between two legs, s.
-    ringings : tuple of Ringing
-        Oscillations that continue from earlier episodes; their start times are negative.
+    rest_s : ndarray, shape (e, l), or float
+        Rest before each leg, s.
     """
-    angles = np.array(start_rad)
-    breaks: list[float] = []
-    pieces: list[Array] = []
-    moving: list[bool] = []
-    now = 0.0
-    active = list(ringings)
+    episodes, count = turn_rad.shape
+    of_axis = axis[..., np.newaxis] == np.arange(2)
+    after = start_rad[:, np.newaxis] + np.cumsum(turn_rad[..., np.newaxis] * of_axis, axis=1)
+    before = np.concatenate([start_rad[:, np.newaxis], after], axis=1)
 
-    def add(duration_s: float, axis: int, angle: float, rate: float, half_accel: float, *, turns: bool) -> None:
-        nonlocal now
-        if duration_s <= 0.0:
-            return
-        coefficients = np.zeros((2, 3))
-        coefficients[:, 0] = angles
-        coefficients[axis] = angle, rate, half_accel
-        breaks.append(now)
-        pieces.append(coefficients)
-        moving.append(turns)
-        now += duration_s
-
-    for number, (axis, turn) in enumerate(legs):
-        if number:
-            add(leg_dwell_s, axis, angles[axis], 0.0, 0.0, turns=False)
-        if turn == 0.0:
-            continue
-        ramp_s, plateau_s = profile.ramp_and_plateau_s(turn)
-        half = math.copysign(0.5 * profile.accel_rad_s2, turn)
-        peak = 2.0 * half * ramp_s
-        begin, end = float(angles[axis]), float(angles[axis]) + turn
-        ramp_angle = half * ramp_s**2
-        add(ramp_s, axis, begin, 0.0, half, turns=True)
-        add(plateau_s, axis, begin + ramp_angle, peak, 0.0, turns=True)
-        add(ramp_s, axis, end - ramp_angle, peak, -half, turns=True)
-        angles[axis] = end
-        if profile.settling_rad > 0.0:
-            active.append(Ringing(axis, now))
-    legs_end = now
-    add(math.inf, 0, angles[0], 0.0, 0.0, turns=False)
-    result = AngleProfile(
-        np.array([*breaks, math.inf]),
-        np.array(pieces),
-        np.array(moving),
-        tuple(active),
-        profile,
-        (float(angles[0]), float(angles[1])),
-        legs_end,
+    ramp_s, plateau_s = profile.ramp_and_plateau_s(turn_rad)
+    half = np.copysign(0.5 * profile.accel_rad_s2, turn_rad)
+    peak, ramp_rad = 2.0 * half * ramp_s, half * ramp_s**2
+    # Four pieces of each leg: rest, ramp, plateau, ramp; then the rest of the episode
+    durations = np.stack(np.broadcast_arrays(rest_s, ramp_s, plateau_s, ramp_s), axis=-1)
+    turned = np.zeros((3, episodes, count, 4))
+    turned[0, ..., 2:] = np.stack([ramp_rad, turn_rad - ramp_rad], axis=-1)
+    turned[1, ..., 2:] = peak[..., np.newaxis]
+    turned[2, ..., 1], turned[2, ..., 3] = half, -half
+    coefficients = np.zeros((2, 3, episodes, 4 * count + 1))
+    coefficients[..., :-1] = (np.moveaxis(of_axis, -1, 0)[:, np.newaxis, ..., np.newaxis] * turned).reshape(
+        2, 3, episodes, -1
     )
-    return _split_at_ringings(result) if active else result
+    coefficients[:, 0] += np.moveaxis(np.repeat(before, [4] * count + [1], axis=1), -1, 0)
 
+    ends = np.cumsum(durations.reshape(episodes, -1), axis=1)
+    borders = np.concatenate([np.zeros((episodes, 1)), ends, np.full((episodes, 1), math.inf)], axis=1)
+    spent = np.where(np.arange(4 * count) % 4 > 0, durations.reshape(episodes, -1), 0.0)
+    whole = np.maximum(spent.sum(axis=1, keepdims=True), np.finfo(float).tiny)
+    progress = np.zeros((2, episodes, 4 * count + 1))
+    progress[0, :, 1:] = np.cumsum(spent, axis=1) / whole
+    progress[1, :, :-1] = (spent > 0.0) / whole
 
-def _split_at_ringings(profile: AngleProfile) -> AngleProfile:
-    """Add borders at the start and end of each oscillation; pieces with an oscillation are moving."""
-    starts = np.array([r.start_s for r in profile.ringings])
-    ends = starts + profile.profile.settling_life_s
-    borders = np.unique(np.concatenate([profile.breaks_s, starts[starts > 0.0], ends[ends > 0.0]]))
-    old = np.searchsorted(profile.breaks_s, borders[:-1], side="right") - 1
-    since = (borders[:-1] - profile.breaks_s[old])[:, np.newaxis]
-    c = profile.coefficients[old].copy()
-    c[..., 0] += since * (c[..., 1] + since * c[..., 2])
-    c[..., 1] += 2.0 * since * c[..., 2]
-    alive = (borders[:-1, np.newaxis] >= starts) & (borders[:-1, np.newaxis] < ends)
+    exists = borders[:, 1:] > borders[:, :-1]
+    episode, leg = np.nonzero(turn_rad)
     return AngleProfile(
-        borders,
-        c,
-        profile.moving[old] | alive.any(axis=1),
-        profile.ringings,
-        profile.profile,
-        profile.end_rad,
-        profile.legs_end_s,
+        np.nonzero(exists)[0],
+        borders[:, :-1][exists],
+        borders[:, 1:][exists],
+        coefficients[..., exists],
+        progress[:, exists],
+        Legs(episode, axis[episode, leg], ends[episode, 4 * leg + 3]),
+        ends[:, -1],
+        profile,
+        np.zeros((0, exists.sum()), dtype=np.intp),
+        np.zeros((0, exists.sum())),
     )

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal
+from functools import lru_cache, partial
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
 from sims.physics.fixture import FixtureDraw, FixtureGeometry, earth_rate_ned
-from sims.physics.integrals import Episode
-from sims.physics.motion import AngleProfile, JoinedProfile, RateProfile, Ringing, angle_profile
+from sims.physics.integrals import Pieces, ranges
+from sims.physics.motion import AngleProfile, RateProfile, angle_profile
 from sims.physics.sequences import INNER, OUTER, TABLE_1, TurnSequence, table_sequences
 from sims.physics.true_motion import Clock, TrueMotion
 from srt.exceptions import InputError
@@ -23,13 +24,11 @@ from srt.recording.recording import Fixture, SequenceLabel, Site
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from srt.types import Array, Indices
+    from srt.types import Array, Indices, Mask
 
 Moves = Literal["recorded", "skipped"]
-Window = tuple[float, float]
-"""Start and end of a stationary window, s."""
-Pose = tuple[float, float, float]
-"""Inner and outer angle and wobble of the fixture, rad."""
+_PAUSE, _MOVE, _DWELL, _TURN = range(4)
+"""Episodes of every sequence: rest before the move to its start, move, start window, rotations with the end window."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,61 +99,101 @@ class Schedule:
         return ((self.dwell_s, self.dwell_s),) * len(self.sequences) if self.dwells_s is None else self.dwells_s
 
 
-@dataclass(slots=True, eq=False)
-class _Run:
-    """Fixture during the execution of a schedule: geometry, angles and present oscillations."""
+class _Nominal(NamedTuple):
+    """Sequences without errors: start angles, shape (s, 2), rad; axis and angle (rad) of each leg, shape (s, l)."""
 
-    geometry: FixtureGeometry
-    constant_base: Array  # rows: Earth rate (rad/s) and specific force at rest (m/s²), base components
-    schedule: Schedule
-    clock: Clock
-    angles: tuple[float, float]
-    ringings: tuple[Ringing, ...] = ()
-    recorded: JoinedProfile = field(default_factory=JoinedProfile)
-    wobble: float = 0.0
-    wobbles: list[Array] = field(default_factory=list)  # of each piece: wobble at its border, and its rate
+    start_rad: Array
+    axis: Indices
+    turn_rad: Array
+    executed: Mask  # False beyond the last leg of a sequence
 
-    def profile(self, legs: Sequence[tuple[int, float]], leg_dwell_s: float) -> AngleProfile:
-        return angle_profile(self.angles, legs, self.schedule.profile, leg_dwell_s=leg_dwell_s, ringings=self.ringings)
 
-    def execute(self, profile: AngleProfile, n_samples: int, *, record: bool, wobble: float | None = None) -> None:
-        """Run a profile for a number of samples; its end, with the given wobble, is the new state of the fixture."""
-        ramp, at_end = profile.ramp(self.wobble, self.wobble if wobble is None else wobble)
-        if record:
-            self.clock.record(self._episode(profile, n_samples, ramp))
-        else:
-            self.clock.now += n_samples
-        self.wobble = at_end
-        duration = n_samples * self.clock.interval
-        self.angles = profile.end_rad
-        self.ringings = tuple(
-            Ringing(r.axis, r.start_s - duration)
-            for r in profile.ringings
-            if r.start_s + profile.profile.settling_life_s > duration
-        )
+@lru_cache(maxsize=8)
+def _nominal(sequences: tuple[TurnSequence, ...]) -> _Nominal:
+    legs = [sequence.fixture_legs() for sequence in sequences]
+    # Two legs at least, as a move has
+    executed = np.array([[k < len(own) for k in range(max(2, *map(len, legs)))] for own in legs])
+    axis, turn_rad = np.zeros(executed.shape, dtype=np.intp), np.zeros(executed.shape)
+    axis[executed], turn_rad[executed] = np.array([leg for own in legs for leg in own]).reshape(-1, 2).T
+    return _Nominal(np.array([sequence.start_rad() for sequence in sequences]), axis, turn_rad, executed)
 
-    def _episode(self, profile: AngleProfile, n_samples: int, ramp: Array) -> Episode:
-        first = self.recorded.append(profile)
-        self.wobbles.append(ramp)
-        return Episode(n_samples, profile.breaks_s, profile.moving, profile.bandwidth_rad_s, self.sensed, first)
 
-    def sensed(self, piece: Indices, time: Array) -> Array:
-        """Rate and specific force in B at times of the pieces of all recorded episodes."""
-        angle, rate = self.recorded.angles(piece, time)
-        inner, outer = angle[..., INNER], angle[..., OUTER]
-        wobble: Array | float = 0.0
-        wobble_rate: Array | float = 0.0
-        if any(ramp.any() for ramp in self.wobbles):
-            at_border, slope = np.concatenate(self.wobbles, axis=1)
-            wobble_rate = np.broadcast_to(slope[piece], inner.shape)
-            wobble = at_border[piece] + wobble_rate * self.recorded.since_border(piece, time)
-        constant = self.geometry.to_body(self.constant_base, inner, outer, wobble)
-        turning = self.geometry.turning_rate(inner, rate[..., INNER], rate[..., OUTER], wobble, wobble_rate)
-        return np.concatenate([constant[0] + turning, constant[1]], axis=-1)
+def _executed(schedule: Schedule, draw: FixtureDraw) -> tuple[AngleProfile, Array]:
+    """Execute s sequences with these errors: angles over their 4 s episodes; start and end angles, shape (s, 2, 2)."""
+    nominal, count = _nominal(schedule.sequences), len(schedule.sequences)
+    turn_rad = nominal.turn_rad.copy()
+    if draw.legs is not None:
+        turn_rad[nominal.executed] += np.concatenate(draw.legs)
+    way = np.stack([np.sum(turn_rad * (nominal.axis == axis), axis=1) for axis in (INNER, OUTER)], axis=1)
+    start = nominal.start_rad + (0.0 if draw.starts is None else draw.starts)
+    for number in sorted(schedule.continued):
+        start[number] = start[number - 1] + way[number - 1]
+    end = start + way
+    previous = np.concatenate([start[:1], end[:-1]])
+    # The smaller angle about each axis: the full turns that a move omits do not change the attitude.
+    moves = [math.remainder(angle, 2.0 * math.pi) for angle in (start - previous).ravel().tolist()]
 
-    def pose(self) -> Pose:
-        """Inner and outer angle and wobble, rad."""
-        return (*self.angles, self.wobble)
+    turns, rest_s = np.zeros((2, count, 4, turn_rad.shape[1]))
+    axes = np.zeros(turns.shape, dtype=np.intp)
+    turns[:, _MOVE, :2], axes[:, _MOVE, :2] = np.reshape(moves, (-1, 2)), (INNER, OUTER)
+    turns[:, _TURN], axes[:, _TURN] = turn_rad, nominal.axis
+    rest_s[:, _TURN, 1:] = schedule.leg_dwell_s * nominal.executed[:, 1:]
+    begin = np.stack([previous, previous, start, start], axis=1).reshape(-1, 2)
+    shape = len(begin), -1
+    profile = angle_profile(
+        begin, axes.reshape(shape), turns.reshape(shape), schedule.profile, rest_s=rest_s.reshape(shape)
+    )
+    return profile, np.stack([start, end], axis=1)
+
+
+def _timed(schedule: Schedule, profile: AngleProfile, clock: Clock) -> tuple[Indices, Indices]:
+    """Sample intervals of each episode, shape (s, 4), and edges of start and end windows, shape (s, 2, 2)."""
+    dwell = np.maximum(1, np.rint(np.array(schedule.window_lengths_s()) * clock.sample_rate_hz)).astype(np.intp)
+    continued = sorted(schedule.continued)
+    dwell[continued, 0] = dwell[np.array(continued, dtype=np.intp) - 1, 1]
+    samples = clock.samples(profile.legs_end_s + schedule.settle_s).reshape(-1, 4)
+    samples[:, _PAUSE], samples[:, _DWELL] = clock.samples(schedule.pause_s), dwell[:, 0]
+    samples[:, _TURN] += dwell[:, 1]
+    samples[0, [_PAUSE, _MOVE]] = 0
+    samples[continued, :_TURN] = 0
+    ends = np.cumsum(samples).reshape(-1, 4)[:, [_DWELL, _TURN]]
+    return samples, np.stack([ends - dwell, ends], axis=-1)
+
+
+def _wobble(schedule: Schedule, draw: FixtureDraw, profile: AngleProfile) -> tuple[Array, Array]:
+    """Wobble in start and end poses, shape (s, 2); at the border of each piece, and its rate, shape (2, m).
+
+    It changes at a constant rate while an axis turns: as bearings do, it stays while both rest.
+    """
+    count = len(schedule.sequences)
+    if draw.wobble is None:
+        return np.zeros((count, 2)), np.zeros(profile.progress.shape)
+    turned = np.bincount(profile.legs.episode, minlength=4 * count).reshape(count, 4) > 0
+    changes = turned[:, [_MOVE, _TURN]]
+    if schedule.moves == "skipped":
+        changes[:, 0] = [number not in schedule.continued for number in range(count)]
+    latest = np.maximum.accumulate(np.where(changes.ravel(), np.arange(2 * count), 0))
+    poses = draw.wobble.ravel()[latest].reshape(count, 2)
+    start, end = poses.T
+    previous = np.concatenate([start[:1], end[:-1]])
+    begin = np.stack([previous, previous, start, start], axis=1).ravel()[profile.episode]
+    change = np.stack([0.0 * start, start - previous, 0.0 * start, end - start], axis=1).ravel()[profile.episode]
+    return poses, np.stack([begin + change * profile.progress[0], change * profile.progress[1]])
+
+
+def _sensed(
+    geometry: FixtureGeometry, constant_base: Array, profile: AngleProfile, wobble: Array, piece: Indices, time: Array
+) -> Array:
+    """Rate and specific force in B, see :class:`sims.physics.integrals.Pieces`.
+
+    ``constant_base`` holds the Earth's rate (rad/s) and the specific force at rest (m/s²) in the base, shape (2, 3).
+    """
+    (inner, inner_rate), (outer, outer_rate) = (profile.angle(axis, piece, time) for axis in (INNER, OUTER))
+    lean, lean_rate = wobble[:, piece]
+    if lean_rate.any():
+        lean = lean + lean_rate * (time - profile.begin_s[piece])
+    at = geometry.turned(inner, outer, lean)
+    return geometry.sensed(constant_base, at, inner_rate, outer_rate, lean_rate)
 
 
 def run_schedule(
@@ -198,75 +237,39 @@ def run_schedule(
     draw = fixture_draw or FixtureDraw()
     draw.check_covers(schedule.sequences)
     geometry = FixtureGeometry.build(heading_rad, draw, check_rotation(U))
-    constant_ned = constants_of_site(site, earth_rate=earth_rate)
-    clock = Clock.start(check_sample_rate(sample_rate_hz), start_time_s)
-    run = _Run(geometry, constant_ned @ geometry.base_from_ned.T, schedule, clock, (0.0, 0.0))
-    executed = [_execute_sequence(run, draw, number) for number in range(len(schedule.sequences))]
-    windows = tuple(pair for pair, _ in executed)
-    time, piece_starts, total = clock.stack()
+    constant_base = constants_of_site(site, earth_rate=earth_rate) @ geometry.base_from_ned.T
+    clock = Clock(check_sample_rate(sample_rate_hz), start_time_s)
+    profile, angles = _executed(schedule, draw)
+    samples, edges = _timed(schedule, profile, clock)
+    begin = np.cumsum(samples) - samples.ravel()
+    profile = profile.with_ringings(begin, clock.interval)
+    leans, wobble = _wobble(schedule, draw, profile)
+    recorded = np.where([schedule.moves == "recorded"] * 2 + [True] * 2, samples, 0).ravel()
+    pieces = Pieces(
+        (np.cumsum(recorded) - recorded)[profile.episode],
+        recorded[profile.episode],
+        profile.begin_s,
+        profile.end_s,
+        profile.kind,
+        profile.bandwidth_rad_s,
+        partial(_sensed, geometry, constant_base, profile, wobble),
+    )
+    clock.record(pieces, ranges(begin, begin + recorded)[1])
+    time, piece_starts, integrals = clock.stack()
+    windows = tuple(((a, b), (c, d)) for a, b, c, d in clock.at(edges).reshape(-1, 4).tolist())
     return TrueMotion(
         time,
         clock.interval,
         piece_starts,
-        *total,
+        *integrals,
         windows=windows,
-        attitudes=geometry.attitude(*np.moveaxis(np.array([poses for _, poses in executed]), -1, 0)),
+        attitudes=geometry.attitude(angles[..., INNER], angles[..., OUTER], leans),
         labels=tuple(_label(s, *pair) for s, pair in zip(schedule.sequences, windows, strict=True)),
         site=site,
         fixture=stated_fixture or Fixture(heading_rad),
         U=check_rotation(U),
         draw=draw,
     )
-
-
-def _execute_sequence(run: _Run, draw: FixtureDraw, number: int) -> tuple[tuple[Window, Window], tuple[Pose, Pose]]:
-    """Run one sequence with the move to its start; return both windows (s), and the poses at the end of each."""
-    schedule, clock = run.schedule, run.clock
-    sequence = schedule.sequences[number]
-    dwell, end_dwell = (max(1, round(length * clock.sample_rate_hz)) for length in schedule.window_lengths_s()[number])
-    nominal, error = sequence.start_rad(), draw.start_errors(number)
-    start = (nominal[INNER] + error[INNER], nominal[OUTER] + error[OUTER])
-    start_wobble, end_wobble = draw.wobble_of(number)
-    if number in schedule.continued:
-        dwell = max(1, round(schedule.window_lengths_s()[number - 1][1] * clock.sample_rate_hz))
-    elif number == 0:
-        run.angles, run.wobble = start, start_wobble
-        run.execute(run.profile([], 0.0), dwell, record=True)
-    else:
-        _move(run, start, dwell, start_wobble)
-    first = (clock.at(clock.now - dwell), clock.at(clock.now))
-    before = run.pose()
-
-    legs = sequence.fixture_legs()
-    errors = draw.leg_errors(number, len(legs)).tolist()
-    profile = run.profile([(a, t + e) for (a, t), e in zip(legs, errors, strict=True)], schedule.leg_dwell_s)
-    turning = clock.samples(profile.legs_end_s + schedule.settle_s)
-    run.execute(profile, turning + end_dwell, record=True, wobble=end_wobble)
-    second = (clock.at(clock.now - end_dwell), clock.at(clock.now))
-    return (first, second), (before, run.pose())
-
-
-def _move(run: _Run, start: tuple[float, float], dwell: int, wobble: float) -> None:
-    """Move to a start attitude by the smaller angle about each axis, settle, and rest for the start window."""
-    schedule, clock = run.schedule, run.clock
-    recorded = schedule.moves == "recorded"
-    pause = clock.samples(schedule.pause_s)
-    if pause:
-        run.execute(run.profile([], 0.0), pause, record=recorded)
-    legs = []
-    for axis in (INNER, OUTER):
-        way = math.remainder(start[axis] - run.angles[axis], 2.0 * math.pi)
-        legs.append((axis, way))
-    profile = run.profile(legs, 0.0)
-    moving = clock.samples(profile.legs_end_s + schedule.settle_s)
-    if recorded:
-        run.execute(profile, moving + dwell, record=True, wobble=wobble)
-    else:
-        run.execute(profile, moving, record=False)
-        run.wobble = wobble
-        run.execute(run.profile([], 0.0), dwell, record=True)
-    # The omitted full turns do not change the attitude.
-    run.angles = start
 
 
 def _label(sequence: TurnSequence, first: tuple[float, float], second: tuple[float, float]) -> SequenceLabel:

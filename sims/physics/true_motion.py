@@ -7,17 +7,17 @@ intervals, including those not recorded.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sims.physics.integrals import Episode, Integrals, integrate
+from sims.physics.integrals import Pieces, integrate
 
 if TYPE_CHECKING:
     from sims.physics.fixture import FixtureDraw
     from srt.recording.recording import Fixture, SequenceLabel, Site
-    from srt.types import Array, Counts, Indices
+    from srt.types import Array, Indices
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,7 +73,7 @@ class TrueMotion:
 
 @dataclass(slots=True)
 class Clock:
-    """Sample clock, and the recorded episodes on it.
+    """Sample clock, and what is recorded on it.
 
     Attributes
     ----------
@@ -86,37 +86,32 @@ class Clock:
 
     sample_rate_hz: float
     start_s: float
-    now: int
-    episodes: list[Episode]
-    numbers: list[Counts]
-
-    @classmethod
-    def start(cls, sample_rate_hz: float, start_s: float) -> Clock:
-        """Start a clock without recorded episodes."""
-        return cls(sample_rate_hz, start_s, 0, [], [])
+    now: int = 0
+    _recorded: list[tuple[Pieces, Indices]] = field(default_factory=list)
 
     @property
     def interval(self) -> float:
         """Sample interval, s."""
         return 1.0 / self.sample_rate_hz
 
-    def samples(self, duration_s: float) -> int:
+    def samples(self, duration_s: Array | float) -> Indices:
         """Number of whole samples that cover a duration, with a tolerance of 1e-6 sample."""
-        return int(np.ceil(duration_s * self.sample_rate_hz - 1e-6))
+        return np.ceil(np.multiply(duration_s, self.sample_rate_hz) - 1e-6).astype(np.intp)
 
-    def at(self, sample: int) -> float:
+    def at(self, sample: Indices | int) -> Array:
         """Time of a sample edge, s."""
-        return float(self.start_s + sample / self.sample_rate_hz)
+        return np.asarray(self.start_s + np.divide(sample, self.sample_rate_hz))
 
-    def record(self, episode: Episode) -> None:
-        """Append an episode."""
-        self.episodes.append(episode)
-        self.numbers.append(np.arange(self.now, self.now + episode.n_samples))
-        self.now += episode.n_samples
+    def record(self, pieces: Pieces, numbers: Indices) -> None:
+        """Record pieces of a motion at these numbers of sample intervals."""
+        self._recorded.append((pieces, numbers))
+        self.now = int(numbers[-1]) + 1
 
-    def stack(self) -> tuple[Array, Indices, Integrals]:
-        """Time stamps, first sample of each gapless piece, and integrals of all recorded episodes."""
-        numbers = np.concatenate(self.numbers)
+    def stack(self) -> tuple[Array, Indices, tuple[Array, Array, Array, Array]]:
+        """Time stamps, first sample of each gapless piece, and the four integrals of all that is recorded."""
+        numbers = np.concatenate([numbers for _, numbers in self._recorded])
         starts = np.flatnonzero(np.diff(numbers, prepend=numbers[0] - 2) > 1)
-        time = np.asarray(self.start_s + (numbers + 1) / self.sample_rate_hz, dtype=np.float64)
-        return time, starts, integrate(self.episodes, self.interval)
+        parts = [integrate(pieces, self.interval) for pieces, _ in self._recorded]
+        total = parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
+        (angle, velocity), (angle_abs, velocity_abs) = np.moveaxis(total.reshape(2, 3, 2, -1), 1, -1)
+        return self.at(numbers + 1), starts, (angle, angle_abs, velocity, velocity_abs)

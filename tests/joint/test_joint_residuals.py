@@ -69,9 +69,9 @@ def sensed(speed, start, duration):
     dt = duration / count
 
     def rate(t):
-        inner, outer = (start + np.multiply.outer(t, speed)).T
-        turning = FIXTURE.turning_rate(inner, np.full(count, speed[0]), np.full(count, speed[1]))
-        return turning + FIXTURE.to_body((FIXTURE.base_from_ned @ EARTH_NED)[None], inner, outer)[0]
+        at = FIXTURE.turned(*(start + np.multiply.outer(t, speed)).T)
+        turning = FIXTURE.turning_rate(at, np.full(count, speed[0]), np.full(count, speed[1]))
+        return (turning + FIXTURE.to_body((FIXTURE.base_from_ned @ EARTH_NED)[None], at)[:, 0]).T
 
     one, two = (rate(dt * (np.arange(count) + 0.5 + side * math.sqrt(3) / 6)) for side in (-1.0, 1.0))
     C = np.eye(3)

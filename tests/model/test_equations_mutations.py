@@ -147,7 +147,8 @@ def sensed_turn():
     def rate(t):
         inner, outer = START + speed * t
         earth = FIXTURE.attitude(inner, outer).T @ EARTH_NED
-        return FIXTURE.turning_rate(np.array(inner), np.array(speed[0]), np.array(speed[1])) + earth
+        at = FIXTURE.turned(np.array(inner), np.array(outer))
+        return FIXTURE.turning_rate(at, np.array(speed[0]), np.array(speed[1])) + earth
 
     for i in range(400):
         one, two = (rate(dt * (i + 0.5 + side * np.sqrt(3) / 6)) for side in (-1.0, 1.0))

@@ -45,7 +45,7 @@ def test_axis_that_is_down_at_both_ends(start, legs):
     geometry = FixtureGeometry(np.eye(3), 0.0, np.eye(3))
     for said, angles in ((candidate.down, candidate.start_deg), (candidate.end_down, candidate.end_deg)):
         inner, outer = np.radians(angles)
-        down = geometry.to_body(np.array([[0.0, 0.0, 1.0]]), np.array(inner), np.array(outer))[0]
+        down = geometry.to_body(np.array([[0.0, 0.0, 1.0]]), geometry.turned(np.array(inner), np.array(outer)))[:, 0]
         expected = np.zeros(3)
         expected["xyz".index(said[-1])] = -1.0 if said.startswith("-") else 1.0
         np.testing.assert_allclose(down, expected, atol=1e-12)
