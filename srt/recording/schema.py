@@ -251,6 +251,17 @@ SECTIONS: Final = {
 }
 
 
+def require_sections(file: str, document: Iterable[str], known: Iterable[str]) -> None:
+    """Raise InputError for a section of a file that is none of the known ones."""
+    known = tuple(known)
+    for section in document:
+        if section not in known or "." in section:
+            raise InputError(
+                f"{file}: [{clipped(section)}] is no known section{did_you_mean(section, known)}: "
+                f"remove it, or use one of {', '.join(known)}."
+            )
+
+
 def read_section(file: str, section: str, values: object, keys: tuple[Key, ...]) -> dict[str, Any]:
     """Check one section of a file against its keys: values in SI by key, without the keys that are absent.
 
