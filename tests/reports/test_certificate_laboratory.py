@@ -74,8 +74,8 @@ def test_statements_and_coverage_are_those_of_the_file(saved, tmp_path):
     [
         ("[labratory]", r"did you mean laboratory"),
         ("[laboratory]\nnam = 'x'", r"laboratory.nam is no known key \(did you mean name"),
-        ("[laboratory]\nname = []", "laboratory.name is no text"),
-        ("laboratory = 3", "laboratory is no section"),
+        ("[laboratory]\nname = []", r"laboratory.name is \[\], but a text in quotes"),
+        ("laboratory = 3", "laboratory is 3, but a section of keys"),
         ("[certificate]\ncoverage_factor = 0", "coverage_factor is 0"),
         ("[equipment]\nname = 'x'", "equipment is no list"),
         ("[", "is not valid TOML"),
