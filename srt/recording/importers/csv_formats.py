@@ -183,13 +183,10 @@ def _header_has(*words: str) -> Callable[[Path], bool]:
 
 
 def _is_text_table(path: Path) -> bool:
-    if not path.is_file():
-        return False
     try:
-        find_layout(path, ImportOptions())
-    except InputError:
+        return path.is_file() and bool(find_layout(path, ImportOptions()).cells)
+    except (InputError, OSError):
         return False
-    return True
 
 
 def _read_published(path: Path, options: ImportOptions) -> ImportedSamples:

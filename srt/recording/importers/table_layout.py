@@ -58,12 +58,9 @@ def find_layout(path: Path, options: ImportOptions) -> TableLayout:
 
 
 def _first_lines(path: Path) -> list[str]:
-    try:
-        with path.open("rb") as file:
-            data = file.read(_HEAD_BYTES)
-            more = bool(file.read(1))
-    except OSError as error:
-        raise InputError(f"Cannot read {path} ({error.strerror}): check its permissions.") from None
+    with path.open("rb") as file:
+        data = file.read(_HEAD_BYTES)
+        more = bool(file.read(1))
     if not data.strip():
         raise InputError(f"{path} is empty: a table of samples is expected.")
     if data.startswith((b"\xff\xfe", b"\xfe\xff")) or b"\0" in data:
