@@ -11,9 +11,8 @@ import numpy as np
 
 from srt.exceptions import DataError, InputError, SrtError
 from srt.exporters.correction_difference import CorrectionDifference, Readings, compare_corrections
-from srt.exporters.export_model import ExportModel, ExportSettings
+from srt.exporters.export_model import ExportModel, ExportSettings, unknown
 from srt.exporters.linear_model import ASYMMETRY, FACTORS, LinearModel, linear_part
-from srt.exporters.noise_fields import unknown
 from srt.exporters.registry import exporter
 from srt.model.sensor_model import Triad, accel_triad, gyro_triad, outside_model, to_mars
 from srt.recording.applied import NOTHING, AppliedCorrection, applied_correction

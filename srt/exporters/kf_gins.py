@@ -13,10 +13,9 @@ import numpy as np
 
 from srt.constants import DEG_PER_H, DEG_PER_SQRT_H, HOUR_S
 from srt.exceptions import InputError
-from srt.exporters.export_model import comment
+from srt.exporters.export_model import comment, known_figures, worst_bias_instability
 from srt.exporters.file_format import Exporter, each_sensor, field, from_yaml, heading, to_yaml, whole_lines
 from srt.exporters.linear_model import axis_factors
-from srt.exporters.noise_fields import known_figures, worst_bias_instability
 from srt.sensor_errors import GROUP_SLICES
 
 if TYPE_CHECKING:

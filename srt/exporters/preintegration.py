@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 import numpy as np
 
 from srt.exceptions import InputError, MissingExtraError
+from srt.exporters.export_model import known_figures, statement
 from srt.exporters.file_format import Exporter, each_sensor, field, from_json, heading, to_json
-from srt.exporters.noise_fields import known_figures, statement
 from srt.model.sensor_model import accel_triad, gyro_triad
 from srt.noise.stated_figures import white_density
 from srt.sensor_errors import GROUP_SLICES
