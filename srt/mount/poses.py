@@ -13,8 +13,7 @@ from srt.exceptions import DataError, InputError
 from srt.model.measurement_model import force_error_jacobian
 from srt.model.sensor_model import accel_triad, outside_model
 from srt.model.table1 import SEQUENCES
-from srt.mount.alignment import MountAlignment, align_mount
-from srt.mount.pose_kinds import pose_kinds, require_both
+from srt.mount.alignment import MountAlignment, align_mount, pose_kinds, require_both
 from srt.noise.bias_instability import window_draws
 from srt.noise.noise_model import noise_model
 from srt.recording.recording import Fixture
