@@ -25,6 +25,10 @@ if TYPE_CHECKING:
 _UNSAFE: Final = re.compile(r"[^A-Za-z0-9 ./:,;()+@=_-]")
 _TOPIC: Final = re.compile(r"[A-Za-z0-9_/~.-]+")
 LAST_INSTANCE: Final = 9
+OPTIONS: Final = frozenset({"topic", "rate_hz", "gyro_random_walk", "accel_random_walk", "inflate"})
+"""Settings of formats that hold noise."""
+DEFAULT_TOPIC: Final = "/imu0"
+_BIAS_WALK: Final = [term.name for term in TERMS].index("bias_random_walk")
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,12 +170,6 @@ def origin(calibration: Calibration) -> list[str]:
 def comment(lines: Sequence[str], mark: str = "#") -> str:
     """Lines as comments."""
     return "".join(f"{mark} {line}".rstrip() + "\n" for line in lines)
-
-
-OPTIONS: Final = frozenset({"topic", "rate_hz", "gyro_random_walk", "accel_random_walk", "inflate"})
-DEFAULT_TOPIC: Final = "/imu0"
-
-_BIAS_WALK: Final = [term.name for term in TERMS].index("bias_random_walk")
 
 
 def known_figures(model: ExportModel) -> dict[str, float]:
