@@ -19,10 +19,12 @@ from srt.comparison.estimate_difference import (
     EstimateDifference,
     estimate_difference,
     finite,
+    joined,
     listing,
+    modelled_effects,
     ratio_of,
+    verdicts_differ,
 )
-from srt.comparison.modelled_effects import joined, modelled_effects, verdicts_differ
 from srt.estimation.fixed_parameters import in_frame_of_poses
 from srt.estimation.options import Options
 from srt.estimation.registry import ESTIMATORS, automatic_estimator, find_estimator
