@@ -10,8 +10,8 @@ from certificate_cases import calibration
 
 import srt
 from srt.reports.certificate import load_acceptance_limits, make_certificate
+from srt.reports.certificate.content import budget_table, coverage_probability
 from srt.reports.certificate.laboratory import NOT_STATED, load_laboratory
-from srt.reports.certificate.uncertainty import budget_table, coverage_probability
 from srt.sensor_errors import DISPLAY_FACTORS, GROUP_SLICES
 
 

@@ -45,7 +45,6 @@ if TYPE_CHECKING:
     from srt.reports.inspection import Inspection, ManoeuvreSummary
     from srt.types import Array, Indices
 
-
 __all__ = ["envelope", "inspection_figure", "save_figure"]
 
 _SIZE_INCHES: Final = (15.0, 8.5)
@@ -243,3 +242,17 @@ def _slopes(axes: Axes, coefficients: Array, terms: Sequence[Term], sensor: int,
 
 def _shortened(text: str, width: int = 150) -> str:
     return text if len(text) <= width else text[: width - 2].rsplit(" ", 1)[0] + " …"
+
+
+_NOISE_SIZE_INCHES: Final = (12.0, 5.5)
+
+
+def noise_figure(terms: NoiseTerms, allan: AllanDeviation, *, title: str | None = None) -> Figure:
+    """Draw the Allan deviation with 95 % intervals, and the curves of the resolved terms."""
+    figure = Figure(figsize=_NOISE_SIZE_INCHES, dpi=DPI, layout=ConstrainedLayoutEngine())
+    for sensor, (si, unit) in enumerate(((DEG_PER_H, "°/h"), (MICRO_G, "µg"))):
+        axes = figure.add_subplot(1, 2, sensor + 1)
+        allan_panel(axes, allan, sensor, si, unit, terms)
+        axes.set_xlabel("averaging time, s", fontsize=MEDIUM, color=INK)
+    figure.suptitle(f"Allan deviation{f' of {title}' if title else ''}", fontsize=LARGE, color=INK)
+    return figure
