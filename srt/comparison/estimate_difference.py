@@ -260,24 +260,13 @@ _ADDED: Final = {
 
 @dataclass(frozen=True, slots=True)
 class ModelledEffects:
-    """Effects in the model of one calibration.
+    """Effects in the model of one calibration."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        Bias drifts, g-sensitivity and added noise, as a sentence names them.
-    unused_moves : int
-        Recorded moves between the sequences that the estimator does not use.
-    enlarged : frozenset of str
-        Kinds of noise that the residuals have enlarged; "all" for a factor on all sigmas (Birge ratio).
-    freedom : int
-        Degrees of freedom of the residuals.
-    """
-
-    names: tuple[str, ...]
-    unused_moves: int
+    names: tuple[str, ...]  # bias drifts, g-sensitivity and added noise, as a sentence names them
+    unused_moves: int  # recorded moves between the sequences that the estimator does not use
+    # kinds of noise that the residuals have enlarged; "all" for a factor on all sigmas (Birge ratio)
     enlarged: frozenset[str]
-    freedom: int
+    freedom: int  # degrees of freedom of the residuals
 
     @property
     def relative_uncertainty(self) -> float:

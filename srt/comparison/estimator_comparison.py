@@ -94,10 +94,7 @@ def run_estimators(
     failures : dict of str to str
         Reasons of the estimators without a result.
 
-    Raises
-    ------
-    InputError
-        An estimator that is not registered, or whose packages are not installed.
+    Raises InputError: an estimator that is not registered, or whose packages are not installed.
     """
     recording, recognition = label_sequences(recording)
     calibrations: dict[str, Calibration] = {}

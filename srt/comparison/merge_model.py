@@ -50,24 +50,13 @@ _LEAST_VARIANCE: Final = 1e-6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StackedEstimates:
-    """Observed parameters of all recordings, n rows in all.
+    """Observed parameters of all recordings, n rows in all."""
 
-    Attributes
-    ----------
-    y : ndarray, shape (n,), SI
-    parameter : ndarray of int, shape (n,)
-    recording : ndarray of int, shape (n,)
-    own : ndarray, shape (n, n)
-        Covariance of the recordings' own errors.
-    common : dict of str to ndarray, shape (n, n)
-        Covariance of the common errors, by source.
-    """
-
-    y: Array
-    parameter: Indices
-    recording: Indices
-    own: Array
-    common: dict[str, Array]
+    y: Array  # shape (n,), SI
+    parameter: Indices  # shape (n,): index of the parameter of each row
+    recording: Indices  # shape (n,): number of its recording
+    own: Array  # shape (n, n); covariance of the recordings' own errors
+    common: dict[str, Array]  # shape (n, n); covariance of the common errors, by source
 
     @property
     def covariance(self) -> Array:
@@ -91,10 +80,7 @@ class StackedEstimates:
 def stack_estimates(calibrations: Sequence[Calibration]) -> StackedEstimates:
     """Stack the observed parameters of calibrations, with the covariance of all of them.
 
-    Raises
-    ------
-    InputError
-        A parameter whose sigma is zero.
+    Raises InputError: a parameter whose sigma is zero.
     """
     observed = [np.flatnonzero(c.observed) for c in calibrations]
     for c, at in zip(calibrations, observed, strict=True):
@@ -179,10 +165,7 @@ def estimate(y: Array, X: Array, R: Array) -> tuple[Array, Array, float]:
     statistic : float
         Weighted square sum of the residuals.
 
-    Raises
-    ------
-    InputError
-        If R is not positive definite.
+    Raises InputError if R is not positive definite.
     """
     scale = 1.0 / np.sqrt(np.diag(R))
     try:

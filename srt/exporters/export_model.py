@@ -90,30 +90,17 @@ class ExportSettings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ExportModel:
-    """Calibration prepared for one format.
-
-    Attributes
-    ----------
-    gyro, accel : LinearModel
-        In the format's axes F.
-    frame : str
-        Name of F: "mars", "table" or "accel".
-    C_FB : ndarray, shape (3, 3)
-        From MARS axes to F.
-    g_sensitivity : ndarray, shape (3, 3), rad/s per m/s²
-        Gyro g-sensitivity Γ, rows gyros and columns axes of F; zero where not estimated.
-    applied : AppliedCorrection or None
-        Correction with which the model is composed.
-    """
+    """Calibration prepared for one format."""
 
     calibration: Calibration
-    gyro: LinearModel
+    gyro: LinearModel  # in the format's axes F, as the accelerometers
     accel: LinearModel
-    frame: str
-    C_FB: Array
+    frame: str  # name of F: "mars", "table" or "accel"
+    C_FB: Array  # shape (3, 3); from MARS axes to F
     settings: ExportSettings
+    # shape (3, 3), rad/s per m/s²; gyro g-sensitivity Γ, rows gyros and columns axes of F; zero where not estimated
     g_sensitivity: Array = field(default_factory=lambda: np.zeros((3, 3)))
-    applied: AppliedCorrection | None = None
+    applied: AppliedCorrection | None = None  # correction with which the model is composed
 
     def composed(self, applied: AppliedCorrection) -> ExportModel:
         """Model of the readings that the sensors had before a correction that was applied to them.

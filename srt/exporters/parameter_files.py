@@ -188,10 +188,7 @@ def _write_ardupilot(model: ExportModel) -> dict[str, str]:
 def parameter_values(text: str) -> dict[str, float]:
     """Parameters of an autopilot by name, from lines "NAME,VALUE", "NAME VALUE" or those of QGroundControl.
 
-    Raises
-    ------
-    InputError
-        A line that is no parameter.
+    Raises InputError: a line that is no parameter.
     """
     found = {}
     for line in whole_lines(text):

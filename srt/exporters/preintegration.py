@@ -122,10 +122,7 @@ def preintegration_figures(
         Biases (3,); ``bias_covariance`` (6, 6) for a prior, accelerometers first as in gtsam; continuous covariances
         (3, 3), squares of rad/s/√Hz and m/s²/√Hz; ``n_gravity`` (3,); covariances of the random walks where given.
 
-    Raises
-    ------
-    InputError
-        As :func:`gtsam_preintegration`.
+    Raises InputError as :func:`gtsam_preintegration`.
     """
     if readings not in ("corrected", "raw"):
         raise InputError(f"readings is {readings!r}; it must be 'corrected' or 'raw'.")

@@ -200,32 +200,15 @@ def align_mount(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _PoseFit:
-    """Weighted least-squares solution of the equations of all poses, one row per measured direction cosine.
+    """Weighted least-squares solution of the equations of all poses, one row per measured direction cosine."""
 
-    Attributes
-    ----------
-    matrix : ndarray, shape (3, 3)
-        C_bm.
-    down : ndarray, shape (s, 3)
-        Measured vertical of each pose in M components.
-    pose : ndarray of int, shape (r,)
-        Pose of each row.
-    residual : ndarray, shape (r,), rad
-    gain : ndarray, shape (3, r)
-        Derivative of the solution to the rows.
-    errors : dict of str to ndarray, shape (r, r), rad²
-        Covariance of the rows by source.
-    whitener : ndarray, shape (r, r)
-        Inverse square root of the weights, with an error of the levelling for each row.
-    """
-
-    matrix: Array
-    down: Array
-    pose: Indices
-    residual: Array
-    gain: Array
-    errors: dict[str, Array]
-    whitener: Array
+    matrix: Array  # shape (3, 3); C_bm
+    down: Array  # shape (s, 3); measured vertical of each pose in M components
+    pose: Indices  # shape (r,); pose of each row
+    residual: Array  # shape (r,), rad
+    gain: Array  # shape (3, r); derivative of the solution to the rows
+    errors: dict[str, Array]  # shape (r, r), rad²; covariance of the rows by source
+    whitener: Array  # shape (r, r); inverse square root of the weights, with an error of the levelling for each row
 
 
 def _solve(f: Array, kind: Array, R: Mapping[str, Array], *, level_sigma_rad: float, axis_sigma_rad: float) -> _PoseFit:

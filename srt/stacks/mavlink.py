@@ -52,10 +52,7 @@ class MavlinkCorrector:
     raw : Counts, optional
         Counts of RAW_IMU, in SI units; without them RAW_IMU is malformed.
 
-    Raises
-    ------
-    MissingExtraError
-        Without pymavlink.
+    Raises MissingExtraError without pymavlink.
     """
 
     __slots__ = ("_corrector", "_counts", "_dialect", "_link", "_sequence")
