@@ -30,7 +30,7 @@ from scipy.special import chdtri
 
 from srt.exceptions import DataError, InputError
 from srt.model.rotations import rotation_matrix
-from srt.result.json_file import load_json_file, save_json_file
+from srt.result.json_file import load_json_file, require_format, save_json_file
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -417,10 +417,7 @@ def load_mount_alignment(path: str | PathLike[str], *, trust: bool = False) -> M
 
 
 def _from_dict(document: dict[str, Any]) -> MountAlignment:
-    if not isinstance(document, dict) or document.get("format") != FORMAT:
-        raise InputError(f'this is no mount alignment (its "format" is not "{FORMAT}").')
-    if document.get("version") != VERSION:
-        raise InputError(f"its version is {document.get('version')!r}, but this software reads version {VERSION}.")
+    require_format(document, "mount alignment", FORMAT, VERSION)
     C, P = (np.array(document[name], dtype=np.float64) for name in ("matrix", "covariance"))
     if C.shape != (3, 3) or not np.allclose(C @ C.T, np.eye(3), rtol=0.0, atol=_ROUNDING) or np.linalg.det(C) < 0.0:
         raise InputError("its matrix is no rotation of 3 by 3.")

@@ -130,6 +130,14 @@ def load_json_file(
     return result
 
 
+def require_format(document: object, noun: str, name: str, version: int) -> None:
+    """Raise InputError for a document that is not of this format and version."""
+    if not isinstance(document, dict) or document.get("format") != name:
+        raise InputError(f'this is no {noun} (its "format" is not "{name}").')
+    if document.get("version") != version:
+        raise InputError(f"its version is {document.get('version')!r}, but this software reads version {version}.")
+
+
 def _digest(document: Mapping[str, Any]) -> str:
     content = {key: value for key, value in document.items() if key != _DIGEST}
     text = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
