@@ -401,7 +401,6 @@ C_HEADER: Final = Exporter(
     title="Header of C99 and C++",
     suffixes=(".h", ".hpp"),
     formula="solve y = matrix v + asymmetry |v| + bias for v (gyros: y - g_sensitivity a)",
-    losses=(),
     advice=(
         "--precision float for processors without doubles; --samples increment or rate leaves the other functions out; "
         "--namespace NAME puts them into a namespace of C++.",
@@ -412,7 +411,6 @@ C_HEADER: Final = Exporter(
     read=_read,
     apply=_apply,
     within=SINGLE,
-    imports=False,
     asymmetry=True,
     g_sensitivity=True,
     options=frozenset({"prefix", "precision", "samples", "namespace"}),

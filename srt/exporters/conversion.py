@@ -273,7 +273,7 @@ def _replaced(chosen: Exporter, calibration: Calibration, stated: AppliedCorrect
     known = stated or applied_correction("The calibration", calibration.provenance.applied)
     if known is not None and known.system == chosen.name:
         return known
-    if not chosen.replaces or (known is not None and known.system == NOTHING):
+    if not chosen.find_applied or (known is not None and known.system == NOTHING):
         return None
     if known is None:
         raise InputError(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from srt.exceptions import InputError, MissingExtraError
+from srt.exceptions import InputError, optional
 from srt.exporters.export_model import origin
 from srt.result.json_file import parse_json
 
@@ -45,29 +45,32 @@ class Exporter:
     title: str  # in text
     suffixes: tuple[str, ...]  # endings that its file may have, the first preferred
     formula: str  # formula of the target, ASCII
-    losses: tuple[str, ...]  # parts of a calibration that it does not hold, beside asymmetry and covariance
-    # axes that it can be written in, the first by default: "mars", "table" or, where the format decides them, "accel"
-    frames: tuple[str, ...]
     write: Callable[[ExportModel], dict[str, str]]  # the texts of its files, by part
     read: Callable[[Texts], Fields]  # fields by name out of the texts; raises InputError
     # the target's formula: (fields, gyro, accel), shapes (n, 3) in SI, to the corrected ones in SI
     apply: Callable[[Fields, Array, Array], tuple[Array, Array]]
+    losses: tuple[str, ...] = ()  # parts of a calibration that it does not hold, beside asymmetry and covariance
     advice: tuple[str, ...] = ()  # notes on the use of the file
+    # axes that it can be written in, the first by default: "mars", "table" or, where the format decides them, "accel"
+    frames: tuple[str, ...] = ("mars", "table")
     parts: tuple[str, ...] = ("",)  # appended to the stem of the file's name; one empty part is one file
     companions: tuple[str, ...] = ()  # parts that are written beside these and not needed to read a file
     triangle: str | None = None  # "lower" or "upper", shape of the accelerometer matrix in axes "accel"
     # the linear part comes back to this fraction of the largest value; None where the format is too small for it
     within: float | None = ROUNDING
     biases: bool = True  # True if it holds biases
-    imports: bool = True  # True if it can be read as a pre-calibration
     options: frozenset[str] = frozenset()  # ExportSettings that it takes; others are refused
     asymmetry: bool = False  # True if it holds asymmetry
     g_sensitivity: bool = False  # True if it holds gyro g-sensitivity
-    # True if its parameters replace those inside the unit, so that the correction of the log must be known
-    replaces: bool = False
-    find_applied: str = ""  # how to find the correction that a log was made under
+    # How to find the correction that a log was made under, where the parameters replace that inside the unit.
+    find_applied: str = ""
     # sentences on what the target does with these parameters, given the model and the fields of the file
     limits: Callable[[ExportModel, Fields], tuple[str, ...]] = lambda model, fields: ()  # noqa: ARG005
+
+    @property
+    def imports(self) -> bool:
+        """True if it can be read as a pre-calibration: it holds the linear part, and not a whole calibration."""
+        return self.within is not None and not self.asymmetry
 
 
 def heading(item: Exporter, model: ExportModel) -> list[str]:
@@ -253,8 +256,6 @@ def _sized(shape: Sequence[int]) -> str:
 
 
 def _yaml() -> Any:
-    try:
+    with optional("yaml", "formats", "This format", "pyyaml"):
         import yaml
-    except ImportError:
-        raise MissingExtraError("pyyaml", "formats", "This format") from None
     return yaml

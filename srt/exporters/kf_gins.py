@@ -101,11 +101,9 @@ KF_GINS: Final = Exporter(
         "Its IMU axes are forward, right, down: record the test in them, or turn the axes first (--map-gyro).",
         "gbstd and abstd are the bias instability of srt noise, where it was run; corrtime, gsstd and asstd are yours.",
     ),
-    frames=("mars", "table"),
     write=_write,
     read=_read,
     apply=each_sensor(lambda fields, s, y: (y - fields[f"{s}_bias"]) / (1.0 + fields[f"{s}_scale"])),
     within=None,
-    imports=False,
     options=frozenset({"inflate"}),
 )

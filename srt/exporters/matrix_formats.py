@@ -183,12 +183,10 @@ PYINS: Final = Exporter(
     title="pyins inertial sensor parameters",
     suffixes=(".json",),
     formula="x_out = transform x + bias",
-    losses=(),
     advice=(
         "pyins has no file of its own: Parameters(**document['gyro']) simulates, EstimationModel.transform and .bias "
         "correct.",
     ),
-    frames=("mars", "table"),
     write=_write_pyins,
     read=_read_pyins,
     apply=each_sensor(lambda fields, sensor, y: solved(fields[f"{sensor}.transform"], y - fields[f"{sensor}.bias"])),
@@ -298,9 +296,7 @@ IMUCAL: Final = Exporter(
     title="imucal Ferraris calibration",
     suffixes=(".json",),
     formula="acc = inv(R_a) inv(K_a) (acc_m - b_a); gyr = inv(R_g) inv(K_g) (gyr_m - K_ga acc - b_g); m/s^2, deg/s",
-    losses=(),
     advice=("imucal takes and gives gyro readings in deg/s.",),
-    frames=("mars", "table"),
     g_sensitivity=True,
     write=_write_imucal,
     read=_read_imucal,
@@ -343,7 +339,6 @@ IMU_TK: Final = Exporter(
     title="imu_tk pair of calibrations",
     suffixes=(".calib",),
     formula="X' = T K (X - B)",
-    losses=(),
     advice=("Two files, NAME_acc.calib and NAME_gyro.calib; they hold numbers alone. Readings in rad/s, m/s^2.",),
     frames=("accel",),
     triangle="upper",
@@ -394,7 +389,6 @@ BASALT: Final = Exporter(
     title="Basalt calibration, inertial part",
     suffixes=(".json",),
     formula="cal = (I + S) raw - b; 9 numbers b, S lower-triangular by columns; 12 numbers b, S by columns",
-    losses=(),
     advice=(
         "Copy the fields of value0 into the calibration of the cameras; this file alone is no whole calibration.",
         "Extrinsics change with the axes: T_imu_cam becomes [C 0; 0 1] T_imu_cam.",

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
-from srt.exceptions import InputError, MissingExtraError
+from srt.exceptions import InputError, optional
 from srt.exporters.export_model import known_figures, statement
 from srt.exporters.file_format import Exporter, each_sensor, field, from_json, heading, to_json
 from srt.model.sensor_model import accel_triad, gyro_triad
@@ -80,10 +80,8 @@ def gtsam_preintegration(
     MissingExtraError
         Without gtsam.
     """
-    try:
+    with optional("gtsam", "graph", "Preintegration"):
         import gtsam
-    except ImportError:
-        raise MissingExtraError("gtsam", "graph", "Preintegration") from None
     walks = (gyro_random_walk, accel_random_walk)
     if (gyro_random_walk is None) != (accel_random_walk is None):
         raise InputError("Give the random walks of gyros and accelerometers, or neither.")
@@ -193,6 +191,5 @@ GTSAM: Final = Exporter(
     read=_read,
     apply=each_sensor(lambda fields, sensor, y: y - fields[f"bias_{sensor}"]),
     within=None,
-    imports=False,
     options=frozenset({"gyro_random_walk", "accel_random_walk", "inflate"}),
 )
