@@ -18,7 +18,7 @@ from srt.exceptions import InputError, did_you_mean
 from srt.model.table1 import AXES
 from srt.recording.recording import Kind
 from srt.recording.samples import ACCEL_COLUMNS, GYRO_COLUMNS, TEMPERATURE, TIME
-from srt.recording.schema import ACCEL_UNITS, COUNTS, GYRO_UNITS, TIME_UNITS
+from srt.recording.schema import ACCEL_UNITS, COUNTS, GYRO_UNITS, UNITS
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -117,8 +117,9 @@ class ImportOptions:
     def __post_init__(self) -> None:
         if self.kind is not None and self.kind not in get_args(Kind):
             raise InputError(f"{option('kind')} is {self.kind!r}, but rate or increment is expected.")
-        for sensor, units in SENSOR_UNITS.items():
-            self._set_unit(f"{sensor}_unit", (*units["rate"], *units["increment"], COUNTS))
+        for quantity, allowed in UNITS.items():
+            self._set_unit(f"{quantity}_unit", allowed)
+        for sensor in SENSOR_UNITS:
             parse_axis_map(getattr(self, f"map_{sensor}"), f"map_{sensor}")
             counts = getattr(self, f"{sensor}_unit") in (None, COUNTS)
             for name, parse in ((f"{sensor}_lsb", parse_lsb), (f"{sensor}_offset", parse_offset)):
@@ -132,7 +133,6 @@ class ImportOptions:
                     object.__setattr__(
                         self, name, parse(value, sensor) if isinstance(value, str) else _of_numbers(name, value)
                     )
-        self._set_unit("time_unit", tuple(TIME_UNITS))
         rate = 1.0 if self.sample_rate_hz is None else self.sample_rate_hz
         require_type(option("sample_rate_hz"), "a number in Hz", rate, Real)
         if not (math.isfinite(rate) and rate > 0.0):

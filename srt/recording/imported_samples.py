@@ -12,11 +12,11 @@ from srt.exceptions import InputError, NotStatedError, clipped
 from srt.recording.import_options import SENSOR_UNITS, TRIADS, ImportOptions, counts_text, option, parse_axis_map
 from srt.recording.recording import Kind, Recording, Site, require_bounded
 from srt.recording.samples import TEMPERATURE, TIME
-from srt.recording.schema import COUNTS, TIME_UNITS
+from srt.recording.schema import COUNTS, TIME_UNITS, UNITS
 from srt.recording.timing import GAP_STEPS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Mapping
 
     from numpy.typing import NDArray
 
@@ -335,14 +335,11 @@ def require_units(options: ImportOptions, stated: dict[str, str | None]) -> None
             continue
         if (getattr(options, name) or unit) == COUNTS:
             counted.append(quantity)
-        allowed: Iterable[str] = TIME_UNITS
-        if quantity in SENSOR_UNITS:
-            allowed = [*SENSOR_UNITS[quantity]["rate"], *SENSOR_UNITS[quantity]["increment"], COUNTS]
-        if getattr(options, name) or (unit and unit in allowed):
+        if getattr(options, name) or unit in UNITS[quantity]:
             continue
         missing.append(f"{quantity} (its text {clipped(unit)!r} is not known)" if unit else quantity)
         counts = f" (for them {option(f'{quantity}_lsb')} alone is enough)" if quantity in SENSOR_UNITS else ""
-        ways.append(f"{option(name)} ({name} in recording.toml), one of {', '.join(allowed)}{counts}")
+        ways.append(f"{option(name)} ({name} in recording.toml), one of {', '.join(UNITS[quantity])}{counts}")
     sentences = []
     if missing:
         sentences.append(f"The file does not state the unit of {', '.join(missing)}: give {'; and '.join(ways)}.")
