@@ -10,8 +10,8 @@ import numpy as np
 
 from srt.exceptions import DataError
 from srt.presentation import Presented
+from srt.reports.certificate.calibration_file import FALSE_ALARM
 from srt.reports.certificate.laboratory import COVERAGE_FACTOR, Laboratory, equipment_table, references_table
-from srt.reports.certificate.parameter_changes import FALSE_ALARM
 from srt.reports.certificate.unit_description import (
     SERIAL_LENGTH,
     application_section,
@@ -39,8 +39,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from srt.reports.certificate.acceptance_limits import AcceptanceLimits
-    from srt.reports.certificate.calibration_file import CalibrationFile
-    from srt.reports.certificate.parameter_changes import ParameterChanges
+    from srt.reports.certificate.calibration_file import CalibrationFile, ParameterChanges
     from srt.reports.certificate.recording_history import RecordingHistory
     from srt.reports.certificate.unit_description import Application
     from srt.result.calibration import Calibration, Residual
