@@ -358,9 +358,7 @@ SUBJECTS = (
         ("*",),
         without_effect=("size - size.mean(axis=0)",),  # multiplied by deviations, which sum to zero
     ),
-    Subject("export: forward models", "srt/exporters/forward_models.py", ("tests/exporters",), ("*",)),
-    Subject("export: inverse models", "srt/exporters/inverse_models.py", ("tests/exporters",), ("*",)),
-    Subject("export: KF-GINS", "srt/exporters/kf_gins.py", ("tests/exporters",), ("*",)),
+    Subject("export: matrices", "srt/exporters/matrix_formats.py", ("tests/exporters",), ("*",)),
     Subject("export: parameter files", "srt/exporters/parameter_files.py", ("tests/exporters",), ("*",)),
     Subject("export: preintegration", "srt/exporters/preintegration.py", ("tests/exporters",), ("*",)),
     Subject("export: C header", "srt/exporters/c_header.py", ("tests/exporters/test_c_header.py",), ("*",)),

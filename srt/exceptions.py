@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import difflib
+from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Iterator
 
 
 class SrtError(Exception):
@@ -51,6 +52,21 @@ class MissingExtraError(InputError):
             f"{purpose} needs the package {package!r}, which is not installed: "
             f"run pip install 'strapdown-rotation-test[{extra}]'."
         )
+
+
+@contextmanager
+def optional(module: str, extra: str, purpose: str, package: str | None = None) -> Iterator[None]:
+    """Context of the import of an optional dependency, which an extra of this distribution installs.
+
+    ``module`` is the name of its top-level module, ``package`` that of its distribution, if another; ``purpose`` begins
+    the sentence. Raises MissingExtraError if this very module is missing.
+    """
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        if (error.name or "").partition(".")[0] != module:
+            raise
+        raise MissingExtraError(package or module, extra, purpose) from None
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:

@@ -58,7 +58,7 @@ def demo(output: Path, seed: int | None, quiet: bool) -> int:
     calibration = run_job(job, "auto", Options(), Display(truth, quiet=quiet))
     if not quiet:
         show()
-    from srt.reports.text.truth_comparison import largest_error_text
+    from srt.reports.text.calibration_summary import largest_error_text
 
     show(largest_error_text(calibration, truth))
     code = report_problems(job, calibration)

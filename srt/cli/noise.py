@@ -76,7 +76,7 @@ def noise(
 
         replace(calibration, noise=replace(calibration.noise, terms=found)).save(into)
     if plot is not None:
-        from srt.reports.figures.noise import noise_figure
+        from srt.reports.figures.inspection import noise_figure
         from srt.reports.figures.style import save_figure
 
         save_figure(noise_figure(terms, allan, title=figure_title(recording_folder(log).resolve().name)), plot)

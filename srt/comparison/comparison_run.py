@@ -74,12 +74,8 @@ def runnable_estimators(
     names : sequence of str
         Names asked for; empty: all of this package that can run.
 
-    Raises
-    ------
-    InputError
-        A reference that cannot run, or that is not one of the compared estimators.
-    DataError
-        Fewer than two estimators that can run.
+    Raises InputError: a reference that cannot run, or that is not one of the compared estimators; DataError: fewer than
+    two estimators that can run.
     """
     left_out: dict[str, str] = {}
     chosen = tuple(dict.fromkeys(names))

@@ -19,10 +19,12 @@ from srt.comparison.estimate_difference import (
     EstimateDifference,
     estimate_difference,
     finite,
+    joined,
     listing,
+    modelled_effects,
     ratio_of,
+    verdicts_differ,
 )
-from srt.comparison.modelled_effects import joined, modelled_effects, verdicts_differ
 from srt.estimation.fixed_parameters import in_frame_of_poses
 from srt.estimation.options import Options
 from srt.estimation.registry import ESTIMATORS, automatic_estimator, find_estimator
@@ -92,10 +94,7 @@ def run_estimators(
     failures : dict of str to str
         Reasons of the estimators without a result.
 
-    Raises
-    ------
-    InputError
-        An estimator that is not registered, or whose packages are not installed.
+    Raises InputError: an estimator that is not registered, or whose packages are not installed.
     """
     recording, recognition = label_sequences(recording)
     calibrations: dict[str, Calibration] = {}

@@ -88,6 +88,11 @@ class FleetUnit:
     calibration: Calibration | None = None
 
     @property
+    def about(self) -> dict[str, str | None]:
+        """Serial, recording, status and message by name, as files state them."""
+        return {key: getattr(self, key) for key in ("serial", "recording", "status", "message")}
+
+    @property
     def sound(self) -> bool:
         """True if its values count in the fleet statistics."""
         return self.calibration is not None and self.status in USABLE
@@ -116,13 +121,7 @@ class Fleet:
         """Rows of the long table, :data:`COLUMNS`; None for unknown values."""
         judged, flagged = self.outliers, self.outliers.flagged
         for number, unit in enumerate(self.units):
-            about = {
-                "unit": unit.name,
-                "serial": unit.serial,
-                "recording": unit.recording,
-                "status": unit.status,
-                "message": unit.message,
-            }
+            about = {"unit": unit.name, **unit.about}
             if unit.calibration is None:
                 yield dict.fromkeys(COLUMNS) | about
                 continue
@@ -191,10 +190,7 @@ class Fleet:
         unit = self.units[number]
         out: dict[str, Any] = {
             "name": unit.name,
-            "serial": unit.serial,
-            "recording": unit.recording,
-            "status": unit.status,
-            "message": unit.message,
+            **unit.about,
             "exit_code": unit.exit_code,
             "flagged": [NAMES[i] for i in self.flagged(number)],
         }

@@ -11,8 +11,14 @@ import numpy as np
 from scipy.special import chdtrc
 
 from srt.arguments import require_type
-from srt.comparison.merge_model import GROUP_OF, StackedEstimates, between_sigma, estimate, stack_estimates
-from srt.comparison.repeatability import repeatability
+from srt.comparison.merge_model import (
+    GROUP_OF,
+    StackedEstimates,
+    between_sigma,
+    estimate,
+    repeatability,
+    stack_estimates,
+)
 from srt.estimation.leave_one_out import SequenceDiagnostics, consistency_tests, leave_one_out_estimates, verdict
 from srt.exceptions import DataError, InputError
 from srt.model.rotations import rotation_vector

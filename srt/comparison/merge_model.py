@@ -19,14 +19,23 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from scipy.linalg import block_diag, solve_triangular
+from scipy.special import chdtrc
 
 from srt.exceptions import InputError
 from srt.model.prior import prior_sigma
 from srt.noise.variance_components import restricted_likelihood
+from srt.result.repeatability import (
+    Deviation,
+    GroupRepeatability,
+    MergedRecording,
+    OmittedRecording,
+    ParameterRepeatability,
+    Repeatability,
+)
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from srt.result.calibration import Calibration
     from srt.types import Array, Indices
@@ -41,24 +50,13 @@ _LEAST_VARIANCE: Final = 1e-6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StackedEstimates:
-    """Observed parameters of all recordings, n rows in all.
+    """Observed parameters of all recordings, n rows in all."""
 
-    Attributes
-    ----------
-    y : ndarray, shape (n,), SI
-    parameter : ndarray of int, shape (n,)
-    recording : ndarray of int, shape (n,)
-    own : ndarray, shape (n, n)
-        Covariance of the recordings' own errors.
-    common : dict of str to ndarray, shape (n, n)
-        Covariance of the common errors, by source.
-    """
-
-    y: Array
-    parameter: Indices
-    recording: Indices
-    own: Array
-    common: dict[str, Array]
+    y: Array  # shape (n,), SI
+    parameter: Indices  # shape (n,): index of the parameter of each row
+    recording: Indices  # shape (n,): number of its recording
+    own: Array  # shape (n, n); covariance of the recordings' own errors
+    common: dict[str, Array]  # shape (n, n); covariance of the common errors, by source
 
     @property
     def covariance(self) -> Array:
@@ -82,10 +80,7 @@ class StackedEstimates:
 def stack_estimates(calibrations: Sequence[Calibration]) -> StackedEstimates:
     """Stack the observed parameters of calibrations, with the covariance of all of them.
 
-    Raises
-    ------
-    InputError
-        A parameter whose sigma is zero.
+    Raises InputError: a parameter whose sigma is zero.
     """
     observed = [np.flatnonzero(c.observed) for c in calibrations]
     for c, at in zip(calibrations, observed, strict=True):
@@ -170,10 +165,7 @@ def estimate(y: Array, X: Array, R: Array) -> tuple[Array, Array, float]:
     statistic : float
         Weighted square sum of the residuals.
 
-    Raises
-    ------
-    InputError
-        If R is not positive definite.
+    Raises InputError if R is not positive definite.
     """
     scale = 1.0 / np.sqrt(np.diag(R))
     try:
@@ -188,3 +180,108 @@ def estimate(y: Array, X: Array, R: Array) -> tuple[Array, Array, float]:
     left = whitener @ y
     left = left - Q @ (Q.T @ left)
     return weights @ y, weights, float(left @ left)
+
+
+def repeatability(
+    stack: StackedEstimates,
+    used: Mapping[str, Calibration],
+    left_out: Mapping[str, str],
+    merged: Array,
+    sizes: Array,
+    agreement: tuple[float, int, float | None],
+) -> Repeatability:
+    """Table of the repeatability.
+
+    Parameters
+    ----------
+    left_out : mapping of str to str
+        Status of the recordings that were not used.
+    merged : ndarray, shape (27,)
+    sizes : ndarray, shape (8,)
+        One sigma between recordings, by group.
+    agreement : (float, int, float or None)
+        Chi-square of all, degrees of freedom, probability.
+    """
+    statistic, freedom, probability = agreement
+    return Repeatability(
+        recordings=tuple(_recording(title, c) for title, c in used.items()),
+        left_out=tuple(OmittedRecording(name=title, status=status) for title, status in left_out.items()),
+        chi_square=statistic,
+        degrees_of_freedom=freedom,
+        probability=probability,
+        groups=tuple(_group(stack, name, float(size)) for name, size in zip(GROUP_SLICES, sizes, strict=True)),
+        parameters=tuple(_parameter(stack, list(used), i, float(merged[i])) for i in np.unique(stack.parameter)),
+    )
+
+
+def _recording(title: str, calibration: Calibration) -> MergedRecording:
+    temperature = calibration.temperature
+    return MergedRecording(
+        name=title,
+        estimator=calibration.estimator,
+        status=calibration.status,
+        date=calibration.provenance.date,
+        temperature_c=None if temperature is None else temperature.mean_c,
+        temperature_range_c=None if temperature is None else temperature.range_c,
+        data_sha256=calibration.provenance.data_sha256,
+        held=tuple(calibration.held),
+        U=calibration.U,
+        U_sigma=calibration.U_sigma_rad,
+    )
+
+
+def _group(stack: StackedEstimates, name: str, size: float) -> GroupRepeatability:
+    rows = np.flatnonzero(np.isin(stack.parameter, np.arange(len(NAMES))[GROUP_SLICES[name]]))
+    statistic, freedom = _agreement(stack, rows)[:2]
+    return GroupRepeatability(
+        group=name,
+        chi_square=statistic,
+        degrees_of_freedom=freedom,
+        probability=_probability(statistic, freedom),
+        between_sigma=size,
+    )
+
+
+def _parameter(stack: StackedEstimates, titles: list[str], i: int, merged: float) -> ParameterRepeatability:
+    rows = np.flatnonzero(stack.parameter == i)
+    values = dict(zip(stack.recording[rows].tolist(), stack.y[rows].tolist(), strict=True))
+    sigma = np.sqrt(np.diag(stack.covariance)[rows])
+    sigmas = dict(zip(stack.recording[rows].tolist(), sigma.tolist(), strict=True))
+    statistic, freedom, mean, normalised = _agreement(stack, rows)
+    farthest = int(np.argmax(np.abs(normalised)))
+    return ParameterRepeatability(
+        name=NAMES[i],
+        values=tuple(values.get(r) for r in range(len(titles))),
+        sigmas=tuple(sigmas.get(r) for r in range(len(titles))),
+        weighted_mean=float(mean[0]),
+        merged=merged,
+        spread=float(np.std(stack.y[rows], ddof=1)) if freedom else None,
+        chi_square=statistic,
+        degrees_of_freedom=freedom,
+        probability=_probability(statistic, freedom),
+        largest_deviation=(
+            Deviation(recording=titles[stack.recording[rows[farthest]]], sigmas=float(normalised[farthest]))
+            if freedom
+            else None
+        ),
+    )
+
+
+def _agreement(stack: StackedEstimates, rows: Indices) -> tuple[float, int, Array, Array]:
+    """Chi-square of some rows about their weighted means, degrees of freedom, means, deviations over their sigma."""
+    if not len(rows):
+        return 0.0, 0, np.zeros(0), np.zeros(0)
+    X = stack.design[rows]
+    X = X[:, X.any(axis=0)]
+    R = stack.covariance[np.ix_(rows, rows)]
+    mean, weights, statistic = estimate(stack.y[rows], X, R)
+    left = stack.y[rows] - X @ mean
+    # The residuals of the best linear estimate have the covariance R − X P Xᵀ.
+    variance = np.diag(R - X @ weights @ R @ weights.T @ X.T)
+    there = variance > 1e-12 * np.diag(R)
+    normalised = np.where(there, left / np.sqrt(np.where(there, variance, 1.0)), 0.0)
+    return statistic, len(rows) - X.shape[1], mean, normalised
+
+
+def _probability(statistic: float, freedom: int) -> float | None:
+    return float(chdtrc(freedom, statistic)) if freedom else None

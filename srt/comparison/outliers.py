@@ -115,10 +115,7 @@ def find_outliers(values: ArrayLike, sigmas: ArrayLike) -> FleetOutliers:
     FleetOutliers
         With p in place of 27 (the limits are those of a table of 27).
 
-    Raises
-    ------
-    InputError
-        Shapes that differ.
+    Raises InputError: shapes that differ.
     """
     y, sigma = np.asarray(values, dtype=np.float64), np.asarray(sigmas, dtype=np.float64)
     if y.ndim != 2 or y.shape != sigma.shape:

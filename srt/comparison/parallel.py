@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from functools import cache, partial
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
-from srt.exceptions import DataError, InputError, MissingExtraError
+from srt.exceptions import DataError, InputError, optional
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -131,10 +131,8 @@ def one_thread(extra: str) -> Iterator[None]:
     MissingExtraError
         Without threadpoolctl, which the named extra brings.
     """
-    try:
+    with optional("threadpoolctl", extra, "Keeping linear algebra to one thread"):
         from threadpoolctl import threadpool_limits
-    except ModuleNotFoundError as error:
-        raise MissingExtraError("threadpoolctl", extra, "Keeping linear algebra to one thread") from error
     with threadpool_limits(limits=1):
         yield
 
@@ -160,11 +158,9 @@ def _ended_managers_are_silent() -> Iterator[None]:
 
 
 def _on_this_machine(call: Callable[[Any], R], tasks: Iterable[Any], workers: int) -> Iterator[R]:
-    try:
+    with optional("joblib", "campaign", "Running in several processes"):
         from joblib import Parallel, delayed, parallel_config
         from joblib.externals.loky.process_executor import TerminatedWorkerError
-    except ModuleNotFoundError as error:
-        raise MissingExtraError("joblib", "campaign", "Running in several processes") from error
     given_up = threading.Event()
     wanted = (task for task in tasks if not given_up.is_set())
     with _ended_managers_are_silent(), parallel_config(backend="loky", inner_max_num_threads=1):
@@ -190,11 +186,9 @@ def _on_this_machine(call: Callable[[Any], R], tasks: Iterable[Any], workers: in
 
 
 def _on_cluster(call: Callable[[Any], R], tasks: Iterable[Any], address: str) -> Iterator[R]:
-    try:
+    with optional("distributed", "cluster", "Running on a Dask scheduler"):
         from distributed import Client, as_completed
         from distributed.scheduler import KilledWorker
-    except ModuleNotFoundError as error:
-        raise MissingExtraError("distributed", "cluster", "Running on a Dask scheduler") from error
     try:
         client = Client(address, timeout=_CONNECT_S)
     except (OSError, ValueError, TimeoutError, MemoryError) as error:  # MemoryError: another service answers

@@ -28,10 +28,7 @@ def applied_of(text: str, instance: int | None = None) -> AppliedCorrection:
     instance : int, optional
         Number of the IMU of an autopilot; default 0.
 
-    Raises
-    ------
-    InputError
-        Another form, or a file that does not hold the correction.
+    Raises InputError: another form, or a file that does not hold the correction.
     """
     if text == NOTHING:
         return AppliedCorrection(NOTHING)
@@ -62,10 +59,7 @@ def load_applied(
     gyro_instance : int, optional
         Number of the gyros' parameters; default ``instance``.
 
-    Raises
-    ------
-    InputError
-        A file that cannot be read, or that does not hold the correction.
+    Raises InputError: a file that cannot be read, or that does not hold the correction.
     """
     chosen = exporter(target)
     texts = read_texts(chosen, path)

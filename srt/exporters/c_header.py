@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -27,6 +26,8 @@ if TYPE_CHECKING:
 _NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,30}")
 _SUFFIXES: Final = {"double": "", "float": "f"}
 """Suffix of a literal by type."""
+_KINDS: Final = {"both": ("", "_increment"), "rate": ("",), "increment": ("_increment",)}
+"""Endings of the names of functions by the samples that are corrected: "" for rates, "_increment" for increments."""
 
 _MULTIPLY: Final = """\
 static inline void {name}_multiply_(const {real} m[9], const {real} x[3], {real} v[3])
@@ -155,48 +156,6 @@ _HEAD: Final = """\
 """
 
 
-@dataclass(frozen=True, slots=True)
-class HeaderOptions:
-    """Form of the header.
-
-    Attributes
-    ----------
-    name : str
-        Prefix of all names, as in ``imu_correct_gyro``: a letter, then letters, digits and underscores.
-    precision : "double" or "float"
-        Type of all numbers. "float" computes in single precision alone, for processors without doubles.
-    samples : "both", "rate" or "increment"
-        Samples that it corrects.
-    namespace : str or None
-        Namespace of C++ around the functions; C does not see it.
-
-    Raises
-    ------
-    InputError
-        A name that C does not take, or an unknown choice.
-    """
-
-    name: str = "imu"
-    precision: str = "double"
-    samples: str = "both"
-    namespace: str | None = None
-
-    def __post_init__(self) -> None:
-        for name in (self.name, *(() if self.namespace is None else (self.namespace,))):
-            if not isinstance(name, str) or not _NAME.fullmatch(name):
-                raise InputError(
-                    f"{name!r} cannot begin names in C: use a letter, then letters, digits or underscores, up to 31."
-                )
-        for name, choices in (("precision", tuple(_SUFFIXES)), ("samples", ("both", "rate", "increment"))):
-            if getattr(self, name) not in choices:
-                raise InputError(f"The {name} is {getattr(self, name)!r}; it must be one of {', '.join(choices)}.")
-
-    @property
-    def kinds(self) -> tuple[str, ...]:
-        """Endings of the names of functions: "" for rates, "_increment" for increments."""
-        return {"both": ("", "_increment"), "rate": ("",), "increment": ("_increment",)}[self.samples]
-
-
 def c99_header(
     calibration: Calibration,
     name: str = "imu",
@@ -209,8 +168,14 @@ def c99_header(
 
     Parameters
     ----------
-    name, precision, samples, namespace : str
-        As in :class:`HeaderOptions`.
+    name : str
+        Prefix of all names, as in ``imu_correct_gyro``: a letter, then letters, digits and underscores.
+    precision : "double" or "float"
+        Type of all numbers. "float" computes in single precision alone, for processors without doubles.
+    samples : "both", "rate" or "increment"
+        Samples that it corrects.
+    namespace : str or None
+        Namespace of C++ around the functions; C does not see it.
 
     Returns
     -------
@@ -233,20 +198,28 @@ def c99_header(
     :class:`srt.result.applier.Applier` to the last bit on machines that compute in double. Readings that are not
     finite are not refused but come out as NaN or infinite.
     """
-    options = HeaderOptions(name, precision, samples, namespace)
+    for given in (name, *(() if namespace is None else (namespace,))):
+        if not isinstance(given, str) or not _NAME.fullmatch(given):
+            raise InputError(
+                f"{given!r} cannot begin names in C: use a letter, then letters, digits or underscores, up to 31."
+            )
+    for what, choice, choices in (("precision", precision, _SUFFIXES), ("samples", samples, _KINDS)):
+        if choice not in choices:
+            raise InputError(f"The {what} is {choice!r}; it must be one of {', '.join(choices)}.")
+    kinds = _KINDS[samples]
     applier = Applier(calibration, frame="mars" if calibration.U is None else "table")
     suffix, guard = _SUFFIXES[precision], f"{name.upper()}_CALIBRATION_H"
     words = {"name": name, "real": precision, "zero": f"0.0{suffix}", "one": f"1.0{suffix}", "const": f"{guard}_TABLE_"}
-    parts = [_comment(calibration, options, applier), _HEAD.format(guard=guard)]
+    parts = [_comment(calibration, words, kinds[0], applier), _HEAD.format(guard=guard)]
     if namespace is not None:
         parts.append(f"#ifdef __cplusplus\nnamespace {namespace} {{\n#endif\n")
     parts.append(_MULTIPLY.format(**words))
     if applier.gyro.octants is not None or applier.accel.octants is not None:
         parts.append(_SOLVE.format(**words, steps=STEPS))
-    parts += [_functions(applier, words, kind) for kind in options.kinds]
+    parts += [_functions(applier, words, kind) for kind in kinds]
     if applier.rotation is not None:
         parts.append(_TABLE.format(**words, rotation=_numbers(applier.rotation, precision)))
-        parts += [_table_functions(applier, words, kind) for kind in options.kinds]
+        parts += [_table_functions(applier, words, kind) for kind in kinds]
     if namespace is not None:
         parts.append("#ifdef __cplusplus\n}\n#endif\n")
     parts.append(f"#undef {guard}_TABLE_\n\n#endif /* {guard} */\n")
@@ -346,9 +319,9 @@ def _number(value: float, precision: str) -> str:
     return (text if any(mark in text for mark in ".e") else f"{text}.0") + _SUFFIXES[precision]
 
 
-def _comment(calibration: Calibration, options: HeaderOptions, applier: Applier) -> str:
+def _comment(calibration: Calibration, words: dict[str, str], kind: str, applier: Applier) -> str:
     """Heading comment."""
-    name, precision, kind = options.name, options.precision, options.kinds[0]
+    name, precision = words["name"], words["real"]
     table = "; _table: table-mounted frame" if applier.rotation is not None else ""
     frame = f"MARS, the frame in which the gyro matrix is symmetric{table}"
     followed = applier.sensitivity is not None
@@ -428,7 +401,6 @@ C_HEADER: Final = Exporter(
     title="Header of C99 and C++",
     suffixes=(".h", ".hpp"),
     formula="solve y = matrix v + asymmetry |v| + bias for v (gyros: y - g_sensitivity a)",
-    losses=(),
     advice=(
         "--precision float for processors without doubles; --samples increment or rate leaves the other functions out; "
         "--namespace NAME puts them into a namespace of C++.",
@@ -439,7 +411,6 @@ C_HEADER: Final = Exporter(
     read=_read,
     apply=_apply,
     within=SINGLE,
-    imports=False,
     asymmetry=True,
     g_sensitivity=True,
     options=frozenset({"prefix", "precision", "samples", "namespace"}),

@@ -11,9 +11,8 @@ import numpy as np
 
 from srt.exceptions import DataError, InputError, SrtError
 from srt.exporters.correction_difference import CorrectionDifference, Readings, compare_corrections
-from srt.exporters.export_model import ExportModel, ExportSettings
+from srt.exporters.export_model import ExportModel, ExportSettings, unknown
 from srt.exporters.linear_model import ASYMMETRY, FACTORS, LinearModel, linear_part
-from srt.exporters.noise_fields import unknown
 from srt.exporters.registry import exporter
 from srt.model.sensor_model import Triad, accel_triad, gyro_triad, outside_model, to_mars
 from srt.recording.applied import NOTHING, AppliedCorrection, applied_correction
@@ -274,7 +273,7 @@ def _replaced(chosen: Exporter, calibration: Calibration, stated: AppliedCorrect
     known = stated or applied_correction("The calibration", calibration.provenance.applied)
     if known is not None and known.system == chosen.name:
         return known
-    if not chosen.replaces or (known is not None and known.system == NOTHING):
+    if not chosen.find_applied or (known is not None and known.system == NOTHING):
         return None
     if known is None:
         raise InputError(

@@ -11,7 +11,7 @@ import numpy as np
 from srt.constants import STANDARD_GRAVITY_M_S2
 from srt.exceptions import InputError
 from srt.model.sensor_model import accel_triad, gyro_triad
-from srt.recording.sample_checks import as_samples, require_finite
+from srt.recording.recording import as_samples, require_finite
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field, fields, replace
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from srt.exceptions import InputError
 from srt.exporters.linear_model import LinearModel
 from srt.model.rotations import rotation_vector
+from srt.noise.allan import FLAT, TERMS
+from srt.noise.stated_figures import stated_term, white_noise
 from srt.recording.schema import LARGEST_ELEMENT
 
 if TYPE_CHECKING:
@@ -20,10 +22,13 @@ if TYPE_CHECKING:
     from srt.result.calibration import Calibration
     from srt.types import Array
 
-
 _UNSAFE: Final = re.compile(r"[^A-Za-z0-9 ./:,;()+@=_-]")
 _TOPIC: Final = re.compile(r"[A-Za-z0-9_/~.-]+")
 LAST_INSTANCE: Final = 9
+OPTIONS: Final = frozenset({"topic", "rate_hz", "gyro_random_walk", "accel_random_walk", "inflate"})
+"""Settings of formats that hold noise."""
+DEFAULT_TOPIC: Final = "/imu0"
+_BIAS_WALK: Final = [term.name for term in TERMS].index("bias_random_walk")
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +46,7 @@ class ExportSettings:
     accel_random_walk : float or None
         Random walk of the accelerometer bias, m/s³/√Hz.
     prefix, precision, samples, namespace : str or None
-        Form of a C header, see :class:`srt.exporters.c_header.HeaderOptions`.
+        Form of a C header, see :func:`srt.exporters.c_header.c99_header`.
     inflate : float or None
         Factor on noise densities and random walks; default 1.
     instance : int or None
@@ -85,30 +90,17 @@ class ExportSettings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ExportModel:
-    """Calibration prepared for one format.
-
-    Attributes
-    ----------
-    gyro, accel : LinearModel
-        In the format's axes F.
-    frame : str
-        Name of F: "mars", "table" or "accel".
-    C_FB : ndarray, shape (3, 3)
-        From MARS axes to F.
-    g_sensitivity : ndarray, shape (3, 3), rad/s per m/s²
-        Gyro g-sensitivity Γ, rows gyros and columns axes of F; zero where not estimated.
-    applied : AppliedCorrection or None
-        Correction with which the model is composed.
-    """
+    """Calibration prepared for one format."""
 
     calibration: Calibration
-    gyro: LinearModel
+    gyro: LinearModel  # in the format's axes F, as the accelerometers
     accel: LinearModel
-    frame: str
-    C_FB: Array
+    frame: str  # name of F: "mars", "table" or "accel"
+    C_FB: Array  # shape (3, 3); from MARS axes to F
     settings: ExportSettings
+    # shape (3, 3), rad/s per m/s²; gyro g-sensitivity Γ, rows gyros and columns axes of F; zero where not estimated
     g_sensitivity: Array = field(default_factory=lambda: np.zeros((3, 3)))
-    applied: AppliedCorrection | None = None
+    applied: AppliedCorrection | None = None  # correction with which the model is composed
 
     def composed(self, applied: AppliedCorrection) -> ExportModel:
         """Model of the readings that the sensors had before a correction that was applied to them.
@@ -165,3 +157,73 @@ def origin(calibration: Calibration) -> list[str]:
 def comment(lines: Sequence[str], mark: str = "#") -> str:
     """Lines as comments."""
     return "".join(f"{mark} {line}".rstrip() + "\n" for line in lines)
+
+
+def known_figures(model: ExportModel) -> dict[str, float]:
+    """Known values, one number for all axes of a sensor.
+
+    Returns
+    -------
+    dict of str to float
+        Any of "gyro_noise", "accel_noise" (white, rad/s/√Hz and m/s²/√Hz), "gyro_random_walk", "accel_random_walk" and
+        "rate_hz", each of the noisiest axis. Settings come first, then the calibration
+        (:mod:`srt.noise.stated_figures`); unknown values are absent. All but the rate are multiplied by the inflation
+        of the settings.
+    """
+    found: dict[str, float] = {}
+    for sensor in ("gyro", "accel"):
+        figures = {
+            f"{sensor}_noise": white_noise(model.calibration.noise, sensor),
+            f"{sensor}_random_walk": stated_term(model.calibration.noise, sensor, _BIAS_WALK)[0],
+        }
+        found |= {name: float(np.nanmax(values)) for name, values in figures.items() if not np.isnan(values).all()}
+    for name in ("gyro_random_walk", "accel_random_walk"):
+        value = getattr(model.settings, name)
+        if value is not None:
+            found[name] = float(value)
+    found = {name: value * (model.settings.inflate or 1.0) for name, value in found.items()}
+    if model.settings.rate_hz is not None:
+        found["rate_hz"] = float(model.settings.rate_hz)
+    return found
+
+
+def statement(model: ExportModel) -> list[str]:
+    """Lines on the origin of the noise figures: inflation, and upper limits in place of values."""
+    lines = [f"noise densities and random walks: multiplied by {model.settings.inflate or 1.0:g} (--inflate)"]
+    for sensor in ("gyro", "accel"):
+        term = _worst(model, sensor, _BIAS_WALK)
+        if term is not None and term[1] and getattr(model.settings, f"{sensor}_random_walk") is None:
+            lines.append(f"{sensor} random walk: upper limit (95 %), as the log of srt noise does not resolve it")
+    return lines
+
+
+def worst_bias_instability(model: ExportModel, sensor: str) -> float | None:
+    """Largest bias instability of a sensor by ``srt noise``, SI, inflated; None if it was not run."""
+    found = _worst(model, sensor, FLAT)
+    return None if found is None else found[0] * (model.settings.inflate or 1.0)
+
+
+def _worst(model: ExportModel, sensor: str, term: int) -> tuple[float, bool] | None:
+    """Largest figure of a term over the three axes, SI, and True if it is an upper limit; None without srt noise."""
+    figures, limits = stated_term(model.calibration.noise, sensor, term)
+    known = zip(figures.tolist(), limits.tolist(), strict=True)
+    return max((each for each in known if not np.isnan(each[0])), default=None)
+
+
+def named(model: ExportModel, names: dict[str, str]) -> dict[str, Any]:
+    """Known values under the names of a format."""
+    figures = known_figures(model)
+    return {name: figures[key] for key, name in names.items() if key in figures}
+
+
+def unknown(model: ExportModel) -> tuple[str, ...]:
+    """Names of the required values that are unknown."""
+    figures = known_figures(model)
+    words = {
+        "gyro_noise": "gyro noise",
+        "accel_noise": "accelerometer noise",
+        "gyro_random_walk": "gyro random walk (srt noise LOG --into UNIT.json, or --gyro-random-walk)",
+        "accel_random_walk": "accelerometer random walk (likewise, or --accel-random-walk)",
+        "rate_hz": "sample rate (--rate-hz, or --recording)",
+    }
+    return tuple(text for key, text in words.items() if key not in figures)

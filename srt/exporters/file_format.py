@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from srt.exceptions import InputError, MissingExtraError
+from srt.exceptions import InputError, optional
 from srt.exporters.export_model import origin
 from srt.result.json_file import parse_json
 
@@ -39,77 +39,38 @@ _ZERO_WITHIN: Final = 1e-12
 
 @dataclass(frozen=True, slots=True)
 class Exporter:
-    """Export format.
+    """Export format."""
 
-    Attributes
-    ----------
-    name, title : str
-        On the command line, and in text.
-    suffixes : tuple of str
-        Endings that its file may have, the first preferred.
-    formula : str
-        Formula of the target, ASCII.
-    losses : tuple of str
-        Parts of a calibration that it does not hold, beside asymmetry and covariance.
-    advice : tuple of str
-        Notes on the use of the file.
-    frames : tuple of str
-        Axes that it can be written in, the first by default: "mars", "table" or, where the format decides them,
-        "accel".
-    write : callable
-        The texts of its files, by part.
-    read : callable
-        Fields by name out of the texts; raises InputError.
-    apply : callable
-        The target's formula: (fields, gyro, accel), shapes (n, 3) in SI, to the corrected ones in SI.
-    parts : tuple of str
-        Appended to the stem of the file's name; one empty part is one file.
-    companions : tuple of str
-        Parts that are written beside these and not needed to read a file.
-    triangle : "lower", "upper" or None
-        Shape of the accelerometer matrix in axes "accel".
-    within : float or None
-        The linear part comes back to this fraction of the largest value; None where the format is too small for it.
-    biases : bool
-        True if it holds biases.
-    imports : bool
-        True if it can be read as a pre-calibration.
-    options : frozenset of str
-        ExportSettings that it takes; others are refused.
-    asymmetry : bool
-        True if it holds asymmetry.
-    g_sensitivity : bool
-        True if it holds gyro g-sensitivity.
-    replaces : bool
-        True if its parameters replace those inside the unit, so that the correction of the log must be known.
-    find_applied : str
-        How to find the correction that a log was made under.
-    limits : callable
-        Sentences on what the target does with these parameters, given the model and the fields of the file.
-    """
-
-    name: str
-    title: str
-    suffixes: tuple[str, ...]
-    formula: str
-    losses: tuple[str, ...]
-    frames: tuple[str, ...]
-    write: Callable[[ExportModel], dict[str, str]]
-    read: Callable[[Texts], Fields]
+    name: str  # on the command line
+    title: str  # in text
+    suffixes: tuple[str, ...]  # endings that its file may have, the first preferred
+    formula: str  # formula of the target, ASCII
+    write: Callable[[ExportModel], dict[str, str]]  # the texts of its files, by part
+    read: Callable[[Texts], Fields]  # fields by name out of the texts; raises InputError
+    # the target's formula: (fields, gyro, accel), shapes (n, 3) in SI, to the corrected ones in SI
     apply: Callable[[Fields, Array, Array], tuple[Array, Array]]
-    advice: tuple[str, ...] = ()
-    parts: tuple[str, ...] = ("",)
-    companions: tuple[str, ...] = ()
-    triangle: str | None = None
+    losses: tuple[str, ...] = ()  # parts of a calibration that it does not hold, beside asymmetry and covariance
+    advice: tuple[str, ...] = ()  # notes on the use of the file
+    # axes that it can be written in, the first by default: "mars", "table" or, where the format decides them, "accel"
+    frames: tuple[str, ...] = ("mars", "table")
+    parts: tuple[str, ...] = ("",)  # appended to the stem of the file's name; one empty part is one file
+    companions: tuple[str, ...] = ()  # parts that are written beside these and not needed to read a file
+    triangle: str | None = None  # "lower" or "upper", shape of the accelerometer matrix in axes "accel"
+    # the linear part comes back to this fraction of the largest value; None where the format is too small for it
     within: float | None = ROUNDING
-    biases: bool = True
-    imports: bool = True
-    options: frozenset[str] = frozenset()
-    asymmetry: bool = False
-    g_sensitivity: bool = False
-    replaces: bool = False
+    biases: bool = True  # True if it holds biases
+    options: frozenset[str] = frozenset()  # ExportSettings that it takes; others are refused
+    asymmetry: bool = False  # True if it holds asymmetry
+    g_sensitivity: bool = False  # True if it holds gyro g-sensitivity
+    # How to find the correction that a log was made under, where the parameters replace that inside the unit.
     find_applied: str = ""
+    # sentences on what the target does with these parameters, given the model and the fields of the file
     limits: Callable[[ExportModel, Fields], tuple[str, ...]] = lambda model, fields: ()  # noqa: ARG005
+
+    @property
+    def imports(self) -> bool:
+        """True if it can be read as a pre-calibration: it holds the linear part, and not a whole calibration."""
+        return self.within is not None and not self.asymmetry
 
 
 def heading(item: Exporter, model: ExportModel) -> list[str]:
@@ -170,10 +131,7 @@ def field(document: Any, path: str, shape: tuple[int, ...]) -> Array:
     -------
     ndarray
 
-    Raises
-    ------
-    InputError
-        Absent, of another shape, or not finite numbers.
+    Raises InputError: absent, of another shape, or not finite numbers.
     """
     found = document
     for key in path.split("."):
@@ -298,8 +256,6 @@ def _sized(shape: Sequence[int]) -> str:
 
 
 def _yaml() -> Any:
-    try:
+    with optional("yaml", "formats", "This format", "pyyaml"):
         import yaml
-    except ImportError:
-        raise MissingExtraError("pyyaml", "formats", "This format") from None
     return yaml

@@ -34,16 +34,10 @@ _REVERSED: Final = np.eye(3)[::-1]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LinearModel:
-    """Linear sensor model ``y = M v + b`` of a triad.
+    """Linear sensor model ``y = M v + b`` of a triad."""
 
-    Attributes
-    ----------
-    matrix : ndarray, shape (3, 3)
-    bias : ndarray, shape (3,), rad/s or m/s²
-    """
-
-    matrix: Array
-    bias: Array
+    matrix: Array  # shape (3, 3)
+    bias: Array  # shape (3,), rad/s or m/s²
 
     def correct(self, readings: Array) -> Array:
         """True values of readings, shape (n, 3)."""
@@ -107,10 +101,7 @@ def axis_factors(matrix: Array) -> Array:
 def lower_rotation(M: Array) -> tuple[Array, Array]:
     """Write ``M = L Q``, L lower-triangular with a positive diagonal and Q a rotation.
 
-    Raises
-    ------
-    InputError
-        If det M is not positive.
+    Raises InputError if det M is not positive.
     """
     if not np.linalg.det(M) > 0.0:
         raise InputError("A triad of this calibration is left-handed or flat: it has no such form; calibrate again.")
@@ -123,10 +114,7 @@ def lower_rotation(M: Array) -> tuple[Array, Array]:
 def upper_rotation(M: Array) -> tuple[Array, Array]:
     """Write ``M = R Q``, R upper-triangular with a positive diagonal and Q a rotation.
 
-    Raises
-    ------
-    InputError
-        If det M is not positive.
+    Raises InputError if det M is not positive.
     """
     lower, turn = lower_rotation(_REVERSED @ M @ _REVERSED)
     return np.triu(_REVERSED @ lower @ _REVERSED), _REVERSED @ turn @ _REVERSED

@@ -1,4 +1,4 @@
-"""Parameter files: registers of a VectorNav unit, parameters of autopilots and of ROS 2 nodes.
+"""Parameter files: registers of a VectorNav unit, parameters of autopilots and of ROS 2 nodes, errors for KF-GINS.
 
 VectorNav, registers 84 (gyro) and 25 (accelerometer): ``X = C (A − B)``, on top of the factory's own calibration;
 single precision inside the unit.
@@ -8,6 +8,10 @@ misalignment at all. The three accelerometer factors are the best that factors c
 alike: row i of Ma being m, ``scale_i = m_i / |m|²``.
 
 ROS 2: no package defines such a file; this one holds all parameters, asymmetry included.
+
+KF-GINS (loosely coupled navigation) corrects increments by ``dtheta = (dtheta − gyrbias dt) / (1 + gyrscale)`` axis by
+axis, and estimates both from their initial values on, with the standard deviations and the noise that the file states.
+Units: °/h, mGal, ppm, °/√h and m/s/√h. The section is part of a complete configuration.
 """
 
 from __future__ import annotations
@@ -19,8 +23,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from srt.constants import DEG_PER_H, DEG_PER_SQRT_H, HOUR_S
 from srt.exceptions import InputError
-from srt.exporters.export_model import comment
+from srt.exporters.export_model import comment, known_figures, worst_bias_instability
 from srt.exporters.file_format import (
     SINGLE,
     Exporter,
@@ -40,6 +45,7 @@ from srt.exporters.linear_model import axis_factors
 from srt.model.sensor_model import Triad, accel_triad, gyro_triad
 from srt.recording import autopilots
 from srt.recording.applied import AppliedCorrection
+from srt.sensor_errors import GROUP_SLICES
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -48,7 +54,6 @@ if TYPE_CHECKING:
     from srt.exporters.file_format import Fields, Texts
     from srt.recording.autopilots import Autopilot, Slots
     from srt.types import Array
-
 
 _REGISTERS: Final = {"gyro": 84, "accel": 25}
 _COMMAND: Final = re.compile(r"\$(VN[WR]RG,(\d+),([^*$]*))\*([0-9A-Fa-f]{2}|XX)")
@@ -99,12 +104,10 @@ VECTORNAV: Final = Exporter(
         "It works on top of the factory calibration, and replaces what the registers held in the test.",
         "Send both lines, then the command that writes settings to flash memory.",
     ),
-    frames=("mars", "table"),
     write=_write_vectornav,
     read=_read_vectornav,
     apply=each_sensor(lambda fields, sensor, y: rows(fields[f"C_{sensor}"], y - fields[f"B_{sensor}"])),
     within=SINGLE,
-    replaces=True,
     find_applied="send $VNRRG,25*XX and $VNRRG,84*XX to the unit and save its two answers",
 )
 
@@ -188,10 +191,7 @@ def _write_ardupilot(model: ExportModel) -> dict[str, str]:
 def parameter_values(text: str) -> dict[str, float]:
     """Parameters of an autopilot by name, from lines "NAME,VALUE", "NAME VALUE" or those of QGroundControl.
 
-    Raises
-    ------
-    InputError
-        A line that is no parameter.
+    Raises InputError: a line that is no parameter.
     """
     found = {}
     for line in whole_lines(text):
@@ -271,14 +271,11 @@ PX4: Final = Exporter(
     formula="a = (raw - OFF) SCALE; w = raw - OFF, axis by axis",
     losses=_AUTOPILOT_LOSSES,
     advice=("Temperature compensation (TC_...) works before these offsets: leave it as it was in the test.",),
-    frames=("mars", "table"),
     write=_write_px4,
     read=_reader(autopilots.PX4),
     apply=_apply_parameters,
     within=None,
-    imports=False,
     options=frozenset({"instance"}),
-    replaces=True,
     find_applied=autopilots.PX4.advice,
     limits=_px4_limits,
 )
@@ -293,14 +290,11 @@ ARDUPILOT: Final = Exporter(
         "Older versions scaled before they subtracted: see that yours subtracts first.",
         "With INS_GYR_CAL other than 0 the gyro offsets are measured anew at each start.",
     ),
-    frames=("mars", "table"),
     write=_write_ardupilot,
     read=_reader(autopilots.ARDUPILOT),
     apply=_apply_parameters,
     within=None,
-    imports=False,
     options=frozenset({"instance"}),
-    replaces=True,
     find_applied=autopilots.ARDUPILOT.advice,
     limits=lambda model, fields: _id_limits(model, autopilots.ARDUPILOT),  # noqa: ARG005
 )
@@ -365,16 +359,95 @@ ROS2: Final = Exporter(
     title="ROS 2 parameter file",
     suffixes=(".yaml", ".yml"),
     formula="solve y = matrix v + asymmetry |v| + bias for v (gyros: y - g_sensitivity a), then rotation v",
-    losses=(),
     advice=(
         "No package defines such parameters: a node of your own declares imu_calibration.gyro.matrix and so on.",
         "The parameters are given to every node (/**).",
     ),
-    frames=("mars", "table"),
     write=_write_ros2,
     read=_read_ros2,
     apply=_apply_ros2,
-    imports=False,
     asymmetry=True,
     g_sensitivity=True,
+)
+
+
+_MGAL: Final = 1e-5
+"""m/s² per mGal."""
+_PPM: Final = 1e-6
+_METRE_PER_SQRT_H: Final = HOUR_S**-0.5
+"""m/s/√s per m/s/√h."""
+
+_KF_STATES: Final = {
+    "initgyrbias": ("initbgstd", "gyro_bias", DEG_PER_H),
+    "initaccbias": ("initbastd", "accel_bias", _MGAL),
+    "initgyrscale": ("initsgstd", "gyro_scale", _PPM),
+    "initaccscale": ("initsastd", "accel_scale", _PPM),
+}
+"""Initial errors: name of the standard deviations, group of parameters, unit."""
+_KF_NOISE: Final = {"arw": ("gyro_noise", DEG_PER_SQRT_H), "vrw": ("accel_noise", _METRE_PER_SQRT_H)}
+_KF_DRIFTS: Final = {"gbstd": ("gyro", DEG_PER_H), "abstd": ("accel", _MGAL)}
+
+
+def _initial_errors(model: ExportModel) -> dict[str, Array]:
+    """Initial states, SI; the scale factors are those with the least error over all directions."""
+    scales = {
+        f"{sensor}_scale": 1.0 / axis_factors(getattr(model, sensor).matrix) - 1.0 for sensor in ("gyro", "accel")
+    }
+    if min(float(v.min()) for v in scales.values()) <= -1.0:
+        raise InputError("A sensor is turned by more than 90°, which three scale factors cannot state.")
+    return {"gyro_bias": model.gyro.bias, "accel_bias": model.accel.bias, **scales}
+
+
+def _write_kf_gins(model: ExportModel) -> dict[str, str]:
+    values = _initial_errors(model)
+    document: dict[str, Any] = {name: (values[group] / unit).tolist() for name, (_, group, unit) in _KF_STATES.items()}
+    P = model.calibration.covariance
+    for sigma_name, group, unit in _KF_STATES.values():
+        block = P[GROUP_SLICES[group], GROUP_SLICES[group]]
+        # The squares of the rotation: scale factors of turned axes mix as the squares of the direction cosines do.
+        turned = (
+            model.C_FB @ block @ model.C_FB.T if group.endswith("bias") else model.C_FB**2 @ block @ (model.C_FB**2).T
+        )
+        document[sigma_name] = (np.sqrt(np.maximum(np.diag(turned), 0.0)) / unit).tolist()
+    figures = known_figures(model)
+    noise: dict[str, Any] = {
+        name: [figures[key] / unit] * 3 for name, (key, unit) in _KF_NOISE.items() if key in figures
+    }
+    for name, (sensor, unit) in _KF_DRIFTS.items():
+        found = worst_bias_instability(model, sensor)
+        if found is not None:
+            noise[name] = [found / unit] * 3
+    if noise:
+        document["imunoise"] = noise
+    return {"": to_yaml(document, comment(heading(KF_GINS, model)))}
+
+
+def _read_kf_gins(texts: Texts) -> Fields:
+    document = from_yaml("\n".join(whole_lines(texts[""])))
+    for name, *_ in _KF_STATES.values():
+        field(document, name, (3,))
+    for name in _KF_NOISE if "imunoise" in document else ():
+        field(document, f"imunoise.{name}", (3,))
+    return {group: field(document, name, (3,)) * unit for name, (_, group, unit) in _KF_STATES.items()}
+
+
+KF_GINS: Final = Exporter(
+    name="kf-gins",
+    title="KF-GINS initial IMU errors",
+    suffixes=(".yaml", ".yml"),
+    formula="v = (y - bias) / (1 + scale), axis by axis",
+    losses=(
+        "misalignment of gyros and accelerometers: KF-GINS has no states for it",
+        "correlations between the errors",
+    ),
+    advice=(
+        "Copy the lines into the configuration; its filter goes on from these values with these standard deviations.",
+        "Its IMU axes are forward, right, down: record the test in them, or turn the axes first (--map-gyro).",
+        "gbstd and abstd are the bias instability of srt noise, where it was run; corrtime, gsstd and asstd are yours.",
+    ),
+    write=_write_kf_gins,
+    read=_read_kf_gins,
+    apply=each_sensor(lambda fields, s, y: (y - fields[f"{s}_bias"]) / (1.0 + fields[f"{s}_scale"])),
+    within=None,
+    options=frozenset({"inflate"}),
 )

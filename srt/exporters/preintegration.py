@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
-from srt.exceptions import InputError, MissingExtraError
+from srt.exceptions import InputError, optional
+from srt.exporters.export_model import known_figures, statement
 from srt.exporters.file_format import Exporter, each_sensor, field, from_json, heading, to_json
-from srt.exporters.noise_fields import known_figures, statement
 from srt.model.sensor_model import accel_triad, gyro_triad
 from srt.noise.stated_figures import white_density
 from srt.sensor_errors import GROUP_SLICES
@@ -80,10 +80,8 @@ def gtsam_preintegration(
     MissingExtraError
         Without gtsam.
     """
-    try:
+    with optional("gtsam", "graph", "Preintegration"):
         import gtsam
-    except ImportError:
-        raise MissingExtraError("gtsam", "graph", "Preintegration") from None
     walks = (gyro_random_walk, accel_random_walk)
     if (gyro_random_walk is None) != (accel_random_walk is None):
         raise InputError("Give the random walks of gyros and accelerometers, or neither.")
@@ -122,10 +120,7 @@ def preintegration_figures(
         Biases (3,); ``bias_covariance`` (6, 6) for a prior, accelerometers first as in gtsam; continuous covariances
         (3, 3), squares of rad/s/√Hz and m/s²/√Hz; ``n_gravity`` (3,); covariances of the random walks where given.
 
-    Raises
-    ------
-    InputError
-        As :func:`gtsam_preintegration`.
+    Raises InputError as :func:`gtsam_preintegration`.
     """
     if readings not in ("corrected", "raw"):
         raise InputError(f"readings is {readings!r}; it must be 'corrected' or 'raw'.")
@@ -196,6 +191,5 @@ GTSAM: Final = Exporter(
     read=_read,
     apply=each_sensor(lambda fields, sensor, y: y - fields[f"bias_{sensor}"]),
     within=None,
-    imports=False,
     options=frozenset({"gyro_random_walk", "accel_random_walk", "inflate"}),
 )

@@ -6,10 +6,8 @@ from typing import TYPE_CHECKING, Final
 
 from srt.exceptions import InputError, did_you_mean
 from srt.exporters.c_header import C_HEADER
-from srt.exporters.forward_models import KALIBR, PYINS
-from srt.exporters.inverse_models import BASALT, IMU_TK, IMUCAL, OPENVINS
-from srt.exporters.kf_gins import KF_GINS
-from srt.exporters.parameter_files import ARDUPILOT, PX4, ROS2, VECTORNAV
+from srt.exporters.matrix_formats import BASALT, IMU_TK, IMUCAL, KALIBR, OPENVINS, PYINS
+from srt.exporters.parameter_files import ARDUPILOT, KF_GINS, PX4, ROS2, VECTORNAV
 from srt.exporters.preintegration import GTSAM
 
 if TYPE_CHECKING:

@@ -30,8 +30,7 @@ from scipy.special import chdtri
 
 from srt.exceptions import DataError, InputError
 from srt.model.rotations import rotation_matrix
-from srt.mount.pose_kinds import pose_kinds, require_both
-from srt.result.json_file import load_json_file, save_json_file
+from srt.result.json_file import load_json_file, require_format, save_json_file
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -41,7 +40,6 @@ if TYPE_CHECKING:
 
     from srt.result.calibration import Calibration
     from srt.types import Array, Indices, Mask
-
 
 ANGLES: Final = ("roll", "pitch", "yaw")
 """Angles of B in M, ``C_mb = R_z(yaw) R_y(pitch) R_x(roll)``."""
@@ -202,32 +200,15 @@ def align_mount(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _PoseFit:
-    """Weighted least-squares solution of the equations of all poses, one row per measured direction cosine.
+    """Weighted least-squares solution of the equations of all poses, one row per measured direction cosine."""
 
-    Attributes
-    ----------
-    matrix : ndarray, shape (3, 3)
-        C_bm.
-    down : ndarray, shape (s, 3)
-        Measured vertical of each pose in M components.
-    pose : ndarray of int, shape (r,)
-        Pose of each row.
-    residual : ndarray, shape (r,), rad
-    gain : ndarray, shape (3, r)
-        Derivative of the solution to the rows.
-    errors : dict of str to ndarray, shape (r, r), rad²
-        Covariance of the rows by source.
-    whitener : ndarray, shape (r, r)
-        Inverse square root of the weights, with an error of the levelling for each row.
-    """
-
-    matrix: Array
-    down: Array
-    pose: Indices
-    residual: Array
-    gain: Array
-    errors: dict[str, Array]
-    whitener: Array
+    matrix: Array  # shape (3, 3); C_bm
+    down: Array  # shape (s, 3); measured vertical of each pose in M components
+    pose: Indices  # shape (r,); pose of each row
+    residual: Array  # shape (r,), rad
+    gain: Array  # shape (3, r); derivative of the solution to the rows
+    errors: dict[str, Array]  # shape (r, r), rad²; covariance of the rows by source
+    whitener: Array  # shape (r, r); inverse square root of the weights, with an error of the levelling for each row
 
 
 def _solve(f: Array, kind: Array, R: Mapping[str, Array], *, level_sigma_rad: float, axis_sigma_rad: float) -> _PoseFit:
@@ -436,10 +417,7 @@ def load_mount_alignment(path: str | PathLike[str], *, trust: bool = False) -> M
 
 
 def _from_dict(document: dict[str, Any]) -> MountAlignment:
-    if not isinstance(document, dict) or document.get("format") != FORMAT:
-        raise InputError(f'this is no mount alignment (its "format" is not "{FORMAT}").')
-    if document.get("version") != VERSION:
-        raise InputError(f"its version is {document.get('version')!r}, but this software reads version {VERSION}.")
+    require_format(document, "mount alignment", FORMAT, VERSION)
     C, P = (np.array(document[name], dtype=np.float64) for name in ("matrix", "covariance"))
     if C.shape != (3, 3) or not np.allclose(C @ C.T, np.eye(3), rtol=0.0, atol=_ROUNDING) or np.linalg.det(C) < 0.0:
         raise InputError("its matrix is no rotation of 3 by 3.")
@@ -462,3 +440,33 @@ def _from_dict(document: dict[str, Any]) -> MountAlignment:
         if not math.isclose(angle["sigma"], sigma, rel_tol=_ROUNDING, abs_tol=1e-300):
             raise InputError(f"the sigma of its {angle['name']} does not agree with the covariance.")
     return mount
+
+
+WITHIN_RAD: Final = math.radians(30.0)
+"""Largest angle from level, or from a right angle, of a pose, rad: the sensor axes are near those of the mount."""
+
+
+def pose_kinds(force: Array) -> Array:
+    """Kind of each pose by the direction of gravity, shape (s,): 0 level, 1 nose down, -1 nose up, NaN neither.
+
+    Parameters
+    ----------
+    force : ndarray, shape (s, 3), m/s²
+        Compensated, in B.
+    """
+    down = -force / np.linalg.norm(force, axis=1, keepdims=True)
+    near = math.cos(WITHIN_RAD)
+    return np.select([down[:, 2] > near, down[:, 0] > near, down[:, 0] < -near], [0.0, 1.0, -1.0], np.nan)
+
+
+def require_both(kind: Array) -> None:
+    """Refuse poses that do not determine three angles. Raises DataError."""
+    for there, what, pose in (
+        (kind == 0.0, "level (z down)", "record the unit stationary on the levelled mount"),
+        (np.abs(kind) == 1.0, "pitched by about 90° (x down or up)", "record the mount pitched by 90°"),
+    ):
+        if not there.any():
+            raise DataError(
+                f"None of the {len(kind)} static poses is {what} within {math.degrees(WITHIN_RAD):.0f}° in sensor "
+                f"axes: {pose}, or correct the axes' names."
+            )

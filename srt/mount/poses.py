@@ -13,8 +13,7 @@ from srt.exceptions import DataError, InputError
 from srt.model.measurement_model import force_error_jacobian
 from srt.model.sensor_model import accel_triad, outside_model
 from srt.model.table1 import SEQUENCES
-from srt.mount.alignment import MountAlignment, align_mount
-from srt.mount.pose_kinds import pose_kinds, require_both
+from srt.mount.alignment import MountAlignment, align_mount, pose_kinds, require_both
 from srt.noise.bias_instability import window_draws
 from srt.noise.noise_model import noise_model
 from srt.recording.recording import Fixture
@@ -44,24 +43,13 @@ _ANGLE_GROUPS: Final = ("accel_bias", "accel_misalignment")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StaticPoses:
-    """Level and pitched static poses of a recording.
+    """Level and pitched static poses of a recording."""
 
-    Attributes
-    ----------
-    times_s : ndarray, shape (s, 2)
-        Start of the first sample and stamp of the last.
-    force : ndarray, shape (s, 3), m/s²
-        Compensated mean specific force, in B.
-    covariance : dict of str to ndarray, shape (3 s, 3 s), (m/s²)²
-        By source: "accel_noise" (with quantization and drift) and "calibration".
-    omitted : int
-        Number of stationary windows in other attitudes.
-    """
-
-    times_s: Array
-    force: Array
+    times_s: Array  # shape (s, 2); start of the first sample and stamp of the last
+    force: Array  # shape (s, 3), m/s²; compensated mean specific force, in B
+    # shape (3 s, 3 s), (m/s²)²; by source: "accel_noise" (with quantization and drift) and "calibration"
     covariance: dict[str, Array]
-    omitted: int
+    omitted: int  # number of stationary windows in other attitudes
 
     @property
     def titles(self) -> tuple[str, ...]:
@@ -135,10 +123,7 @@ def find_poses(recording: Recording, calibration: Calibration, *, level_sigma_ra
     level_sigma_rad : float
         Tilt within a pose above which the unit moved, if the noise does not explain it, rad.
 
-    Raises
-    ------
-    InputError, DataError
-        As :func:`mount_from_recording`.
+    Raises InputError, DataError as :func:`mount_from_recording`.
     """
     reason = outside_model(calibration.errors)
     if reason is not None:

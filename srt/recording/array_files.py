@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from srt.exceptions import InputError, MissingExtraError
+from srt.exceptions import InputError, optional
 from srt.recording.file_guards import clear_errors, load_pyarrow, require_size
 
 if TYPE_CHECKING:
@@ -160,10 +160,8 @@ def open_hdf5(path: Path, title: str = "HDF5 file", *, matlab: bool = False) -> 
 
 def load_h5py(what: str = "An HDF5 file") -> Any:
     """Import h5py, which the file ``what`` needs. Raises MissingExtraError."""
-    try:
+    with optional("h5py", "io", what):
         import h5py
-    except ImportError:
-        raise MissingExtraError("h5py", "io", what) from None
     return h5py
 
 

@@ -8,16 +8,15 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-import numpy as np
-
 from srt.constants import normal_gravity_m_s2
-from srt.exceptions import InputError, clipped, did_you_mean
+from srt.exceptions import DataError, InputError, MissingExtraError
 from srt.recording.applied import applied_correction
 from srt.recording.import_options import SENSOR_UNITS, ImportOptions
-from srt.recording.imported_samples import ImportedSamples, to_recording
+from srt.recording.imported_samples import ImportedSamples, require_units, to_recording, to_si
 from srt.recording.importer_registry import import_file, is_foreign
 from srt.recording.protocol import load_protocol
 from srt.recording.recording import Fixture, ImuNoise, Recording, Site
@@ -31,6 +30,7 @@ from srt.recording.schema import (
     fields_of,
     read_fields,
     read_section,
+    require_sections,
 )
 from srt.recording.sequence_label import SequenceLabel
 from srt.recording.toml_text import read_toml
@@ -39,9 +39,17 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from srt.recording.protocol import Protocol
-    from srt.types import Array
 
 TOML_NAME: Final = "recording.toml"
+
+_OPTION_KEYS: Final = {name: name for name in ("kind", "time_unit", "sample_rate_hz")} | {
+    f"{sensor}_{what}": f"{sensor}_{key}"
+    for sensor in SENSOR_UNITS
+    for what, key in (("unit", "unit"), ("lsb", "lsb"), ("offset", "offset_counts"))
+}
+"""Keys of [recording] by the options of importers that they state."""
+_OPTION: Final = re.compile(rf"--({'|'.join(_OPTION_KEYS).replace('_', '-')})(?: \(\w+ in recording\.toml\))?")
+"""Such an option as messages name it."""
 
 _NORMAL_GRAVITY_SIGMA_M_S2 = 5e-4  # 1 sigma: local anomalies, which normal gravity does not include
 
@@ -58,7 +66,7 @@ def load_recording(path: str | os.PathLike[str]) -> Recording:
     MissingExtraError if the samples format needs a package that is not installed.
     """
     toml = _find_toml(Path(path))
-    document = _read_toml(toml)
+    document = read_document(toml)
     if "recording" not in document:
         raise InputError(f"{toml}: the section [recording] is missing: add it.")
     main = read_section(str(toml), "recording", document["recording"], SECTIONS["recording"])
@@ -66,10 +74,9 @@ def load_recording(path: str | os.PathLike[str]) -> Recording:
     if "samples" not in main:
         raise InputError(f'{toml}: recording.samples is missing: name the samples file, as samples = "samples.csv".')
     samples_path = _inside(toml, main["samples"])
-    foreign = is_foreign(samples_path)
     try:
         return to_recording(
-            _imported(samples_path, main) if foreign else _own(str(toml), samples_path, main),
+            _samples(toml, samples_path, main),
             **about,
             temperature_c=main.get("temperature_c"),
             source=os.fspath(path),
@@ -84,24 +91,29 @@ def load_recording(path: str | os.PathLike[str]) -> Recording:
         raise InputError(f"{toml.parent}: {error}", fault=error.fault) from None
 
 
-def _imported(path: Path, main: Mapping[str, Any]) -> ImportedSamples:
-    """Samples in a foreign format, with the units and other keys of [recording]."""
-    names = {f"{sensor}_offset": f"{sensor}_offset_counts" for sensor in ("gyro", "accel")}
-    fields = ("kind", "time_unit", "sample_rate_hz", "gyro_unit", "accel_unit", "gyro_lsb", "accel_lsb", *names)
-    said: dict[str, Any] = {name: main.get(names.get(name, name)) for name in fields}
-    return import_file(path, ImportOptions(**said))[1]
+def _samples(toml: Path, path: Path, main: Mapping[str, Any]) -> ImportedSamples:
+    """Samples in SI units, by the keys of [recording]; messages name these keys."""
+    try:
+        options = ImportOptions(**{name: main[key] for name, key in _OPTION_KEYS.items() if key in main})
+        return import_file(path, options)[1] if is_foreign(path) else _own(path, options)
+    except (InputError, DataError) as error:
+        if isinstance(error, MissingExtraError):
+            raise
+        text = _OPTION.sub(lambda option: f"recording.{_OPTION_KEYS[option[1].replace('-', '_')]}", str(error))
+        named = text if str(toml.parent) in text else f"{toml}: {text}"
+        raise type(error)(named, fault=error.fault) from None
 
 
-def _own(file: str, path: Path, main: Mapping[str, Any]) -> ImportedSamples:
-    """Samples in a format of recordings, converted to SI in place."""
-    kind, rate = main.get("kind", "rate"), main.get("sample_rate_hz")
-    conversions = [_conversion(file, sensor, kind, main, units) for sensor, units in SENSOR_UNITS.items()]
-    samples = read_samples(path, time_required=rate is None)
-    for values, conversion in zip((samples.gyro, samples.accel), conversions, strict=True):
-        _apply(values, conversion)
-    if samples.time is not None and main.get("time_unit", "s") != "s":
-        samples.time *= TIME_UNITS[main["time_unit"]]
-    return ImportedSamples(samples.gyro, samples.accel, kind, samples.time, rate, samples.temperature)
+def _own(path: Path, options: ImportOptions) -> ImportedSamples:
+    """Samples in a format of recordings, converted to SI in place; the zero of their stamps stays."""
+    require_units(options, dict.fromkeys(SENSOR_UNITS))
+    samples = read_samples(path, time_required=options.sample_rate_hz is None)
+    kind = options.kind or "rate"
+    for sensor in SENSOR_UNITS:
+        to_si(options, sensor, getattr(options, f"{sensor}_unit") or COUNTS, kind, getattr(samples, sensor))
+    if samples.time is not None and options.time_unit not in (None, "s"):
+        samples.time *= TIME_UNITS[options.time_unit]
+    return ImportedSamples(samples.gyro, samples.accel, kind, samples.time, options.sample_rate_hz, samples.temperature)
 
 
 def read_metadata(file: str, document: Mapping[str, Any]) -> dict[str, Any]:
@@ -159,7 +171,10 @@ def _read_protocol(file: str, document: Mapping[str, Any]) -> Protocol | None:
 
 def read_document(toml: Path) -> dict[str, Any]:
     """Read a ``recording.toml``, or that of a folder, without checking its values; its sections are known ones."""
-    return _read_toml(_find_toml(toml))
+    found = _find_toml(toml)
+    document = read_toml(found)
+    require_sections(str(found), document, SECTIONS)
+    return document
 
 
 def _find_toml(path: Path) -> Path:
@@ -209,17 +224,6 @@ def _inside(toml: Path, name: str) -> Path:
     return path
 
 
-def _read_toml(toml: Path) -> dict[str, Any]:
-    document = read_toml(toml)
-    for section in document:
-        if section not in SECTIONS or "." in section:
-            raise InputError(
-                f"{toml}: [{clipped(section)}] is no known section{did_you_mean(section, SECTIONS)}: "
-                f"remove it, or use one of {', '.join(SECTIONS)}."
-            )
-    return document
-
-
 def _read_site(file: str, document: Mapping[str, Any]) -> Site:
     site = read_section(file, "site", document["site"], SECTIONS["site"])
     given = fields_of(site, SECTIONS["site"])
@@ -237,44 +241,6 @@ def _read_site(file: str, document: Mapping[str, Any]) -> Site:
         gravity = normal_gravity_m_s2(given["latitude_rad"], site["height_m"])
         given = {"gravity_m_s2": gravity, "gravity_sigma_m_s2": _NORMAL_GRAVITY_SIGMA_M_S2, **given}
     return Site(**given)
-
-
-def _conversion(
-    file: str, sensor: str, kind: str, main: Mapping[str, Any], units: Mapping[str, Mapping[str, float]]
-) -> tuple[Array, Array]:
-    """Offset and factor of a sensor's columns, (3,) each: of counts ``gyro_lsb`` or ``accel_lsb``, else of its unit."""
-    unit, lsb, offset = (main.get(f"{sensor}_{name}") for name in ("unit", "lsb", "offset_counts"))
-    allowed = ", ".join(f'"{name}"' for name in (*units[kind], COUNTS))
-    if unit is None:
-        raise InputError(f"{file}: recording.{sensor}_unit is missing: state it, as one of {allowed}.")
-    if unit == COUNTS:
-        if lsb is None:
-            raise InputError(
-                f'{file}: recording.{sensor}_lsb is missing: {sensor}_unit is "counts", so give SI units per count.'
-            )
-        return np.array(offset or (0.0, 0.0, 0.0)), np.array(lsb)
-    for name, value in (("lsb", lsb), ("offset_counts", offset)):
-        if value is not None:
-            raise InputError(
-                f'{file}: recording.{sensor}_{name} is given, but {sensor}_unit is "{unit}": '
-                'remove it, or set the unit to "counts".'
-            )
-    if unit not in units[kind]:
-        raise InputError(
-            f'{file}: recording.{sensor}_unit is "{unit}", but recording.kind is "{kind}", for which one of '
-            f"{allowed} is expected: correct the unit or the kind."
-        )
-    return np.zeros(3), np.full(3, units[kind][unit])
-
-
-def _apply(values: Array, conversion: tuple[Array, Array]) -> None:
-    """Apply offset and factor in place."""
-    offset, factor = conversion
-    if offset.any():
-        values -= offset
-    if (factor != 1.0).any():
-        with np.errstate(over="ignore"):  # an infinite reading is refused with its row
-            values *= factor
 
 
 def sha256_of(path: Path) -> str:

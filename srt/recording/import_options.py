@@ -7,21 +7,21 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from numbers import Real
-from typing import TYPE_CHECKING, Final, get_args
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, get_args
 
 import numpy as np
 
-from srt.arguments import require_type
+from srt.arguments import real_array, require_type
 from srt.constants import DEG
 from srt.exceptions import InputError, did_you_mean
 from srt.model.table1 import AXES
 from srt.recording.recording import Kind
 from srt.recording.samples import ACCEL_COLUMNS, GYRO_COLUMNS, TEMPERATURE, TIME
-from srt.recording.schema import ACCEL_UNITS, COUNTS, GYRO_UNITS, TIME_UNITS
+from srt.recording.schema import ACCEL_UNITS, COUNTS, GYRO_UNITS, UNITS
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
 
     from srt.types import Array
 
@@ -60,14 +60,15 @@ class ImportOptions:
     ----------
     columns : mapping of channel to column
         Channels are those of a table of samples, or "gyro" and "accel" for an array of three columns; a column is a
-        name, or a number counted from 1. Empty: columns are recognised by their names.
+        name, or a number counted from 1. Empty: columns are recognised by their names. Given as text for
+        :func:`parse_columns`, too.
     kind : "rate" or "increment"
     time_unit, gyro_unit, accel_unit : str
         As in ``recording.toml``.
     gyro_lsb, accel_lsb : (float, float, float)
-        SI units per count, for the unit "counts".
+        SI units per count, for the unit "counts". Given as one number or as text for :func:`parse_lsb`, too.
     gyro_offset, accel_offset : (float, float, float)
-        Counts at zero input.
+        Counts at zero input. Given as one number or as text for :func:`parse_offset`, too.
     sample_rate_hz : float
         Rate of the samples; it overrides time stamps.
     topic : str
@@ -116,23 +117,30 @@ class ImportOptions:
     def __post_init__(self) -> None:
         if self.kind is not None and self.kind not in get_args(Kind):
             raise InputError(f"{option('kind')} is {self.kind!r}, but rate or increment is expected.")
-        for sensor, units in SENSOR_UNITS.items():
-            self._set_unit(f"{sensor}_unit", (*units["rate"], *units["increment"], COUNTS))
+        for quantity, allowed in UNITS.items():
+            self._set_unit(f"{quantity}_unit", allowed)
+        for sensor in SENSOR_UNITS:
             parse_axis_map(getattr(self, f"map_{sensor}"), f"map_{sensor}")
             counts = getattr(self, f"{sensor}_unit") in (None, COUNTS)
-            for name in (f"{sensor}_lsb", f"{sensor}_offset"):
-                if getattr(self, name) is not None and not counts:
+            for name, parse in ((f"{sensor}_lsb", parse_lsb), (f"{sensor}_offset", parse_offset)):
+                value = getattr(self, name)
+                if value is not None and not counts:
                     raise InputError(
                         f"{option(name)} is given, but {option(f'{sensor}_unit')} is "
                         f"{getattr(self, f'{sensor}_unit')}: leave it out, or state the unit counts."
                     )
-        self._set_unit("time_unit", tuple(TIME_UNITS))
+                if value is not None:
+                    object.__setattr__(
+                        self, name, parse(value, sensor) if isinstance(value, str) else _of_numbers(name, value)
+                    )
         rate = 1.0 if self.sample_rate_hz is None else self.sample_rate_hz
         require_type(option("sample_rate_hz"), "a number in Hz", rate, Real)
         if not (math.isfinite(rate) and rate > 0.0):
             raise InputError(f"{option('sample_rate_hz')} is {rate:g}, but a positive number in Hz is expected.")
         if self.skip < 0:
             raise InputError(f"{option('skip')} is {self.skip}, but a number of lines is expected.")
+        if isinstance(self.columns, str):
+            object.__setattr__(self, "columns", parse_columns(self.columns))
         require_type(option("columns"), "a text, or a mapping of channels to columns", self.columns, Mapping)
         for channel in self.columns:
             if channel not in CHANNELS and channel not in TRIADS:
@@ -140,6 +148,9 @@ class ImportOptions:
                     f"{option('columns')}: {channel!r} is no channel{did_you_mean(channel, CHANNELS)}: "
                     f"use {', '.join((*TRIADS, *CHANNELS))}."
                 )
+
+        if self.second is not None:
+            object.__setattr__(self, "second", Path(self.second))
 
     def _set_unit(self, name: str, allowed: tuple[str, ...]) -> None:
         given = getattr(self, name)
@@ -262,6 +273,14 @@ def counts_text(options: ImportOptions, sensor: str, unit: str) -> str:
 
 def _triple_text(values: tuple[float, ...]) -> str:
     return " ".join(f"{value:.6g}" for value in (values if len(set(values)) > 1 else values[:1]))
+
+
+def _of_numbers(name: str, value: Any) -> Triple:
+    numbers = np.asarray(real_array(name, value), dtype=np.float64).ravel()
+    if numbers.size not in (1, 3) or not np.all(np.isfinite(numbers)):
+        raise InputError(f"{name} is {value!r}, but one finite number, or three, is expected.")
+    x, y, z = np.broadcast_to(numbers, 3).tolist()
+    return x, y, z
 
 
 def _fraction(text: str) -> float:

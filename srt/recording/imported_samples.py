@@ -12,15 +12,16 @@ from srt.exceptions import InputError, NotStatedError, clipped
 from srt.recording.import_options import SENSOR_UNITS, TRIADS, ImportOptions, counts_text, option, parse_axis_map
 from srt.recording.recording import Kind, Recording, Site, require_bounded
 from srt.recording.samples import TEMPERATURE, TIME
-from srt.recording.schema import COUNTS, TIME_UNITS
+from srt.recording.schema import COUNTS, TIME_UNITS, UNITS
 from srt.recording.timing import GAP_STEPS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Mapping
 
     from numpy.typing import NDArray
 
     from srt.recording.applied import AppliedCorrection
+    from srt.recording.import_options import Triple
     from srt.types import Array, Indices, Mask
 
 REBASE_BEYOND_S: Final = 1e6
@@ -120,7 +121,7 @@ def samples_in_si(
     if time is not None and time.dtype.kind in "mM":
         time, unit = _ticks(time, options)
         stated = replace(stated, time=unit)
-    _require_units(
+    require_units(
         options, {"gyro": stated.gyro, "accel": stated.accel} | ({} if time is None else {"time": stated.time})
     )
     changes: list[str] = []
@@ -130,7 +131,8 @@ def samples_in_si(
         if raw.ndim != 2 or raw.shape[1] != 3 or len(raw) != len(gyro):
             raise InputError(f"The {sensor} readings have the shape {raw.shape}, but ({len(gyro)}, 3) is expected.")
         unit, units[sensor] = _unit(options, f"{sensor}_unit", own, changes)
-        arrays[sensor] = _to_si(options, sensor, unit, chosen, raw)
+        arrays[sensor] = np.array(raw, dtype=np.float64)
+        to_si(options, sensor, unit, chosen, arrays[sensor])
         if unit == COUNTS:
             units[sensor] += counts_text(options, sensor, _SI[chosen][sensor])
     seconds = None
@@ -323,7 +325,7 @@ def of_channels(table: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
     return arrays
 
 
-def _require_units(options: ImportOptions, stated: dict[str, str | None]) -> None:
+def require_units(options: ImportOptions, stated: dict[str, str | None]) -> None:
     """Raise InputError that names all quantities whose unit, or value of a count, nobody states."""
     missing, ways, counted = [], [], []
     for quantity, unit in stated.items():
@@ -333,14 +335,11 @@ def _require_units(options: ImportOptions, stated: dict[str, str | None]) -> Non
             continue
         if (getattr(options, name) or unit) == COUNTS:
             counted.append(quantity)
-        allowed: Iterable[str] = TIME_UNITS
-        if quantity in SENSOR_UNITS:
-            allowed = [*SENSOR_UNITS[quantity]["rate"], *SENSOR_UNITS[quantity]["increment"], COUNTS]
-        if getattr(options, name) or (unit and unit in allowed):
+        if getattr(options, name) or unit in UNITS[quantity]:
             continue
         missing.append(f"{quantity} (its text {clipped(unit)!r} is not known)" if unit else quantity)
         counts = f" (for them {option(f'{quantity}_lsb')} alone is enough)" if quantity in SENSOR_UNITS else ""
-        ways.append(f"{option(name)} ({name} in recording.toml), one of {', '.join(allowed)}{counts}")
+        ways.append(f"{option(name)} ({name} in recording.toml), one of {', '.join(UNITS[quantity])}{counts}")
     sentences = []
     if missing:
         sentences.append(f"The file does not state the unit of {', '.join(missing)}: give {'; and '.join(ways)}.")
@@ -366,28 +365,29 @@ def _unit(options: ImportOptions, name: str, stated: str | None, notes: list[str
     return given, f"{given} (as given)"
 
 
-def _to_si(options: ImportOptions, sensor: str, unit: str, kind: Kind, raw: NDArray[Any]) -> Array:
-    """Readings in SI units: counts by ``gyro_lsb`` or ``accel_lsb`` less their offset, others by the table of units."""
-    values = np.array(raw, dtype=np.float64)
+def to_si(options: ImportOptions, sensor: str, unit: str, kind: Kind, values: Array) -> None:
+    """Convert readings in place: counts by ``gyro_lsb`` or ``accel_lsb`` less their offset, others by their unit.
+
+    Raises InputError for a unit that does not fit the kind, or a value of counts for readings in another unit.
+    """
     lsb, offset = getattr(options, f"{sensor}_lsb"), getattr(options, f"{sensor}_offset")
-    if unit == COUNTS:
-        assert lsb is not None  # _require_units
-        if offset is not None:
-            values -= np.asarray(offset)
-        values *= np.asarray(lsb)
-        return values
-    for name, value in (("lsb", lsb), ("offset", offset)):
-        if value is not None:
+    factor: float | Triple = lsb
+    if unit != COUNTS:
+        for name, value in (("lsb", lsb), ("offset", offset)):
+            if value is not None:
+                raise InputError(
+                    f"{option(f'{sensor}_{name}')} is given, but the {sensor} readings are in {unit}: leave it out, or "
+                    f"add {option(f'{sensor}_unit')} {COUNTS}."
+                )
+        factors = SENSOR_UNITS[sensor][kind]
+        if unit not in factors:
             raise InputError(
-                f"{option(f'{sensor}_{name}')} is given, but the {sensor} readings are in {unit}: leave it out, or "
-                f"add {option(f'{sensor}_unit')} {COUNTS}."
+                f"The unit {unit} of the {sensor} readings does not fit samples of kind {kind}, for which one of "
+                f"{', '.join((*factors, COUNTS))} is expected: correct {option(f'{sensor}_unit')} or {option('kind')}."
             )
-    factors = SENSOR_UNITS[sensor][kind]
-    if unit not in factors:
-        raise InputError(
-            f"The unit {unit} of the {sensor} readings does not fit samples of kind {kind}, for which one of "
-            f"{', '.join((*factors, COUNTS))} is expected: correct {option(f'{sensor}_unit')} or {option('kind')}."
-        )
-    if factors[unit] != 1.0:
-        values *= factors[unit]
-    return values
+        factor = factors[unit]
+    if offset is not None:
+        values -= offset
+    if factor != 1.0:
+        with np.errstate(over="ignore"):  # an infinite reading is refused with its row
+            values *= factor

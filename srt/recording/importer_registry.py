@@ -172,7 +172,8 @@ def import_file(path: Path, options: ImportOptions | None = None, name: str = AU
     except MemoryError:
         raise InputError(f"{path} does not fit into memory: split the recording.") from None
     except OSError as error:
-        raise InputError(f"Cannot read {path} ({error.strerror or error}): check its permissions.") from None
+        place, reason = error.filename or path, error.strerror or error
+        raise InputError(f"Cannot read {place} ({reason}): check its permissions.") from None
     except (InputError, DataError) as error:
         if type(error) not in (InputError, NotStatedError, DataError):
             raise

@@ -19,7 +19,7 @@ import numpy as np
 from srt.arguments import real_array, require_type
 from srt.exceptions import InputError, NotStatedError, did_you_mean
 from srt.recording.folder import TOML_NAME, load_recording, read_document, read_metadata, sha256_of
-from srt.recording.import_options import CHANNELS, TRIADS, ImportOptions, parse_columns, parse_lsb, parse_offset
+from srt.recording.import_options import CHANNELS, TRIADS, ImportOptions
 from srt.recording.imported_samples import StatedUnits, in_imu_axes, samples_in_si, to_recording
 from srt.recording.importer_registry import AUTO, import_file
 from srt.recording.recording import Recording
@@ -28,7 +28,6 @@ from srt.recording.schema import SECTIONS
 from srt.recording.writing import sections_of
 
 if TYPE_CHECKING:
-    from srt.recording.import_options import Triple
     from srt.recording.imported_samples import ImportedSamples
     from srt.recording.importer_registry import Importer
 
@@ -120,7 +119,7 @@ def read_log(
     like: str | os.PathLike[str] | Recording | None = None,
 ) -> tuple[Recording, ImportedSamples, Importer]:
     """Read a log in another format, with keywords of :func:`read` that are not None. Raises InputError."""
-    options = import_options(given)
+    options = _import_options(given)
     try:
         about = surroundings(given, like)
     except NotStatedError as gravity:
@@ -136,20 +135,6 @@ def read_log(
         return _recording(imported, about, {**_identification(given), **origin}), imported, importer
     except InputError as error:
         raise InputError(f"{path}: {error}", fault=error.fault) from None
-
-
-def import_options(given: Mapping[str, Any]) -> ImportOptions:
-    """Options of the importers from keywords; columns, counts and offsets may be given as text. Raises InputError."""
-    chosen = {key: given[key] for key in SAMPLES_KEYS if given.get(key) is not None}
-    for sensor in TRIADS:
-        for name, parse in ((f"{sensor}_lsb", parse_lsb), (f"{sensor}_offset", parse_offset)):
-            if name in chosen:
-                chosen[name] = _triple(name, chosen[name], sensor, parse)
-    if isinstance(chosen.get("columns"), str):
-        chosen["columns"] = parse_columns(chosen["columns"])
-    if "second" in chosen:
-        chosen["second"] = Path(chosen["second"])
-    return ImportOptions(**chosen)
 
 
 def surroundings(given: Mapping[str, Any], like: str | os.PathLike[str] | Recording | None = None) -> dict[str, Any]:
@@ -217,7 +202,7 @@ def _from_arrays(source: Any, given: Mapping[str, Any], like: str | os.PathLike[
     """Recording of arrays."""
     table = _arrays(source)
     table |= {name: real_array(name, table[name], dates=True) for name in CHANNELS if table.get(name) is not None}
-    options = import_options(given)
+    options = _import_options(given)
     refused = sorted(options.given - {"kind", "time_unit", "sample_rate_hz", "map_gyro", "map_accel"} - {
         f"{sensor}_{what}" for sensor in TRIADS for what in ("unit", "lsb", "offset")})  # fmt: skip
     if refused:
@@ -288,19 +273,12 @@ def _recording(imported: ImportedSamples, about: Mapping[str, Any], rest: Mappin
     return recording
 
 
+def _import_options(given: Mapping[str, Any]) -> ImportOptions:
+    return ImportOptions(**{key: given[key] for key in SAMPLES_KEYS if given.get(key) is not None})
+
+
 def _identification(given: Mapping[str, Any]) -> dict[str, Any]:
     return {key: given[key] for key in IDENTIFICATION_KEYS if key in given}
-
-
-def _triple(name: str, value: Any, sensor: str, parse: Any) -> Triple:
-    if isinstance(value, str):
-        found: Triple = parse(value, sensor)
-        return found
-    numbers = np.asarray(real_array(name, value), dtype=np.float64).ravel()
-    if numbers.size not in (1, 3) or not np.all(np.isfinite(numbers)):
-        raise InputError(f"{name} is {value!r}, but one finite number, or three, is expected.")
-    x, y, z = np.broadcast_to(numbers, 3).tolist()
-    return x, y, z
 
 
 def _as_keywords(sentence: str) -> str:

@@ -149,16 +149,19 @@ TIME_UNITS: Final = {"s": 1.0, "ms": 1e-3, "0.1ms": 1e-4, "us": 1e-6, "ns": 1e-9
 COUNTS: Final = "counts"
 
 
-def _units(table: Mapping[str, Mapping[str, float]]) -> tuple[str, ...]:
-    return (*table["rate"], *table["increment"], COUNTS)
-
+UNITS: Final = {
+    "gyro": (*GYRO_UNITS["rate"], *GYRO_UNITS["increment"], COUNTS),
+    "accel": (*ACCEL_UNITS["rate"], *ACCEL_UNITS["increment"], COUNTS),
+    "time": tuple(TIME_UNITS),
+}
+"""Units that files may state, by quantity."""
 
 RECORDING_KEYS: Final = (
     text("samples"),
     text("kind", "kind", ("rate", "increment")),
-    text("gyro_unit", choices=_units(GYRO_UNITS)),
-    text("accel_unit", choices=_units(ACCEL_UNITS)),
-    text("time_unit", choices=tuple(TIME_UNITS)),
+    text("gyro_unit", choices=UNITS["gyro"]),
+    text("accel_unit", choices=UNITS["accel"]),
+    text("time_unit", choices=UNITS["time"]),
     one_or_three("gyro_lsb", "rad/s (or rad) per count", zero=False, high=1e3),
     one_or_three("gyro_offset_counts", "counts", zero=True, high=2.0**63),
     one_or_three("accel_lsb", "m/s² (or m/s) per count", zero=False, high=1e3),
@@ -249,6 +252,17 @@ SECTIONS: Final = {
     "imu.applied": APPLIED_KEYS,
     "sequence": SEQUENCE_KEYS,
 }
+
+
+def require_sections(file: str, document: Iterable[str], known: Iterable[str]) -> None:
+    """Raise InputError for a section of a file that is none of the known ones."""
+    known = tuple(known)
+    for section in document:
+        if section not in known or "." in section:
+            raise InputError(
+                f"{file}: [{clipped(section)}] is no known section{did_you_mean(section, known)}: "
+                f"remove it, or use one of {', '.join(known)}."
+            )
 
 
 def read_section(file: str, section: str, values: object, keys: tuple[Key, ...]) -> dict[str, Any]:

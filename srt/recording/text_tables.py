@@ -108,8 +108,6 @@ def read_table(
         except (ValueError, OverflowError) as error:
             reason = str(error)
             continue
-        except OSError as error:
-            raise InputError(f"Cannot read {path} ({error.strerror}): check its permissions.") from None
         if not _rows_add_up(path, layout, found.size, empty):
             reason = "the rows are not equally long"
             break

@@ -6,16 +6,12 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from srt.exceptions import MissingExtraError
+from srt.exceptions import optional
 from srt.recording.import_options import TRIADS
 from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, NAMES, SYMBOLS
 
-try:
+with optional("pandas", "pandas", "A table of pandas"):
     import pandas as pd
-except ModuleNotFoundError as error:
-    if error.name != "pandas":
-        raise
-    raise MissingExtraError("pandas", "pandas", "A table of pandas") from None
 
 if TYPE_CHECKING:
     from srt.comparison.estimator_comparison import Comparison

@@ -19,7 +19,7 @@ from srt.result.applier import BLOCK, Applier
 from srt.result.consistency import Consistency
 from srt.result.diagnostics import Diagnostics
 from srt.result.document import from_document, to_document
-from srt.result.json_file import load_json_file, require_json, save_json_file
+from srt.result.json_file import load_json_file, require_format, require_json, save_json_file
 from srt.result.noise_figures import NoiseFigures
 from srt.result.provenance import Alignment, Provenance, StatedSite, Temperature
 from srt.result.verdict import Verdict, verdict_on
@@ -287,10 +287,7 @@ def load_calibration(path: str | PathLike[str], *, trust: bool = False, signed: 
 
 
 def _from_dict(document: dict[str, Any]) -> Calibration:
-    if not isinstance(document, dict) or document.get("format") != FORMAT:
-        raise InputError(f'this is no calibration file (its "format" is not "{FORMAT}").')
-    if document.get("version") != VERSION:
-        raise InputError(f"its version is {document.get('version')!r}, but this software reads version {VERSION}.")
+    require_format(document, "calibration file", FORMAT, VERSION)
     parameters = document["parameters"]
     names = tuple(p["name"] for p in parameters)
     if names != NAMES:

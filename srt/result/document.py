@@ -84,10 +84,8 @@ def from_document(kind: type[_Kind], document: object, name: str) -> _Kind:
     name : str
         Name of the document in messages.
 
-    Raises
-    ------
-    InputError
-        A key that is missing or not known, or a value of another type; the message names the path of the key.
+    Raises InputError: a key that is missing or not known, or a value of another type; the message names the path of the
+    key.
     """
     return cast("_Kind", _read(kind, document, name))
 

@@ -30,10 +30,7 @@ _DIGEST: Final = "digest"
 def save_json_file(path: str | PathLike[str], document: Mapping[str, Any]) -> None:
     """Write a result with its digest, whole or not at all.
 
-    Raises
-    ------
-    InputError
-        If the path cannot be written.
+    Raises InputError if the path cannot be written.
     """
     require_path("Saving", path)
     atomic_write_text(path, json_text(document))
@@ -48,10 +45,7 @@ def json_text(document: Mapping[str, Any]) -> str:
 def require_json(document: Mapping[str, Any]) -> None:
     """Refuse what strict JSON cannot hold, at any depth: NaN, infinite numbers, arrays and other objects.
 
-    Raises
-    ------
-    InputError
-        It names the first such value, as "diagnostics.filter.3.probability".
+    Raises InputError: it names the first such value, as "diagnostics.filter.3.probability".
     """
     try:
         json.dumps(document, allow_nan=False)
@@ -104,10 +98,8 @@ def load_json_file(
     signed : bool
         Refuse a document without a digest, which is accepted otherwise.
 
-    Raises
-    ------
-    InputError
-        If the file cannot be read, is no JSON, is not complete, is not accepted, or differs from its digest.
+    Raises InputError if the file cannot be read, is no JSON, is not complete, is not accepted, or differs from its
+    digest.
     """
     require_path(f"Reading a {noun}", path)
     try:
@@ -136,6 +128,14 @@ def load_json_file(
             f"{noun}, or accept the change with --trust (trust=True in Python)."
         )
     return result
+
+
+def require_format(document: object, noun: str, name: str, version: int) -> None:
+    """Raise InputError for a document that is not of this format and version."""
+    if not isinstance(document, dict) or document.get("format") != name:
+        raise InputError(f'this is no {noun} (its "format" is not "{name}").')
+    if document.get("version") != version:
+        raise InputError(f"its version is {document.get('version')!r}, but this software reads version {version}.")
 
 
 def _digest(document: Mapping[str, Any]) -> str:

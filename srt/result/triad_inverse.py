@@ -35,21 +35,12 @@ _BITS: Final = np.array([[0], [1], [2]], dtype=np.uint8)
 
 @dataclass(frozen=True, slots=True)
 class TriadInverse:
-    """Inverse of the sensor model of one triad, in plain numbers.
+    """Inverse of the sensor model of one triad, in plain numbers."""
 
-    Attributes
-    ----------
-    bias : (float, float, float)
-        b, rad/s or m/s².
-    linear : tuple of 9 floats
-        M⁻¹ by rows.
-    octants : tuple of 8 tuples of 9 floats, or None
-        ``(M + diag(s ∘ sign))⁻¹`` by rows; bit c of the index is set where component c is negative. None without
-        asymmetry: ``linear`` then holds for all octants.
-    """
-
-    bias: Vector
-    linear: tuple[float, ...]
+    bias: Vector  # b, rad/s or m/s²
+    linear: tuple[float, ...]  # M⁻¹ by rows
+    # ``(M + diag(s ∘ sign))⁻¹`` by rows; bit c of the index is set where component c is negative. None without
+    # asymmetry: ``linear`` then holds for all octants
     octants: tuple[tuple[float, ...], ...] | None
 
     @classmethod
@@ -62,10 +53,7 @@ class TriadInverse:
         name : str
             Name of the sensor in messages.
 
-        Raises
-        ------
-        InputError
-            If the sensor model has no unique inverse.
+        Raises InputError if the sensor model has no unique inverse.
         """
         slopes = triad.matrix + SIGNS[:, :, None] * np.diag(triad.asymmetry)
         # The determinant is linear in each sign, so that of M lies between those of the octants.

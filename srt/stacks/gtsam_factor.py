@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from srt.exceptions import MissingExtraError
+from srt.exceptions import optional
 from srt.model.rotations import cross_matrix, inverse_right_jacobian, rotation_matrix, rotation_vector
 from srt.sensor_errors import SensorErrors
 from srt.stacks.preintegration import POSITION, ROTATION, VELOCITY
@@ -162,8 +162,6 @@ def residual_of(
 
 
 def _gtsam() -> Any:
-    try:
+    with optional("gtsam", "graph", "The preintegrated factor"):
         import gtsam
-    except ModuleNotFoundError:
-        raise MissingExtraError("gtsam", "graph", "The preintegrated factor") from None
     return gtsam

@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Final
 
 from srt.constants import STANDARD_GRAVITY_M_S2
-from srt.exceptions import InputError, MissingExtraError
+from srt.exceptions import InputError, optional
 from srt.stacks.stream_correction import LOST, MALFORMED, PASSED_ON, UNSIGNED, Counts
 
 if TYPE_CHECKING:
@@ -52,19 +52,14 @@ class MavlinkCorrector:
     raw : Counts, optional
         Counts of RAW_IMU, in SI units; without them RAW_IMU is malformed.
 
-    Raises
-    ------
-    MissingExtraError
-        Without pymavlink.
+    Raises MissingExtraError without pymavlink.
     """
 
     __slots__ = ("_corrector", "_counts", "_dialect", "_link", "_sequence")
 
     def __init__(self, corrector: StreamCorrector, raw: Counts | None = None) -> None:
-        try:
+        with optional("pymavlink", "formats", "A MAVLink stream"):
             from pymavlink.dialects.v20 import common
-        except ModuleNotFoundError:
-            raise MissingExtraError("pymavlink", "formats", "A MAVLink stream") from None
         self._dialect: Any = common
         self._link: Any = self._decoder()
         self._corrector = corrector

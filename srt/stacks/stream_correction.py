@@ -41,18 +41,10 @@ _TIMES_TOLD: Final = (1, 10, 100, 1000, 10**4, 10**5, 10**6)
 
 
 class Counts(NamedTuple):
-    """Scale of raw counts: gyro x, y, z, then accelerometer x, y, z.
+    """Scale of raw counts: gyro x, y, z, then accelerometer x, y, z."""
 
-    Attributes
-    ----------
-    unit : tuple of 6 floats
-        Value of one count.
-    zero : tuple of 6 floats
-        Counts at zero input.
-    """
-
-    unit: tuple[float, ...]
-    zero: tuple[float, ...]
+    unit: tuple[float, ...]  # value of one count
+    zero: tuple[float, ...]  # counts at zero input
 
     def readings(self, counts: Iterable[float]) -> tuple[float, ...]:
         """Readings of six counts, in the unit of ``unit``."""
@@ -63,35 +55,17 @@ class Counts(NamedTuple):
 class StreamOptions:
     """Description of the samples of a stream.
 
-    Attributes
-    ----------
-    gyro_unit, accel_unit : (float, float, float)
-        SI units per unit of the stream, by axis.
-    dt : float or None
-        Duration of increments, s; None for rates.
-    gyro_range, accel_range : float or None
-        Measuring ranges, rad/s and m/s².
-    temperature_margin_c : float
-        Distance from the temperatures of the test that is told.
-    gravity : float or None
-        Size, m/s², near which the median specific force is expected; None: not checked.
-    covariance : bool
-        True: each corrected sample comes with its 1-sigma by the calibration.
-
-    Raises
-    ------
-    InputError
-        Values that are not positive.
+    Raises InputError: values that are not positive.
     """
 
-    gyro_unit: Triple = (1.0, 1.0, 1.0)
+    gyro_unit: Triple = (1.0, 1.0, 1.0)  # SI units per unit of the stream, by axis
     accel_unit: Triple = (1.0, 1.0, 1.0)
-    dt: float | None = None
-    gyro_range: float | None = None
-    accel_range: float | None = None
-    temperature_margin_c: float = 10.0
-    gravity: float | None = None
-    covariance: bool = False
+    dt: float | None = None  # duration of increments, s; None for rates
+    gyro_range: float | None = None  # rad/s
+    accel_range: float | None = None  # m/s²
+    temperature_margin_c: float = 10.0  # distance from the temperatures of the test that is told
+    gravity: float | None = None  # size, m/s², near which the median specific force is expected; None: not checked
+    covariance: bool = False  # True: each corrected sample comes with its 1-sigma by the calibration
 
     def __post_init__(self) -> None:
         for name in ("dt", "gyro_range", "accel_range", "temperature_margin_c", "gravity"):
@@ -152,10 +126,7 @@ class StreamCorrector:
         tuple of 6 floats
             In the units of the stream; followed by their six 1-sigma where the options ask for them.
 
-        Raises
-        ------
-        InputError
-            Values that are not finite.
+        Raises InputError: values that are not finite.
         """
         gx, gy, gz, ax, ay, az = values
         a, b, c, d, e, f = self._units

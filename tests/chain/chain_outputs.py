@@ -267,7 +267,7 @@ def exported(target: str, chain: Chain, estimator: str) -> None:
     """File of another tool, applied by the tool itself or by its formula: the correction of the calibration."""
     calibration, raw = chain.calibration(estimator), motion(np.random.default_rng(0))
     path = chain.file(estimator, f"-{target}{exporter(target).suffixes[0]}")
-    replaces = exporter(target).replaces
+    replaces = bool(exporter(target).find_applied)
     more = ("--applied", "none") if replaces else ()
     good(srt_command("export", chain.file(estimator), "--to", target, "-o", path, "-q", *more))
     parts = {part: path.with_name(f"{path.stem}{part}{path.suffix}") for part in exporter(target).parts}

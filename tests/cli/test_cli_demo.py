@@ -12,7 +12,7 @@ import pytest
 import srt
 from srt.cli import main
 from srt.cli.truth import load_truth
-from srt.reports.text.truth_comparison import largest_error_text
+from srt.reports.text.calibration_summary import largest_error_text
 from srt.sensor_errors import NAMES
 
 pytestmark = pytest.mark.usefixtures("plain_layout")

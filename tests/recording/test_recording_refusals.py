@@ -75,8 +75,8 @@ def test_the_good_folder_is_good(folder):
         ("gyro_noise_deg_per_sqrt_h", "noise", ["imu.noise", "gyro_noise_deg_per_sqrt_h"]),
         ("start_static_s = [4", "start_static = [4", ["sequence[2].start_static", "did you mean start_static_s?"]),
         ('samples = "samples.csv"\n', "", ["recording.samples is missing"]),
-        ('gyro_unit = "rad/s"\n', "", ["recording.gyro_unit is missing", '"deg/h"', '"counts"']),
-        ('accel_unit = "m/s^2"\n', "", ["recording.accel_unit is missing", '"mg"']),
+        ('gyro_unit = "rad/s"\n', "", ["the unit of gyro", "recording.gyro_unit", "deg/h", "counts"]),
+        ('accel_unit = "m/s^2"\n', "", ["the unit of accel", "recording.accel_unit", "mg"]),
         ("end_static_s = [6.0, 7.0]", "", ["sequence[2].end_static_s is missing"]),
         # types and ranges
         ("latitude_deg = 45.0", "latitude_deg = 91", ["site.latitude_deg is 91", "-90 to 90 in degrees"]),
@@ -108,12 +108,12 @@ def test_the_good_folder_is_good(folder):
         ('id = "2"', 'down = "-x"\nalong_outer = "x"', ["sequence[2]", "axis x", "name two axes"]),
         ('id = "2"', 'rotations = [["-x", 90.0]]', ["sequence[2].rotations", '[["y", 180.0]']),
         # units
-        ('"rad/s"', '"deg"', ['gyro_unit is "deg"', 'kind is "rate"', '"deg/s"']),
+        ('"rad/s"', '"deg"', ["unit deg of the gyro", "kind rate", "deg/s", "recording.gyro_unit"]),
         ('"rad/s"', '"rpm"', ['gyro_unit is the text "rpm"', '"deg/s"']),
-        ('"m/s^2"', '"m/s"', ['accel_unit is "m/s"', '"mg"']),
-        ('kind = "rate"', 'kind = "increment"', ['gyro_unit is "rad/s"', 'kind is "increment"']),
-        ('"rad/s"', '"counts"', ["gyro_lsb is missing"]),
-        ('time_unit = "s"', "gyro_lsb = 0.1", ["gyro_lsb is given", '"rad/s"']),
+        ('"m/s^2"', '"m/s"', ["unit m/s of the accel", "mg", "recording.accel_unit"]),
+        ('kind = "rate"', 'kind = "increment"', ["unit rad/s of the gyro", "kind increment", "recording.kind"]),
+        ('"rad/s"', '"counts"', ["value of one count", "recording.gyro_lsb"]),
+        ('time_unit = "s"', "gyro_lsb = 0.1", ["recording.gyro_lsb is given", "recording.gyro_unit is rad/s"]),
         ('time_unit = "s"', "accel_lsb = 0", ["accel_lsb is 0", "other than 0"]),
         ('time_unit = "s"', "gyro_offset_counts = [1, 2]", ["gyro_offset_counts is [1, 2]", "list of three"]),
         # samples

@@ -13,8 +13,8 @@ from certificate_cases import COMPONENTS, FACTORS, Reader, calibration, drawn
 
 import srt
 from srt.reports.certificate import html_page, load_acceptance_limits, make_certificate
+from srt.reports.certificate.calibration_file import FALSE_ALARM, changes_since
 from srt.reports.certificate.figures import certificate_figures
-from srt.reports.certificate.parameter_changes import FALSE_ALARM, changes_since
 from srt.result.calibration import Residual
 from srt.result.provenance import Provenance, StatedSite
 from srt.sensor_errors import DISPLAY_FACTORS, INDEX, NAMES, SYMBOLS, SensorErrors

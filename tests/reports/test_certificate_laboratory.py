@@ -10,8 +10,8 @@ from certificate_cases import calibration
 
 import srt
 from srt.reports.certificate import load_acceptance_limits, make_certificate
+from srt.reports.certificate.content import budget_table, coverage_probability
 from srt.reports.certificate.laboratory import NOT_STATED, load_laboratory
-from srt.reports.certificate.uncertainty import budget_table, coverage_probability
 from srt.sensor_errors import DISPLAY_FACTORS, GROUP_SLICES
 
 
@@ -74,8 +74,8 @@ def test_statements_and_coverage_are_those_of_the_file(saved, tmp_path):
     [
         ("[labratory]", r"did you mean laboratory"),
         ("[laboratory]\nnam = 'x'", r"laboratory.nam is no known key \(did you mean name"),
-        ("[laboratory]\nname = []", "laboratory.name is no text"),
-        ("laboratory = 3", "laboratory is no section"),
+        ("[laboratory]\nname = []", r"laboratory.name is \[\], but a text in quotes"),
+        ("laboratory = 3", "laboratory is 3, but a section of keys"),
         ("[certificate]\ncoverage_factor = 0", "coverage_factor is 0"),
         ("[equipment]\nname = 'x'", "equipment is no list"),
         ("[", "is not valid TOML"),

@@ -16,8 +16,8 @@ from sims.physics.table_motion import table1_motion
 from srt.comparison.merge import merge_calibrations
 from srt.recording.recording import Fixture
 from srt.reports.certificate import html_page, make_certificate, pdf, unit_description
+from srt.reports.certificate.calibration_file import changes_since
 from srt.reports.certificate.figures import certificate_figures
-from srt.reports.certificate.parameter_changes import changes_since
 from srt.reports.certificate.recording_history import check_recording, recording_history
 
 # The recording

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Final
 
 from srt.exceptions import InputError, clipped, did_you_mean
 from srt.model.table1 import AXES
-from srt.recording.import_options import CHANNELS, SENSOR_UNITS, TRIADS, normal_unit, option
+from srt.recording.import_options import CHANNELS, TRIADS, normal_unit, option
 from srt.recording.imported_samples import StatedUnits
 from srt.recording.samples import TEMPERATURE, TIME
-from srt.recording.schema import COUNTS, TIME_UNITS
+from srt.recording.schema import COUNTS, UNITS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -304,10 +304,7 @@ def _require_all(path: Path, names: Sequence[str], width: int, columns: Mapping[
 
 def _fits(channel: str, unit: str | None) -> bool:
     """True for a unit that fits a channel: "Acc X (top)" states none."""
-    sensor = channel.partition("_")[0]
-    if sensor in SENSOR_UNITS:
-        return unit == COUNTS or any(unit in units for units in SENSOR_UNITS[sensor].values())
-    return channel == TIME and unit in TIME_UNITS
+    return unit in UNITS.get(channel.partition("_")[0], ())
 
 
 def _with_unit(

@@ -134,7 +134,7 @@ def answer(request: bytes, out: BinaryIO) -> None:
     try:
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")
-            imported = reader(path, _options(asked["options"]))
+            imported = reader(path, ImportOptions(**asked["options"]))
     except (InputError, DataError) as error:
         kind = "DataError" if isinstance(error, DataError) else "InputError"
         _send(out, {"error": kind, "message": str(error).replace(str(path), shown), "fault": error.fault}, [])
@@ -183,12 +183,6 @@ def impose(limits: ProcessLimits) -> bool:
     except (OSError, ValueError):
         return False
     return statm.exists()
-
-
-def _options(fields: dict[str, Any]) -> ImportOptions:
-    triples = {name: tuple(value) for name, value in fields.items() if isinstance(value, list)}
-    second = fields["second"]
-    return ImportOptions(**{**fields, **triples, "second": None if second is None else Path(second)})
 
 
 def _send(out: BinaryIO, header: dict[str, Any], arrays: list[np.ndarray[Any, Any]]) -> None:

@@ -17,8 +17,8 @@ from srt.recording.imported_samples import ImportedSamples, StatedUnits
 from srt.recording.importer_registry import Importer, head
 from srt.recording.importers.arrays import samples_from_table
 from srt.recording.importers.channels import listed
+from srt.recording.importers.csv_formats import find_layout
 from srt.recording.importers.matlab import is_matlab, open_matlab, unless_scipy
-from srt.recording.importers.table_layout import find_layout
 from srt.recording.text_tables import read_table
 
 if TYPE_CHECKING:

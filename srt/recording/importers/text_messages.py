@@ -85,18 +85,12 @@ _VECTORNAV: Final = _Messages(
 
 def _read(messages: _Messages, path: Path, options: ImportOptions) -> ImportedSamples:
     rows, damaged = [], 0
-    try:
-        with path.open(encoding="latin-1") as file:
-            for line in file:
-                match = messages.pattern.search(line)
-                if match is None:
-                    continue
-                try:
-                    rows.append(_row(messages, match))
-                except (ValueError, IndexError):
-                    damaged += 1
-    except OSError as error:
-        raise InputError(f"Cannot read {path} ({error.strerror}): check its permissions.") from None
+    with path.open(encoding="latin-1") as file:
+        for match in filter(None, map(messages.pattern.search, file)):
+            try:
+                rows.append(_row(messages, match))
+            except (ValueError, IndexError):
+                damaged += 1
     if not rows:
         raise InputError(f"{path} holds no whole message {messages.title}: name another file or format.")
     table = np.array(rows)

@@ -13,8 +13,7 @@ from srt.exceptions import InputError
 from srt.recording.import_options import ImportOptions, option
 from srt.recording.imported_samples import ImportedSamples, StatedUnits, of_channels, samples_in_si
 from srt.recording.importer_registry import Importer, head
-from srt.recording.importers.csv_formats import TEXT_OPTIONS, read_csv_table
-from srt.recording.importers.table_layout import find_layout
+from srt.recording.importers.csv_formats import TEXT_OPTIONS, find_layout, read_csv_table
 from srt.recording.samples import ACCEL_COLUMNS, GYRO_COLUMNS, TIME
 from srt.recording.text_tables import read_table
 

@@ -10,9 +10,8 @@ import numpy as np
 
 from srt.exceptions import DataError
 from srt.presentation import Presented
+from srt.reports.certificate.calibration_file import FALSE_ALARM
 from srt.reports.certificate.laboratory import COVERAGE_FACTOR, Laboratory, equipment_table, references_table
-from srt.reports.certificate.parameter_changes import FALSE_ALARM
-from srt.reports.certificate.uncertainty import budget_table, coverage_note
 from srt.reports.certificate.unit_description import (
     SERIAL_LENGTH,
     application_section,
@@ -32,16 +31,15 @@ from srt.reports.parameters import (
     value_text,
 )
 from srt.reports.tables import Cell, Table, decimals_for, fixed, plain, table, wrap
-from srt.reports.text.calibration import measured_count, time_base
+from srt.reports.text.calibration import measured_count, source_label, time_base
 from srt.result.verdict import DOUBTFUL, USABLE, probability_text
-from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, INDEX, NAMES, SYMBOLS, collapse_names
+from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, GROUP_SLICES, INDEX, NAMES, SYMBOLS, collapse_names
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from srt.reports.certificate.acceptance_limits import AcceptanceLimits
-    from srt.reports.certificate.calibration_file import CalibrationFile
-    from srt.reports.certificate.parameter_changes import ParameterChanges
+    from srt.reports.certificate.calibration_file import CalibrationFile, ParameterChanges
     from srt.reports.certificate.recording_history import RecordingHistory
     from srt.reports.certificate.unit_description import Application
     from srt.result.calibration import Calibration, Residual
@@ -334,3 +332,43 @@ def certificate_text(certificate: Certificate) -> str:
     """Title, main results and parameters of a certificate, as text."""
     lines = [certificate.title, *(line for sentence in certificate.summary for line in wrap(sentence))]
     return "\n".join([*lines, "", certificate.parameters.text(gap=1, grouped=False)])
+
+
+def coverage_probability(factor: float) -> float:
+    """Probability of a normal distribution within ± ``factor`` standard deviations."""
+    return math.erf(factor / math.sqrt(2.0))
+
+
+def coverage_note(factor: float) -> str:
+    """Sentence on the expanded uncertainty."""
+    return (
+        f"U: expanded uncertainty, the standard uncertainty sigma times the coverage factor k = {factor:g}. For a "
+        f"normal distribution, value ± U has a coverage probability of {100.0 * coverage_probability(factor):.3g} %. "
+        "Determined according to the GUM (JCGM 100)."
+    )
+
+
+def budget_table(calibration: Calibration, factor: float) -> Table | None:
+    """Table of the sources of sigma, root mean square of each group; None without sources."""
+    observed = calibration.observed
+    parts = {name: np.flatnonzero(observed[part]) + part.start for name, part in GROUP_SLICES.items()}
+    parts = {name: part for name, part in parts.items() if part.size}
+    sources = {name: size for name, size in calibration.contributions.items() if np.any(size[observed] > 0.0)}
+    if not sources or not parts:
+        return None
+    sigma = calibration.sigma
+    rows = []
+    for name, part in parts.items():
+        scale = DISPLAY_FACTORS[part[0]]
+        total = float(np.sqrt(np.mean(sigma[part] ** 2))) * scale
+        decimals = decimals_for(total)
+        sizes = [float(np.sqrt(np.mean(size[part] ** 2))) * scale for size in sources.values()]
+        texts = [fixed(size, decimals) for size in (*sizes, total, factor * total)]
+        rows.append([name.replace("_", " "), DISPLAY_UNITS[part[0]], *texts])
+    head = ("group", "unit", *map(source_label, sources), "combined", f"U (k = {factor:g})")
+    note = (
+        "Each entry is the standard uncertainty by one source, root mean square over the group. The combined one is "
+        "the root of the sum of squares of its row. Stated noise and references are type B, noise from the stationary "
+        "windows is type A. The covariance of all parameters is in the calibration file."
+    )
+    return table(head, rows, "ll" + "r" * (len(sources) + 2), title="Uncertainty budget", note=note)

@@ -14,11 +14,10 @@ import numpy as np
 from srt.constants import MICRO_G, STANDARD_GRAVITY_M_S2
 from srt.model.table1 import AXES
 from srt.reports.figures.calibration import draw_convergence, draw_errors, draw_residuals, draw_values
-from srt.reports.figures.inspection import envelope
+from srt.reports.figures.inspection import COLOURS, MARKERS, envelope, time_scale
 from srt.reports.figures.style import (
     BLUE,
     FAINT,
-    GREEN,
     GREY,
     INK,
     VERMILION,
@@ -39,10 +38,7 @@ if TYPE_CHECKING:
 
 _COMMENT: Final = re.compile(r"<!--.*?-->\s*|<metadata>.*?</metadata>\s*", re.DOTALL)
 _TEXT: Final = 8.5  # size of letters, points
-_COLOURS: Final = (BLUE, VERMILION, GREEN)
-_MARKERS: Final = ("o", "s", "^")
 _SVG_DPI: Final = 72  # points to an inch, the unit of matplotlib's SVG
-_IN_MINUTES: Final = 1200.0  # duration from which the time axis is in minutes, s
 _GRID: Final = (("ppm", "µg"), ("µrad", "°/h"))  # units of the panels of parameters, by rows
 
 
@@ -120,13 +116,13 @@ def _residuals(certificate: Certificate, figure: Figure | SubFigure) -> None:
 def _test(certificate: Certificate, figure: Figure | SubFigure) -> None:
     course = certificate.course
     assert course is not None
-    scale, unit = (60.0, "min") if course.duration_s > _IN_MINUTES else (1.0, "s")
+    scale, unit = time_scale(course.duration_s)
     attitude, force, excess = figure.subplots(3, 1, sharex=True, height_ratios=(1.2, 1.2, 0.8))
     at, drawn = envelope(course.samples, course.force / STANDARD_GRAVITY_M_S2, course.breaks)
     middle = course.rest.mean(axis=1) / scale
-    for axis, colour in enumerate(_COLOURS):
+    for axis, colour in enumerate(COLOURS):
         attitude.plot(course.time / scale, course.down[:, axis], color=colour, linewidth=0.9)
-        attitude.plot(middle, course.rest_down[:, axis], _MARKERS[axis], color=colour, markersize=3.0)
+        attitude.plot(middle, course.rest_down[:, axis], MARKERS[axis], color=colour, markersize=3.0)
         force.plot(at / scale, drawn[:, axis], color=colour, linewidth=0.7, alpha=0.85)
     excess.axhline(0.0, color=GREY, linewidth=0.8)
     excess.plot(middle, course.excess / MICRO_G, "o", color=BLUE, markersize=3.0)
@@ -142,7 +138,7 @@ def _test(certificate: Certificate, figure: Figure | SubFigure) -> None:
     excess.set_xlabel(f"time, {unit}", fontsize=_TEXT, color=INK)
     handles = [
         Line2D([], [], color=colour, marker=marker, markersize=3.0, label=axis)
-        for axis, colour, marker in zip(AXES, _COLOURS, _MARKERS, strict=True)
+        for axis, colour, marker in zip(AXES, COLOURS, MARKERS, strict=True)
     ]
     figure.legend(handles=handles, loc="outside upper right", ncols=3, fontsize=_TEXT, frameon=False, labelcolor=INK)
 

@@ -9,7 +9,7 @@ import re
 from importlib.resources import files
 from typing import TYPE_CHECKING, Final
 
-from srt.exceptions import MissingExtraError
+from srt.exceptions import optional
 from srt.reports.certificate.figures import certificate_figures, figure_svg
 from srt.reports.figures.style import BLUE, FAINT, GREY, INK
 
@@ -35,10 +35,8 @@ def html_page(certificate: Certificate) -> str:
 
     Raises MissingExtraError without Jinja2 or matplotlib.
     """
-    try:
+    with optional("jinja2", EXTRA, "A certificate"):
         from jinja2 import Environment, StrictUndefined
-    except ModuleNotFoundError:
-        raise MissingExtraError("jinja2", EXTRA, "A certificate") from None
 
     source = (files("srt.reports.certificate") / _TEMPLATE).read_text(encoding="utf-8")
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)

@@ -9,10 +9,9 @@ from srt.exceptions import InputError
 from srt.recording.atomic_file import atomic_path, atomic_write_text
 from srt.recording.reading import read
 from srt.reports.certificate.acceptance_limits import load_acceptance_limits
-from srt.reports.certificate.calibration_file import calibration_file
+from srt.reports.certificate.calibration_file import calibration_file, changes_since
 from srt.reports.certificate.content import make_certificate
 from srt.reports.certificate.laboratory import load_laboratory
-from srt.reports.certificate.parameter_changes import changes_since
 from srt.reports.certificate.recording_history import check_recording, recording_history
 from srt.result.verdict import USABLE
 

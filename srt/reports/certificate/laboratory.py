@@ -9,13 +9,14 @@ import datetime
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final
 
-from srt.exceptions import InputError, clipped, did_you_mean
+from srt.exceptions import InputError
+from srt.recording.schema import Key, number, read_section, require_sections
 from srt.recording.toml_text import read_toml
 from srt.reports.tables import Table, plain, table
 from srt.sensor_errors import GROUP_SLICES
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterable, Iterator, Mapping
     from pathlib import Path
 
     from srt.result.calibration import Calibration
@@ -52,6 +53,26 @@ _REFERENCES: Final = {
 _LENGTH: Final = 200  # largest number of characters of a text
 
 
+def _words(value: Any) -> str:
+    """Text, number or date as one line."""
+    if isinstance(value, datetime.date):
+        return value.isoformat()
+    if isinstance(value, bool) or not isinstance(value, str | int | float) or value == "":
+        raise ValueError
+    return plain(value, _LENGTH)
+
+
+def _keys(names: Iterable[str]) -> tuple[Key, ...]:
+    return tuple(Key(name, "a text in quotes", _words) for name in names)
+
+
+_KEYS: Final = {section: _keys(key for key, _ in keys) for section, keys in SECTIONS.items()} | {
+    "references": _keys(_REFERENCES)
+}
+_KEYS["certificate"] += (number("coverage_factor", "standard uncertainties", low=1.0, high=10.0),)
+_EQUIPMENT_KEYS: Final = _keys(_EQUIPMENT)
+
+
 @dataclass(frozen=True, slots=True)
 class Laboratory:
     """Statements of the laboratory."""
@@ -85,54 +106,21 @@ def load_laboratory(path: Path) -> Laboratory:
 
     Raises InputError: a file that cannot be read, an unknown section or key, or a value that is no text.
     """
-    document = read_toml(path)
-    known = (*SECTIONS, "equipment", "references")
-    for name in document:
-        if name not in known:
-            raise InputError(
-                f"The laboratory {path} has a part {clipped(name)!r}{did_you_mean(name, known)}: "
-                f"use {', '.join(known)}."
-            )
-    factor = _table(path, "certificate", document.get("certificate", {})).pop("coverage_factor", COVERAGE_FACTOR)
-    if isinstance(factor, bool) or not isinstance(factor, int | float) or not 1.0 <= factor <= 10.0:
-        raise InputError(
-            f"The laboratory {path}: certificate.coverage_factor is {factor!r}; give a number from 1 to 10."
-        )
-    texts = {
-        section: _texts(path, section, document[section], tuple(key for key, _ in keys))
-        for section, keys in SECTIONS.items()
+    name, document = f"The laboratory {path}", read_toml(path)
+    require_sections(name, document, (*_KEYS, "equipment"))
+    stated = {
+        section: read_section(name, section, document[section], keys)
+        for section, keys in _KEYS.items()
         if section in document
     }
     rows = document.get("equipment", [])
     if not isinstance(rows, list):
-        raise InputError(f"The laboratory {path}: equipment is no list; write each item as [[equipment]].")
-    equipment = tuple(_texts(path, f"equipment[{k}]", row, _EQUIPMENT) for k, row in enumerate(rows, start=1))
-    references = _texts(path, "references", document.get("references", {}), tuple(_REFERENCES))
-    return Laboratory(texts, equipment, references, float(factor))
-
-
-def _table(path: Path, section: str, values: object) -> dict[str, Any]:
-    if not isinstance(values, dict):
-        raise InputError(f"The laboratory {path}: {section} is no section; write [{section}].")
-    return dict(values)
-
-
-def _texts(path: Path, section: str, values: object, keys: tuple[str, ...]) -> dict[str, str]:
-    out = {}
-    for key, value in _table(path, section, values).items():
-        if key == "coverage_factor" and section == "certificate":
-            continue
-        if key not in keys:
-            raise InputError(
-                f"The laboratory {path}: {section}.{clipped(key)} is no known key{did_you_mean(key, keys)}: "
-                f"use {', '.join(keys)}."
-            )
-        if isinstance(value, datetime.date):
-            value = value.isoformat()  # noqa: PLW2901
-        if isinstance(value, bool) or not isinstance(value, str | int | float) or value == "":
-            raise InputError(f"The laboratory {path}: {section}.{key} is no text; write it in quotes.")
-        out[key] = plain(str(value), _LENGTH)
-    return out
+        raise InputError(f"{name}: equipment is no list; write each item as [[equipment]].")
+    equipment = tuple(
+        read_section(name, f"equipment[{k}]", row, _EQUIPMENT_KEYS) for k, row in enumerate(rows, start=1)
+    )
+    factor = stated.get("certificate", {}).pop("coverage_factor", COVERAGE_FACTOR)
+    return Laboratory(stated, equipment, stated.pop("references", {}), factor)
 
 
 def references_table(calibration: Calibration, laboratory: Laboratory) -> Table:

@@ -8,18 +8,14 @@ from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from srt.exceptions import MissingExtraError
+from srt.exceptions import optional
 from srt.reports.certificate.figures import certificate_figures, figure_svg
 from srt.reports.certificate.unit_description import FORMULAS
 from srt.reports.figures.style import FAINT, GREY, INK
 
-try:
+with optional("fpdf", "report", "A certificate", "fpdf2"):
     from fpdf import FPDF, FontFace
     from fpdf.enums import CellBordersLayout, XPos, YPos
-except ModuleNotFoundError as error:
-    if (error.name or "").partition(".")[0] != "fpdf":
-        raise
-    raise MissingExtraError("fpdf2", "report", "A certificate") from None
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

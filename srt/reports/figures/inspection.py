@@ -45,12 +45,12 @@ if TYPE_CHECKING:
     from srt.reports.inspection import Inspection, ManoeuvreSummary
     from srt.types import Array, Indices
 
-
 __all__ = ["envelope", "inspection_figure", "save_figure"]
 
 _SIZE_INCHES: Final = (15.0, 8.5)
-_COLOURS: Final = (BLUE, VERMILION, GREEN)
-_MARKERS: Final = ("o", "s", "^")
+COLOURS: Final = (BLUE, VERMILION, GREEN)
+MARKERS: Final = ("o", "s", "^")
+"""Colours and markers of the axes x, y and z."""
 _COLUMNS: Final = 1500
 """Number of intervals of time for a long recording, each drawn by its smallest and largest reading: one per pixel."""
 _ALPHA: Final = 0.8  # opacity of a line, so that the noise of one axis does not hide that of the others
@@ -81,7 +81,7 @@ def inspection_figure(
     allan = inspection.allan
     ratios = (1.0,) if allan is None else (2.1, 1.0)
     grid = figure.subplots(2, len(ratios), squeeze=False, sharex="col", width_ratios=ratios)
-    scale, unit = (60.0, "min") if inspection.stamps.duration_s > _IN_MINUTES else (1.0, "s")
+    scale, unit = time_scale(inspection.stamps.duration_s)
     per_rate = 1.0 if recording.kind == "rate" else 1.0 / recording.nominal_interval_s
     time = recording.time
     panels = ((recording.gyro, DEG, "gyros, °/s"), (recording.accel, STANDARD_GRAVITY_M_S2, "specific force, g"))
@@ -89,7 +89,7 @@ def inspection_figure(
         style(axes)
         _rests(axes, inspection, scale)
         at, drawn = envelope(time, values, _visible_gaps(recording))
-        for axis, colour in enumerate(_COLOURS):
+        for axis, colour in enumerate(COLOURS):
             axes.plot(at / scale, drawn[:, axis] * (per_rate / si), color=colour, linewidth=0.8, alpha=_ALPHA)
         axes.set_ylabel(label, fontsize=MEDIUM, color=INK)
         axes.yaxis.set_major_locator(MaxNLocator(7, steps=[1, 2, 5, 10]))
@@ -105,11 +105,16 @@ def inspection_figure(
     figure.suptitle(_shortened(heading), fontsize=LARGE, color=INK, x=0.01, ha="left")
     handles: list[Line2D | Patch] = [
         Line2D([], [], color=colour, marker=marker if allan is not None else "", markersize=4.0, label=axis)
-        for axis, colour, marker in zip(AXES, _COLOURS, _MARKERS, strict=True)
+        for axis, colour, marker in zip(AXES, COLOURS, MARKERS, strict=True)
     ]
     handles.append(Patch(color=SKY, alpha=0.25, label="at rest"))
     figure.legend(handles=handles, loc="outside lower left", ncols=4, fontsize=SMALL, frameon=False)
     return figure
+
+
+def time_scale(duration_s: float) -> tuple[float, str]:
+    """Scale of the time axis, s, and its name."""
+    return (60.0, "min") if duration_s > _IN_MINUTES else (1.0, "s")
 
 
 def envelope(time: Array, values: Array, breaks: Indices) -> tuple[Array, Array]:
@@ -200,7 +205,7 @@ def allan_panel(
     tau = allan.tau_s
     fine = np.geomspace(tau[0], tau[-1], 100)
     fitted = (allan.fitted(fine) if terms is None else terms.deviation(fine)) / si
-    for axis, (colour, marker) in enumerate(zip(_COLOURS, _MARKERS, strict=True)):
+    for axis, (colour, marker) in enumerate(zip(COLOURS, MARKERS, strict=True)):
         c = 3 * sensor + axis
         if not np.isfinite(allan.deviation[c]).any():
             continue
@@ -243,3 +248,17 @@ def _slopes(axes: Axes, coefficients: Array, terms: Sequence[Term], sensor: int,
 
 def _shortened(text: str, width: int = 150) -> str:
     return text if len(text) <= width else text[: width - 2].rsplit(" ", 1)[0] + " …"
+
+
+_NOISE_SIZE_INCHES: Final = (12.0, 5.5)
+
+
+def noise_figure(terms: NoiseTerms, allan: AllanDeviation, *, title: str | None = None) -> Figure:
+    """Draw the Allan deviation with 95 % intervals, and the curves of the resolved terms."""
+    figure = Figure(figsize=_NOISE_SIZE_INCHES, dpi=DPI, layout=ConstrainedLayoutEngine())
+    for sensor, (si, unit) in enumerate(((DEG_PER_H, "°/h"), (MICRO_G, "µg"))):
+        axes = figure.add_subplot(1, 2, sensor + 1)
+        allan_panel(axes, allan, sensor, si, unit, terms)
+        axes.set_xlabel("averaging time, s", fontsize=MEDIUM, color=INK)
+    figure.suptitle(f"Allan deviation{f' of {title}' if title else ''}", fontsize=LARGE, color=INK)
+    return figure

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any, Final
 
 from srt.arguments import require_path
 from srt.estimation.registry import ESTIMATORS
-from srt.exceptions import InputError, MissingExtraError
+from srt.exceptions import InputError, optional
 from srt.recording.atomic_file import atomic_write_bytes
 
-try:
+with optional("matplotlib", "plot", "A plot"):
     from matplotlib.axes import Axes
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure, SubFigure
@@ -22,10 +22,6 @@ try:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
     from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, MultipleLocator, NullLocator
-except ModuleNotFoundError as error:
-    if (error.name or "").partition(".")[0] != "matplotlib":
-        raise
-    raise MissingExtraError("matplotlib", "plot", "A plot") from None
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

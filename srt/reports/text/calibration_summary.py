@@ -5,10 +5,14 @@ from __future__ import annotations
 from html import escape
 from typing import TYPE_CHECKING, Final
 
+import numpy as np
+from scipy.special import ndtri
+
 from srt.reports.parameters import group_heads, group_sigmas
 from srt.reports.tables import WIDTH, text_table, wrap
 from srt.reports.text.calibration import heading, held_summary, parameter_table, report, time_base
 from srt.result.verdict import FAILED, SOUND, probability_text
+from srt.sensor_errors import NAMES
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -16,6 +20,8 @@ if TYPE_CHECKING:
     from srt.result.calibration import Calibration
     from srt.sensor_errors import SensorErrors
 
+PROBABILITY: Final = 0.95
+"""Probability that the largest of the normalised errors stays below the bound that is stated."""
 _MOST_LINES: Final = 42
 """Lines of the summary: the three that the command adds make 45, which a terminal of 50 lines shows with the prompt."""
 _MOST_BEFORE_TABLE: Final = 10  # lines before the table of the parameters
@@ -91,6 +97,26 @@ def live_table(calibration: Calibration) -> str:
     if calibration.diagnostics.targets:
         lines += wrap("The targets are not met." if met is None else f"All targets are met after sequence {met}.")
     return "\n".join(lines)
+
+
+def largest_error_text(calibration: Calibration, truth: SensorErrors) -> str:
+    """Sentences, wrapped, on the largest normalised error and the bound that chance explains.
+
+    The bound x solves (2Φ(x) − 1)^n = 0.95. That is exact for n independent normal errors; for correlated ones the
+    probability of staying below it is at least as large (Šidák's inequality).
+    """
+    seen = np.flatnonzero(calibration.observed)
+    ratio = np.abs(calibration.errors.vector - truth.vector)[seen] / calibration.sigma[seen]
+    n, worst = len(seen), int(np.argmax(ratio))
+    bound = float(ndtri(0.5 + 0.5 * PROBABILITY ** (1.0 / n)))
+    agrees = "agrees with the truth" if ratio[worst] <= bound else "does not agree with the truth at the 95 % level"
+    return "\n".join(
+        wrap(
+            f"The largest error is {ratio[worst]:.2f} sigma ({NAMES[seen[worst]]}); the largest of {n} "
+            f"normal draws stays below {bound:.2f} sigma in {PROBABILITY:.0%} of all runs or more, "
+            f"so this run {agrees}."
+        )
+    )
 
 
 def verdict_lines(calibration: Calibration, title: str) -> Iterator[str]:

@@ -1,4 +1,17 @@
-"""Formats that state the compensation: ``true = M (measured − b)`` or ``true = M measured − b``.
+"""Formats that hold the matrices of the sensor model, or of its compensation.
+
+Kalibr, ``measured = M true + b``, writes two files: the result of its model scale-misalignment, and NAME-imu.yaml, a
+flat list of noise terms that its option ``--imu`` reads::
+
+    a_m = M_a a_I + b_a        w_m = M_g C_gyro_i w_I + A C_gyro_i a_I + b_g
+
+with M_a, M_g lower-triangular. That defines the axes I: ``Ma = M_a C_IB``, ``Mg C_IBᵀ = M_g C_gyro_i``. A is the gyro
+g-sensitivity Γ in these axes, ``A = Γ C_IBᵀ C_gyro_iᵀ``. There is no field for biases: the programs that read the file
+estimate them.
+
+pyins: ``x_out = T x + b``, in any axes.
+
+The others state ``true = M (measured − b)`` or ``true = M measured − b``.
 
 OpenVINS: ``w_I = R_GYROtoIMU Dw (w_m − Tg a_I − b_g)``, ``a_I = R_ACCtoIMU Da (a_m − b_a)``; the file holds the
 inverses Tw, Ta and the rotations from I. Tw and Ta are triangular; OpenVINS ignores the other entries, the reader here
@@ -16,13 +29,13 @@ Basalt: ``cal = (I + S) raw − b``, S lower-triangular for the accelerometers; 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from srt.constants import DEG
 from srt.exceptions import InputError
-from srt.exporters.export_model import comment
+from srt.exporters.export_model import DEFAULT_TOPIC, OPTIONS, comment, named, statement
 from srt.exporters.file_format import (
     Exporter,
     each_sensor,
@@ -34,19 +47,150 @@ from srt.exporters.file_format import (
     matrix,
     numbers,
     rows,
+    solved,
     to_json,
     to_yaml,
     triangular,
     whole_lines,
 )
-from srt.exporters.forward_models import chain_fields
 from srt.exporters.linear_model import lower_rotation
-from srt.exporters.noise_fields import OPTIONS, named, statement
 
 if TYPE_CHECKING:
+    from collections.abc import Collection
+
     from srt.exporters.export_model import ExportModel
     from srt.exporters.file_format import Fields, Texts
     from srt.types import Array
+
+_KALIBR_MODEL: Final = "scale-misalignment"
+_KALIBR_INPUT: Final = "-imu"
+"""Suffix of the second file, which holds only noise densities, random walks, topic and rate."""
+
+NOISE_NAMES: Final = {
+    "accel_noise": "accelerometer_noise_density",
+    "accel_random_walk": "accelerometer_random_walk",
+    "gyro_noise": "gyroscope_noise_density",
+    "gyro_random_walk": "gyroscope_random_walk",
+    "rate_hz": "update_rate",
+}
+
+
+def _chain_fields(model: ExportModel) -> dict[str, object]:
+    """Entries of ``imu0`` that Kalibr and OpenVINS share."""
+    return {
+        "T_i_b": np.eye(4).tolist(),
+        **named(model, NOISE_NAMES),
+        "rostopic": model.settings.topic or DEFAULT_TOPIC,
+        "time_offset": 0.0,
+    }
+
+
+def _model_of_chain(document: dict[str, Any], known: Collection[str]) -> str:
+    imu = document.get("imu0")
+    model = str(imu.get("model")) if isinstance(imu, dict) else "None"
+    if model not in known:
+        expected = f"{'one of ' * (len(known) > 1)}{', '.join(known)}"
+        raise InputError(f"the model of imu0 is {model[:40]!r}, but {expected} is expected: export that one.")
+    return model
+
+
+def _write_kalibr(model: ExportModel) -> dict[str, str]:
+    M_g, C_gyro_i = lower_rotation(model.gyro.matrix)
+    document = {
+        "imu0": {
+            **_chain_fields(model),
+            "model": _KALIBR_MODEL,
+            # The axes make it lower-triangular; tril removes what rounding leaves above the diagonal.
+            "accelerometers": {"M": np.tril(model.accel.matrix).tolist()},
+            "gyroscopes": {
+                "M": M_g.tolist(),
+                "A": (model.g_sensitivity @ C_gyro_i.T).tolist(),
+                "C_gyro_i": C_gyro_i.tolist(),
+            },
+        }
+    }
+    flat = {**named(model, NOISE_NAMES), "rostopic": model.settings.topic or DEFAULT_TOPIC}
+    head = comment([*heading(KALIBR, model), *statement(model)])
+    return {"": to_yaml(document, head), _KALIBR_INPUT: to_yaml(flat, head)}
+
+
+def _read_kalibr(texts: Texts) -> Fields:
+    document = from_yaml(texts[""])
+    _model_of_chain(document, (_KALIBR_MODEL,))
+    return {
+        "M_a": matrix(document, "accelerometers.M", "imu0.", triangle="lower"),
+        "M_g": matrix(document, "gyroscopes.M", "imu0.", triangle="lower"),
+        "A": field(document, "imu0.gyroscopes.A", (3, 3)),
+        "C_gyro_i": matrix(document, "gyroscopes.C_gyro_i", "imu0.", turn=True),
+    }
+
+
+def _apply_kalibr(fields: Fields, gyro: Array, accel: Array) -> tuple[Array, Array]:
+    a, C = solved(fields["M_a"], accel), fields["C_gyro_i"]
+    in_gyro_axes = solved(fields["M_g"], gyro - rows(fields["A"] @ C, a))
+    return rows(C.T, in_gyro_axes), a
+
+
+KALIBR: Final = Exporter(
+    name="kalibr",
+    title="Kalibr IMU file (scale-misalignment)",
+    suffixes=(".yaml", ".yml"),
+    formula="a_m = M_a a + b_a; w_m = M_g C_gyro_i w + A C_gyro_i a + b_g",
+    losses=("biases: the file has no field for them; programs that read it estimate them",),
+    advice=(
+        "Give NAME-imu.yaml to the option --imu; the other file has the form of Kalibr's result.",
+        "Extrinsics change with the axes: T_cam_imu becomes T_cam_imu [C' 0; 0 1], C' the transpose of C.",
+    ),
+    companions=(_KALIBR_INPUT,),
+    frames=("accel",),
+    triangle="lower",
+    write=_write_kalibr,
+    read=_read_kalibr,
+    apply=_apply_kalibr,
+    biases=False,
+    g_sensitivity=True,
+    options=OPTIONS,
+)
+
+_SENSORS: Final = ("gyro", "accel")
+
+
+def _write_pyins(model: ExportModel) -> dict[str, str]:
+    return {
+        "": to_json(
+            {
+                "comment": heading(PYINS, model),
+                **{
+                    name: {"transform": linear.matrix.tolist(), "bias": linear.bias.tolist()}
+                    for name, linear in zip(_SENSORS, (model.gyro, model.accel), strict=True)
+                },
+            }
+        )
+    }
+
+
+def _read_pyins(texts: Texts) -> Fields:
+    document = from_json(texts[""])
+    fields = {}
+    for sensor in _SENSORS:
+        fields[f"{sensor}.transform"] = matrix(document, f"{sensor}.transform")
+        fields[f"{sensor}.bias"] = field(document, f"{sensor}.bias", (3,))
+    return fields
+
+
+PYINS: Final = Exporter(
+    name="pyins",
+    title="pyins inertial sensor parameters",
+    suffixes=(".json",),
+    formula="x_out = transform x + bias",
+    advice=(
+        "pyins has no file of its own: Parameters(**document['gyro']) simulates, EstimationModel.transform and .bias "
+        "correct.",
+    ),
+    write=_write_pyins,
+    read=_read_pyins,
+    apply=each_sensor(lambda fields, sensor, y: solved(fields[f"{sensor}.transform"], y - fields[f"{sensor}.bias"])),
+)
 
 
 _TRIANGLES: Final = {"kalibr": "lower", "calibrated": "lower", "rpng": "upper"}
@@ -57,7 +201,7 @@ def _write_openvins(model: ExportModel) -> dict[str, str]:
     Ta, to_accel = lower_rotation(model.accel.matrix)
     document = {
         "imu0": {
-            **chain_fields(model),
+            **_chain_fields(model),
             "model": "kalibr",
             "Tw": Tw.tolist(),
             "R_IMUtoGYRO": to_gyro.tolist(),
@@ -71,10 +215,7 @@ def _write_openvins(model: ExportModel) -> dict[str, str]:
 
 def _read_openvins(texts: Texts) -> Fields:
     document = from_yaml(texts[""])
-    imu = document.get("imu0")
-    model = str(imu.get("model")) if isinstance(imu, dict) else "None"
-    if model not in _TRIANGLES:
-        raise InputError(f"the model of imu0 is {model[:40]!r}, but one of {', '.join(_TRIANGLES)} is expected.")
+    model = _model_of_chain(document, _TRIANGLES)
     fields = {"Tg": field(document, "imu0.Tg", (3, 3))}
     fields |= {name: matrix(document, name, "imu0.", triangle=_TRIANGLES[model]) for name in ("Tw", "Ta")}
     return fields | {name: matrix(document, name, "imu0.", turn=True) for name in ("R_IMUtoGYRO", "R_IMUtoACC")}
@@ -155,9 +296,7 @@ IMUCAL: Final = Exporter(
     title="imucal Ferraris calibration",
     suffixes=(".json",),
     formula="acc = inv(R_a) inv(K_a) (acc_m - b_a); gyr = inv(R_g) inv(K_g) (gyr_m - K_ga acc - b_g); m/s^2, deg/s",
-    losses=(),
     advice=("imucal takes and gives gyro readings in deg/s.",),
-    frames=("mars", "table"),
     g_sensitivity=True,
     write=_write_imucal,
     read=_read_imucal,
@@ -200,7 +339,6 @@ IMU_TK: Final = Exporter(
     title="imu_tk pair of calibrations",
     suffixes=(".calib",),
     formula="X' = T K (X - B)",
-    losses=(),
     advice=("Two files, NAME_acc.calib and NAME_gyro.calib; they hold numbers alone. Readings in rad/s, m/s^2.",),
     frames=("accel",),
     triangle="upper",
@@ -251,7 +389,6 @@ BASALT: Final = Exporter(
     title="Basalt calibration, inertial part",
     suffixes=(".json",),
     formula="cal = (I + S) raw - b; 9 numbers b, S lower-triangular by columns; 12 numbers b, S by columns",
-    losses=(),
     advice=(
         "Copy the fields of value0 into the calibration of the cameras; this file alone is no whole calibration.",
         "Extrinsics change with the axes: T_imu_cam becomes [C 0; 0 1] T_imu_cam.",
