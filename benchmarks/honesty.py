@@ -414,7 +414,7 @@ def main() -> int:
     print(*studies.markdown((*study.head, "by", *study.columns), (), len(study.head) + 1), sep="\n", flush=True)
     for cell in cells:
         tasks = [(options.study, cell, unit, estimators) for unit in range(options.units)]
-        done = studies.in_processes(options.jobs, trial_of, tasks)
+        done = list(studies.in_processes(options.jobs, trial_of, tasks))
         for name in done[0]:
             scores = [rows[name] for rows in done]
             beyond += study.beyond(scores, tests)

@@ -125,8 +125,11 @@ def replace_tables(page: Path, tables: dict[str, str]) -> None:
     page.write_text(text, encoding="utf-8")
 
 
-def in_processes(jobs: int, trial: Callable[..., Any], tasks: Iterable[Sequence[Any]]) -> list[Any]:
-    """Results of ``trial(*task)`` in the order of the tasks."""
+def in_processes(
+    jobs: int, trial: Callable[..., Any], tasks: Iterable[Sequence[Any]], *, as_they_end: bool = False
+) -> Iterator[Any]:
+    """Results of ``trial(*task)`` in the order of the tasks, or as they end."""
     from joblib import Parallel, delayed
 
-    return list(Parallel(n_jobs=jobs)(delayed(trial)(*task) for task in tasks))
+    order = "generator_unordered" if as_they_end else "generator"
+    return iter(Parallel(n_jobs=jobs, return_as=order)(delayed(trial)(*task) for task in tasks))
