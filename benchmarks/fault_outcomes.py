@@ -12,18 +12,12 @@ list of what cannot be seen.
 
 from __future__ import annotations
 
-import os
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-
-import argparse
-import sys
 import time
 from collections import Counter
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
+import harness
 from fault_severities import GRADES, KINDS, Injection, Units, severities
 from studies import markdown
 
@@ -183,19 +177,12 @@ def table(rows: Sequence[Outcome]) -> Iterator[str]:
     return markdown(COLUMNS, [*lines, cells("all", rows)], len(COLUMNS))
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seed", type=int, default=0, help="first seed (default 0)")
-    parser.add_argument("--kinds", nargs="+", default=(), help="default all")
-    parser.add_argument("--grades", nargs="+", default=GRADES, choices=GRADES)
-    parser.add_argument("--part", type=int, default=1, metavar="N", help="every Nth kind (default 1)")
-    arguments = parser.parse_args()
-    wrong = [kind for kind in arguments.kinds if kind not in KINDS]
-    if wrong:
-        parser.error(f"there is no kind {wrong[0]!r}: choose of {', '.join(KINDS)}")
-    kinds = [*(arguments.kinds or KINDS)][:: arguments.part]
+def main(
+    *, seed: int = 0, kinds: tuple[str, ...] = tuple(KINDS), grades: tuple[str, ...] = GRADES, part: int = 1
+) -> int:
+    kinds = kinds[::part]
     began, rows = time.process_time(), []
-    for row in outcomes(kinds, arguments.grades, arguments.seed):
+    for row in outcomes(kinds, grades, seed):
         rows.append(row)
         if row.outcome != OUTCOMES[0]:
             shift = f" {row.shift:.3g} sigma {row.parameter}" if row.parameter else ""
@@ -207,4 +194,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    harness.run(main, __doc__, kinds=KINDS, grades=GRADES)

@@ -7,23 +7,15 @@ resumes: add ``--fresh`` after a change of the checks. The exit code is 1 if a f
 injections, or if more than 1 % of the clean recordings raise a finding.
 """
 
-import os
-
-# One thread for each process, their children included: the matrices are small.
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-os.environ.setdefault("MKL_NUM_THREADS", "1")
-
-import argparse
 import itertools
 import sqlite3
-import sys
 import time
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import harness
 from fault_severities import ALL_OR_NOTHING, INJECTIONS, severity_at
 from injected_faults.injection import GRADES, Case
 from studies import counts, in_processes, markdown
@@ -117,7 +109,7 @@ class FaultStudy:
     Raises
     ------
     InputError
-        An unknown fault, or a file of something else.
+        A file of something else.
     """
 
     def __init__(
@@ -130,9 +122,6 @@ class FaultStudy:
         clean: int = 200,
         seed: int = 0,
     ) -> None:
-        unknown = [fault for fault in faults if fault not in INJECTIONS]
-        if unknown:
-            raise InputError(f"There is no fault {unknown[0]!r} to inject: choose of {', '.join(INJECTIONS)}.")
         self.faults = tuple(faults) or tuple(name for name in FAULTS if name in INJECTIONS)
         self.grades, self.injections, self.clean, self.seed = grades, injections, clean, seed
         self.file = sqlite3.connect(path)
@@ -242,26 +231,21 @@ def missed_targets(study: FaultStudy) -> Iterator[str]:
         yield f"{findings} of {sum(recordings)} clean recordings raise a finding"
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--faults", nargs="+", default=(), metavar="NAME", help="default all")
-    parser.add_argument("--grades", nargs="+", default=GRADES, choices=GRADES)
-    parser.add_argument("--injections", type=int, default=200, help="of every fault and grade (default 200)")
-    parser.add_argument("--clean", type=int, default=200, help="clean recordings of every grade (default 200)")
-    parser.add_argument("--jobs", type=int, default=2, help="processes (default 2)")
-    parser.add_argument("--seed", type=int, default=0, help="first seed (default 0)")
-    parser.add_argument("--results", type=Path, default=RESULTS, help=f"file to go on with (default {RESULTS})")
-    parser.add_argument("--fresh", action="store_true", help="delete that file first")
-    given = vars(parser.parse_args())
-    path, jobs = given.pop("results"), given.pop("jobs")
-    if given.pop("fresh"):
-        path.unlink(missing_ok=True)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    try:
-        study = FaultStudy(path, **given)
-    except InputError as error:
-        print(error, file=sys.stderr)
-        return error.exit_code
+def main(
+    *,
+    faults: tuple[str, ...] = (),
+    grades: tuple[str, ...] = GRADES,
+    injections: int = 200,
+    clean: int = 200,
+    jobs: int = 2,
+    seed: int = 0,
+    results: Path = RESULTS,
+    fresh: bool = False,
+) -> int:
+    if fresh:
+        results.unlink(missing_ok=True)
+    results.parent.mkdir(parents=True, exist_ok=True)
+    study = FaultStudy(results, faults=faults, grades=grades, injections=injections, clean=clean, seed=seed)
     study.run(jobs)
     missed = [f"Missed: {line}" for line in missed_targets(study)]
     print("", *page(study), "", *missed, sep="\n")
@@ -269,4 +253,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    harness.run(main, __doc__, faults=INJECTIONS, grades=GRADES)

@@ -8,12 +8,13 @@ PSINS' figures are one draw of its own demonstration with the same noise, under 
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import replace
-from pathlib import Path
+from pathlib import Path  # noqa: TC003 - the type of an option
 from time import process_time
 
+import harness
 import numpy as np
+import studies
 from foreign_motion import (
     DEG,
     GRAVITY_M_S2,
@@ -26,7 +27,7 @@ from foreign_motion import (
 )
 from motion_bound import Chain, Conditions, Leg, motion_bound
 from scipy.spatial.transform import Rotation
-from studies import markdown, replace_tables, rms
+from studies import rms
 
 import srt
 from srt.sensor_errors import GROUP_SLICES, NAMES
@@ -85,27 +86,27 @@ def study(
     return {name: (np.array([e for e, _ in rows]), np.array([t for _, t in rows])) for name, rows in found.items()}
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--units", type=int, default=100)
-    parser.add_argument("--estimators", nargs="+", default=["least-squares", "graph", "ekf"])
-    parser.add_argument("--markdown", type=Path, help="page whose tables are replaced")
-    options = parser.parse_args()
+def main(
+    *,
+    units: int = 100,
+    estimators: tuple[str, ...] = ("least-squares", "graph", "ekf"),
+    markdown: Path | None = None,
+) -> None:
     head, tables = ("estimator", *(f"{group}, {unit}" for group, (unit, _, _) in SHOWN.items()), "s"), {}
     for case, (_, fixed) in CASES.items():
         limit, rows = bound(fixed), []
         limits = {group: rms(limit[GROUP_SLICES[group]]) for group in SHOWN}
-        for estimator, (errors, seconds) in study(case, options.estimators, options.units).items():
+        for estimator, (errors, seconds) in study(case, estimators, units).items():
             sizes = {group: rms(errors[:, GROUP_SLICES[group]]) for group in SHOWN}
             cells = [f"{SHOWN[g][1] * size:.2f} ({size / limits[g]:.2f})" for g, size in sizes.items()]
             rows.append([estimator, *cells, f"{np.median(seconds):.2f}"])
         rows.append(["Cramér-Rao bound", *(f"{SHOWN[g][1] * size:.2f}" for g, size in limits.items()), ""])
         rows.append(["PSINS (one draw)", *(str(psins) for _, _, psins in SHOWN.values()), "102"])
-        tables[case] = "\n".join(markdown(head, rows))
+        tables[case] = "\n".join(studies.markdown(head, rows))
         print(f"{case}\n\n{tables[case]}\n", flush=True)
-    if options.markdown is not None:
-        replace_tables(options.markdown, tables)
+    if markdown is not None:
+        studies.replace_tables(markdown, tables)
 
 
 if __name__ == "__main__":
-    main()
+    harness.run(main, __doc__)

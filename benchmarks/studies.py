@@ -40,7 +40,8 @@ class Score:
     ``error`` and ``z``, shape (27,), are estimate minus truth, SI, and the same over its sigma, NaN where not observed;
     ``nees`` is over all ``freedom`` observed parameters. ``word`` is the verdict, ``drift`` has the sensors whose drift
     is modelled, ``faults`` what the checks or the result name, ``named`` tells if that is the error that was put in,
-    and ``scale_sigma`` is the largest sigma of the accelerometer scale factors.
+    and ``scale_sigma`` is the largest sigma of the accelerometer scale factors. ``bound``, shape (27,), SI, is the
+    Cramér-Rao bound where it is known.
     """
 
     status: str
@@ -54,6 +55,7 @@ class Score:
     faults: tuple[str, ...] = ()
     checks: str = ""
     named: bool = False
+    bound: Array | None = None
 
     @property
     def usable(self) -> bool:
