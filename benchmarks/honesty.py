@@ -7,6 +7,7 @@ the band is that of the whole table (family-wise 1 %). The exit code is 1 if a c
 simulated          noise of three grades on the fixture, stated, estimated, or with an effect that nothing models
 fixture            the same over the Cramér-Rao bound, with axes out of square, by the accuracy of the rotations
 fixture-moves      the same with recorded moves
+nineteen-positions the 19-position test, no labels, over the bound, without and with what the model does not have
 verdicts           faults on the fixture, without the checks; "used": results with the verdict sound or doubtful
 silent-errors      errors that gave wrong results without a word
 fixture-drift      drift of the biases on the fixture, 0.1, 1 and 10 times what is stated of the grade
@@ -35,6 +36,7 @@ from honesty_recordings import DEFECTS, FAULTS, SILENT_ERRORS, STATED
 from honesty_trials import (
     ASYMMETRIES,
     HAND_GRADES,
+    NINETEEN_POSITIONS,
     SIMULATED,
     SIMULATED_GRADES,
     Cell,
@@ -45,6 +47,7 @@ from honesty_trials import (
     drift_by_hand,
     drift_on_the_fixture,
     false_drift,
+    nineteen_positions,
     on_the_fixture,
     silent_errors,
     simulated,
@@ -118,14 +121,15 @@ def rms_of_group(group: str) -> Callable[[Scores, int], str]:
 
 
 def error_of_group(group: str) -> Callable[[Scores, int], str]:
-    """Rms error of a group in its display unit, and the bound where it is known."""
+    """Rms error of a group in its display unit, with its ratio to the bound where that is known."""
     part = GROUP_SLICES[group]
     factors = np.array(DISPLAY_FACTORS)[part]
 
     def column(scores: Scores, _tests: int) -> str:
         bound = scores[0].bound
-        error = f"{rms(usable(scores, lambda s: s.error)[:, part] * factors):.3g}"
-        return error if bound is None else f"{error} ({rms(bound[part] * factors):.3g})"
+        error = rms(usable(scores, lambda s: s.error)[:, part] * factors)
+        limit = np.nan if bound is None else rms(bound[part] * factors)
+        return f"{error:.3g}" if bound is None else f"{error:.3g} ({error / limit:.2f} of {limit:.3g})"
 
     return column
 
@@ -141,7 +145,8 @@ def parameter_rms(scores: Scores, _tests: int) -> str:
     return f"{min(each):.2f}-{max(each):.2f}" if each else "-"
 
 
-ERRORS = {f"{group}, {DISPLAY_UNITS[part.start]}": error_of_group(group) for group, part in GROUP_SLICES.items()}
+ERRORS = {group: f"{group}, {DISPLAY_UNITS[part.start]}" for group, part in GROUP_SLICES.items()}
+"""Columns of the errors of the groups."""
 COLUMNS: dict[str, Callable[[Scores, int], str]] = {
     "status": lambda scores, _: counts(s.status.replace("_", " ") for s in scores),
     "verdict": lambda scores, _: counts(s.word.replace("_", " ") for s in scores),
@@ -164,7 +169,8 @@ COLUMNS: dict[str, Callable[[Scores, int], str]] = {
     "disagree": lambda scores, _: str(sum(s.named for s in scores)),
     "rms by parameter": parameter_rms,
     **{group: rms_of_group(group) for group in GROUP_SLICES},
-    **ERRORS,
+    **{name: error_of_group(group) for group, name in ERRORS.items()},
+    "s": lambda scores, _: f"{np.median([s.seconds for s in scores]):.2f}",
     "worst rms": lambda scores, _: f"{worst_rms(scores):.2f}",
     "allowed": lambda scores, tests: f"{rms_limit(scores, tests):.2f}",
     "largest": lambda scores, _: f"{largest(usable(scores)):.1f}",
@@ -231,11 +237,6 @@ class Study:
         return [cell for cell in self.cells if all(str(x) in ask for x, ask in zip(cell, asked, strict=True))]
 
 
-def errors_of(group: str) -> list[str]:
-    """Column of the errors of a group."""
-    return [name for name in ERRORS if name.startswith(group + ",")]
-
-
 NAMED_DRIFT = ("status", "NEES / n", "band", "accel. named", "gyro named")
 HAND = ("status", *GROUP_SLICES, "worst rms", "allowed", "largest")
 HAND_CELLS: list[Cell] = list(product(HAND_GRADES, PROFILES))
@@ -246,10 +247,11 @@ def far_off(scores: Scores, tests: int) -> bool:
     return not worst_rms(scores) <= rms_limit(scores, tests)
 
 
+SHOWN_BY_POSES = ("gyro_scale", "gyro_orthogonality", "accel_bias", "accel_scale", "accel_misalignment")
 FIXTURE = {
     "head": ("grade", "axes, mrad from square", "rotations, mrad"),
     "cells": list(product(SIMULATED_GRADES, (0, 1, 3), (0.05, 0.3, 1))),
-    "columns": ("rms over bound", "NEES/27", "accused", "disagree", *ERRORS),
+    "columns": ("rms over bound", "NEES/27", "accused", "disagree", *ERRORS.values()),
     "beyond": off_the_bound,
     "estimators": ESTIMATORS,
     "limited": ("ekf", "graph"),
@@ -261,6 +263,11 @@ STUDIES = {
     ),
     "fixture": Study(trial=partial(on_the_fixture, moves="skipped"), **FIXTURE),
     "fixture-moves": Study(trial=partial(on_the_fixture, moves="recorded"), **FIXTURE),
+    "nineteen-positions": Study(
+        ("case",), [(case,) for case in NINETEEN_POSITIONS], nineteen_positions,
+        (*(name for group, name in ERRORS.items() if group in SHOWN_BY_POSES), "s"),
+        estimators=("least-squares", "graph", "ekf"),
+    ),
     "verdicts": Study(
         ("grade", "fault"), list(product(GRADES, FAULTS)), verdicts,
         ("largest error/sigma: all, used", "NEES/n: all, used", "status", "verdict", "checks"), estimators=ESTIMATORS,
@@ -300,7 +307,7 @@ STUDIES = {
     "asymmetry": Study(
         ("grade", "asymmetry"), list(product(("tactical", "consumer"), ASYMMETRIES)), asymmetry,
         (
-            *(word for group in ("gyro_scale", "accel_bias", "accel_scale") for word in (group, *errors_of(group))),
+            *(word for group in ("gyro_scale", "accel_bias", "accel_scale") for word in (group, ERRORS[group])),
             "largest",
         ),
     ),

@@ -7,6 +7,7 @@ are those of the modules that make the recordings.
 from __future__ import annotations
 
 from dataclasses import replace
+from time import process_time
 from typing import Any
 
 import numpy as np
@@ -26,6 +27,9 @@ from honesty_recordings import (
     truth_of,
 )
 from injected_faults.injection import Case
+from nineteen_positions import CASES as NINETEEN_POSITIONS
+from nineteen_positions import bound as bound_of_nineteen
+from nineteen_positions import unit_of as unit_of_nineteen
 from studies import Score, scored
 from worse_recordings import CASES, HAND_RESTS_S, unit_of, unstated_unit
 
@@ -85,6 +89,17 @@ def on_the_fixture(cell: Cell, unit: int, estimators: list[str], *, moves: str) 
     bound = bound_si(grade, 1e-3 * rotations_mrad, moves)
     differ = len(found) > 1 and not compare(found).agree
     return {name: replace(scored(each, truth.vector), bound=bound, named=differ) for name, each in found.items()}
+
+
+def nineteen_positions(cell: Cell, unit: int, estimators: list[str]) -> Rows:
+    recording, truth = unit_of_nineteen(cell[0], unit)
+    fixed, rows = NINETEEN_POSITIONS[cell[0]][1], {}
+    for name in estimators:
+        started = process_time()
+        found = srt.calibrate(replace(recording), name, hold=fixed, checks=False)
+        spent = process_time() - started
+        rows[name] = replace(scored(found, truth), bound=bound_of_nineteen(fixed), seconds=spent)
+    return rows
 
 
 def verdicts(cell: Cell, unit: int, estimators: list[str]) -> Rows:

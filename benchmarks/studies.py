@@ -41,7 +41,7 @@ class Score:
     ``nees`` is over all ``freedom`` observed parameters. ``word`` is the verdict, ``drift`` has the sensors whose drift
     is modelled, ``faults`` what the checks or the result name, ``named`` tells if that is the error that was put in,
     and ``scale_sigma`` is the largest sigma of the accelerometer scale factors. ``bound``, shape (27,), SI, is the
-    Cramér-Rao bound where it is known.
+    Cramér-Rao bound where it is known; ``seconds`` is the CPU time.
     """
 
     status: str
@@ -56,6 +56,7 @@ class Score:
     checks: str = ""
     named: bool = False
     bound: Array | None = None
+    seconds: float = math.nan
 
     @property
     def usable(self) -> bool:
