@@ -18,7 +18,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 import harness
-from fault_severities import GRADES, KINDS, Injection, Units, severities
+from fault_severities import KINDS, Units, severities
+from injected_faults.injection import GRADES, Injection
 from studies import markdown
 
 import srt

@@ -103,7 +103,7 @@ class Units:
 
     def __init__(self, seed: int) -> None:
         self.seed = seed
-        self.case, self.clean, self._twin = (cache(of) for of in (self._case, self._clean, self._new_twin))
+        self.case, self.clean, self._twin = cache(self._case), cache(self._clean), cache(self._new_twin)
 
     def _case(self, grade: str, rung: int) -> Case:
         return Case(grade, self.seed + 10 * GRADES.index(grade) + rung)

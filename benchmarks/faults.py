@@ -16,8 +16,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import harness
-from fault_severities import ALL_OR_NOTHING, INJECTIONS, severity_at
-from injected_faults.injection import GRADES, Case
+from fault_severities import ALL_OR_NOTHING, severity_at
+from injected_faults.injection import GRADES, INJECTIONS, Case
 from studies import counts, in_processes, markdown
 
 from srt.diagnosis.faults import FAULTS

@@ -130,26 +130,6 @@ class AngleProfile:
             return turning
         return turning + 2.0 * math.pi * self.profile.settling_hz + 2.0 / self.profile.settling_decay_s
 
-    def angles(self, piece: Indices, time_s: Array) -> tuple[Array, Array]:
-        """Angles and their rates.
-
-        Parameters
-        ----------
-        piece : ndarray of int, shape (k, 1)
-            Piece that each row of times belongs to.
-        time_s : ndarray, shape (k, n), s
-            Time since the start of the episode.
-
-        Returns
-        -------
-        angle, rate : ndarray, shape (k, n, 2), rad and rad/s
-            Columns inner, outer.
-        """
-        angle, rate = _polynomial(time_s - self.breaks_s[piece], self.coefficients[piece])
-        for ringing in self.ringings:
-            self.add_ringing(ringing, piece, time_s, angle, rate)
-        return angle, rate
-
     def ramp(self, before: float, after: float) -> tuple[Array, float]:
         """Value that changes at a constant rate while an axis turns: as bearings do, it stays while both rest.
 
@@ -221,7 +201,20 @@ class JoinedProfile:
         return self._joined
 
     def angles(self, piece: Indices, time_s: Array) -> tuple[Array, Array]:
-        """Angles and rates, see :meth:`AngleProfile.angles`; times count from the start of each piece's episode."""
+        """Angles and their rates.
+
+        Parameters
+        ----------
+        piece : ndarray of int, shape (k, 1)
+            Piece that each row of times belongs to.
+        time_s : ndarray, shape (k, n), s
+            Time since the start of the piece's episode.
+
+        Returns
+        -------
+        angle, rate : ndarray, shape (k, n, 2), rad and rad/s
+            Columns inner, outer.
+        """
         breaks, coefficients = self._pieces()
         angle, rate = _polynomial(time_s - breaks[piece], coefficients[piece])
         for first, profile in zip(self._first, self._profiles, strict=False):

@@ -186,6 +186,7 @@ def wrong_angle(draw: FixtureDraw, sequence: int, leg: int, error_rad: float) ->
 
     It persists until the sequence ends. Sequences and their rotations are numbered in the order of execution, from 0.
     """
+    assert draw.legs is not None
     errors = np.array(draw.legs[sequence], dtype=np.float64)
     errors[leg] += error_rad
     return replace(draw, legs=(*draw.legs[:sequence], errors, *draw.legs[sequence + 1 :]))

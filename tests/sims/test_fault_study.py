@@ -8,11 +8,11 @@ import math
 
 import faults
 import pytest
-from fault_severities import ALL_OR_NOTHING, FACTORS, INJECTIONS, LEAST_ONE, SHARES, severity_at
+from fault_severities import ALL_OR_NOTHING, FACTORS, LEAST_ONE, SHARES, severity_at
 from faults import CLEAN, NOTHING, FaultStudy, missed_targets, page, trials
 from hypothesis import given
 from hypothesis import strategies as st
-from injected_faults.injection import GRADES, Injection
+from injected_faults.injection import GRADES, INJECTIONS, Injection
 
 from srt.diagnosis.faults import FAULTS
 from srt.exceptions import InputError
