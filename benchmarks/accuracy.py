@@ -1,22 +1,22 @@
 """Accuracy figures of the README: the claims of the closed form over their full number of draws.
 
-Run all, or name some: ``python benchmarks/accuracy.py exact fixture large sigmas honesty free``. ``--fraction 0.1``
+Run all, or name some: ``python benchmarks/accuracy.py exact fixture large``. ``--fraction 0.1``
 takes a tenth of the draws, ``--workers N`` that many processes. ``defaults`` compares the default options with others.
 """
 
-import argparse
 from collections import Counter
 from collections.abc import Iterator
 from functools import partial
 from typing import Any
 
 import accuracy_trials
+import harness
 import numpy as np
-from accuracy_trials import GRADES, Trial, normalised, run
+from accuracy_trials import Trial, run
 from studies import markdown, rms
 
-from srt.constants import DEG, DEG_PER_H, STANDARD_GRAVITY_M_S2
-from srt.sensor_errors import GROUP_SLICES, GROUPS, NAMES
+from srt.constants import DEG
+from srt.sensor_errors import GROUP_SLICES
 
 ERRORS = slice(0, 24)
 """Sensor errors of the test, without the gyro bias."""
@@ -89,56 +89,6 @@ def large(draws: Draws) -> None:
     print("iterations of units:", dict(sorted(Counter(t.playbacks for t in trials).items())))
 
 
-def ratio_row(name: str, trials: list[Trial], digits: int) -> list[str]:
-    """Smallest and largest rms of error over reported sigma by group, and NEES / 27."""
-    ratio = np.sqrt(np.mean(normalised(trials) ** 2, axis=0))
-    parts = (ratio[GROUP_SLICES[g.name]] for g in GROUPS)
-    nees = f"{np.mean([t.nees for t in trials]):.{digits}f}"
-    return [name, *(f"{part.min():.2f}-{part.max():.2f}" for part in parts), nees]
-
-
-RATIO_COLUMNS = ("rms of error over sigma", *(g.name.replace("_", " ") for g in GROUPS), "NEES/27")
-
-
-def sigmas(draws: Draws) -> None:
-    """Noisy units: rms of error over reported sigma, smallest and largest of each group."""
-    rows, outside, count = [], [], draws.number(300, 10)
-    for grade in GRADES:
-        for stated in (True, False):
-            unit = {"grade": grade, "state_noise": stated}
-            trials = draws(accuracy_trials.noisy_trial, 300, first=1000, least=10, **unit)
-            rows.append(ratio_row(f"{grade}{'' if stated else ', noise estimated'}", trials, 3))
-            ratio = np.mean(normalised(trials) ** 2, axis=0)
-            far = np.flatnonzero(np.abs(ratio - 1.0) > 3.5 * np.sqrt(2.0 / count))
-            outside += [f"{grade} {NAMES[i]} {ratio[i]:.2f}" for i in far]
-    print(f"{count} draws, 1 ± {3.5 * np.sqrt(0.5 / count):.2f} expected\n", *markdown(RATIO_COLUMNS, rows), sep="\n")
-    print(f"\nvariances outside 1 ± 3.5 standard errors: {outside or 'none'}")
-
-
-def honesty(draws: Draws) -> None:
-    """Unmodelled effects: bias instability and g-sensitivity, each switched on alone."""
-
-    def rows() -> Iterator[list[str]]:
-        for grade, sensitivity in {"navigation": 0.002, "tactical": 0.1, "industrial": 1.0}.items():
-            for label, unit in (
-                ("bias instability, stated", {"instability": True}),
-                ("bias instability, not stated", {"instability": True, "state_noise": False}),
-                (f"g-sensitivity {sensitivity} °/h/g",
-                 {"g_sensitivity": sensitivity * DEG_PER_H / STANDARD_GRAVITY_M_S2}),
-            ):  # fmt: skip
-                trials = draws(accuracy_trials.noisy_trial, 300, first=1000, least=10, grade=grade, **unit)
-                yield ratio_row(f"{grade}, {label}", trials, 2)
-
-    print(f"{draws.number(300, 10)} draws\n", *markdown(RATIO_COLUMNS, rows()), sep="\n")
-
-
-def free(draws: Draws) -> None:
-    """Free recordings: NEES of simulated hand-turned units."""
-    trials = draws(accuracy_trials.free_trial, 300, first=3000, least=10)
-    nees, error = np.mean([t.nees for t in trials]), np.sqrt(2.0 / 27.0 / len(trials))
-    summary("free recordings", trials, f", NEES/27 {nees:.3f} ± {error:.3f} (one standard error)")
-
-
 def defaults(draws: Draws) -> None:
     """Alternatives to the default options: noise-free errors on fixtures of 1 and 10 mrad, and noise sigma."""
 
@@ -160,20 +110,15 @@ def defaults(draws: Draws) -> None:
     print(f"{draws.number(60)} draws each\n", *markdown(columns, rows()), sep="\n")
 
 
-CLAIMS = {f.__name__: f for f in (exact, fixture, large, sigmas, honesty, free)}
+CLAIMS = {f.__name__: f for f in (exact, fixture, large)}
 STUDIES = CLAIMS | {"defaults": defaults}
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("studies", nargs="*", default=list(CLAIMS), metavar="study", help=", ".join(STUDIES))
-    parser.add_argument("--fraction", type=float, default=1.0)
-    parser.add_argument("--workers", type=int, default=2)
-    arguments = parser.parse_args()
-    for name in arguments.studies:
+def main(studies: tuple[str, ...] = tuple(CLAIMS), *, fraction: float = 1.0, workers: int = 2) -> None:
+    for name in studies:
         print(f"\n## {name}: {STUDIES[name].__doc__}\n")
-        STUDIES[name](Draws(arguments.fraction, arguments.workers))
+        STUDIES[name](Draws(fraction, workers))
 
 
 if __name__ == "__main__":
-    main()
+    harness.run(main, __doc__)

@@ -10,12 +10,6 @@ average, or rounding of 1e-12 that takes them off their grid. By design all chec
 
 from __future__ import annotations
 
-import os
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-
-import argparse
 import sys
 import time
 from collections import Counter
@@ -24,6 +18,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
+import harness
 import numpy as np
 from protocols import PROTOCOLS
 from scipy.ndimage import uniform_filter1d
@@ -134,27 +129,22 @@ def examined(number: int, seed: int) -> tuple[str, list[str], str]:
     return title, [finding.fault for finding in found.findings if finding.fault not in EXPECTED], word
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--count", type=int, default=2000, help="recordings (default 2000)")
-    parser.add_argument("--first", type=int, default=0, help="number of the first one (default 0)")
-    parser.add_argument("--seed", type=int, default=0)
-    arguments = parser.parse_args()
+def main(*, count: int = 2000, first: int = 0, seed: int = 0) -> int:
     alarms, verdicts = Counter[str](), Counter[str]()
     began = time.process_time()
-    for number in range(arguments.first, arguments.first + arguments.count):
-        title, faults, word = examined(number, arguments.seed)
+    for number in range(first, first + count):
+        title, faults, word = examined(number, seed)
         if faults or word not in ("sound", "partial"):
             print(f"{title}: {', '.join((*faults, word))}", flush=True)
         alarms.update(faults[:1])
         verdicts[word] += 1
     seconds = time.process_time() - began
-    print(f"{alarms.total()} of {arguments.count} clean recordings raise a finding ({seconds:.0f} s of CPU time)")
-    for fault, count in alarms.most_common():
-        print(f"  {fault}: {count}")
-    print(f"verdicts: {', '.join(f'{count} {word}' for word, count in verdicts.most_common())}")
+    print(f"{alarms.total()} of {count} clean recordings raise a finding ({seconds:.0f} s of CPU time)")
+    for fault, times in alarms.most_common():
+        print(f"  {fault}: {times}")
+    print(f"verdicts: {', '.join(f'{n} {word}' for word, n in verdicts.most_common())}")
     return 1 if alarms else 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    harness.run(main, __doc__)

@@ -7,28 +7,19 @@ independent of them: an estimator whose errors reach it uses all the information
 The claims are :func:`criteria`, each with its limits and the standard error at the number of units. A criterion fails
 beyond a limit by more than 3.5 standard errors.
 
-``python benchmarks/efficiency.py`` runs 2,000 units of each grade; ``--units N`` that many, ``--grade NAME`` (may be
-repeated) one grade, ``--workers N`` in N processes. The last table of each grade gives the gain of the closed form from
-the components that it does not use. ``fixture_study.py`` studies fixtures whose axes lean, and recorded moves. The exit
-code is 1 if a criterion fails.
+``python benchmarks/efficiency.py`` runs 2,000 units of each grade; ``--units N`` that many, ``--grade NAME ...`` some
+grades, ``--workers N`` in N processes. The last table of each grade gives the gain of the closed form from
+the components that it does not use. ``honesty.py fixture`` studies fixtures whose axes lean, and recorded moves. The
+exit code is 1 if a criterion fails.
 """
 
 from __future__ import annotations
 
-import os
-
-# One thread for each process, their children included: the matrices are small.
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-os.environ.setdefault("MKL_NUM_THREADS", "1")
-
-import argparse
 import math
-import sys
-import time
 from functools import cache, partial
 from typing import TYPE_CHECKING, Final, NamedTuple
 
+import harness
 import numpy as np
 from accuracy_trials import GRADES, IN_G, SITE, Trial, fixture_recording, normalised, run, score
 from studies import markdown
@@ -237,29 +228,7 @@ def summarise(grade: str, units: Sequence[UnitTrials]) -> tuple[dict[str, Effici
     return found, claims + innovation_criteria(units)
 
 
-BATCH = 200
-"""Units between two lines of the report."""
 FIRST_SEED = {grade: 10_000 * (1 + i) for i, grade in enumerate(GRADES)}
-
-
-def study(grade: str, count: int, workers: int) -> list[UnitTrials]:
-    """Units in batches, with a line after each."""
-    units: list[UnitTrials] = []
-    began = time.monotonic()
-    while len(units) < count:
-        first = FIRST_SEED[grade] + len(units)
-        seeds = range(first, first + min(BATCH, count - len(units)))
-        units += run(partial(calibrate_unit, grade=grade), seeds, workers=workers)
-        found, claims = summarise(grade, units)
-        spent = time.monotonic() - began
-        means = ", ".join(f"{name} {e.mean:.3f}" for name, e in found.items())
-        missed = sum(not c.holds for c in claims)
-        print(
-            f"{grade}: {len(units)} of {count} units, {spent:.0f} s, {spent * (count / len(units) - 1.0):.0f} s to go; "
-            f"mean rms / bound {means}; {missed} criteria missed",
-            flush=True,
-        )
-    return units
 
 
 def parameter_table(grade: str, found: dict[str, Efficiency]) -> Iterator[str]:
@@ -319,20 +288,17 @@ def component_table(grade: str) -> Iterator[str]:
     return markdown(("sigma over the bound", *columns), rows)
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--units", type=int, default=2000, help="of each grade (default 2000)")
-    parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--grade", action="append", choices=list(GRADES))
-    arguments = parser.parse_args()
+def main(*, units: int = 2000, workers: int = 2, grade: tuple[str, ...] = tuple(GRADES)) -> int:
     missed = 0
-    for grade in arguments.grade or GRADES:
-        found, claims = summarise(grade, study(grade, arguments.units, arguments.workers))
-        for table in (parameter_table(grade, found), criteria_table(claims), component_table(grade)):
+    for name in grade:
+        seeds = range(FIRST_SEED[name], FIRST_SEED[name] + units)
+        found, claims = summarise(name, run(partial(calibrate_unit, grade=name), seeds, workers=workers))
+        print(f"## {name}, {units} units")
+        for table in (parameter_table(name, found), criteria_table(claims), component_table(name)):
             print("", *table, sep="\n", flush=True)
         missed += sum(not c.holds for c in claims)
     return 1 if missed else 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    harness.run(main, __doc__, grade=GRADES)

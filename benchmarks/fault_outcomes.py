@@ -1,48 +1,43 @@
 """Outcome of every kind of fault at three severities in four grades: named, refused, or in silence.
 
-``python benchmarks/fault_outcomes.py --markdown docs/fault-detection.md`` injects each kind into one unit of each grade
-at three severities, of which the least moves one parameter by 3 to 5 sigma (:mod:`fault_severities`), and compares a
-calibration that says nothing with that of the same unit without the fault. Kinds that move no parameter by as much do
-no harm; they have the stated severity, its half and its quarter (of a factor the root). Kinds are the faults of the
-catalogue, their variants in the forms of foreign loggers and operators, and pairs. Times, places, axes, signs and sizes
-come from ``--seed``. ``--kinds`` and ``--part`` choose a part of them. The exit code is 1 if a calibration is beyond 3
-sigma in silence, of a kind that is not on the list of what cannot be seen.
+``python benchmarks/fault_outcomes.py`` injects each kind into one unit of each grade at three severities, of which the
+least moves one parameter by 3 to 5 sigma (:mod:`fault_severities`), and compares a calibration that says nothing with
+that of the same unit without the fault. Kinds that move no parameter by as much do no harm; they have the stated
+severity, its half and its quarter (of a factor the root). Kinds are the faults of the catalogue, their variants in the
+forms of foreign loggers and operators, and pairs. Times, places, axes, signs and sizes come from ``--seed``. Each
+injection that is not named first is printed, then the table of docs/fault-detection.md. ``--kinds`` and ``--part``
+choose a part of them. The exit code is 1 if a calibration is beyond 3 sigma in silence, of a kind that is not on the
+list of what cannot be seen.
 """
 
 from __future__ import annotations
 
-import os
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-
-import argparse
-import sys
 import time
 from collections import Counter
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from fault_severities import Units, severities
-from fault_study import all_injections
-from injected_faults.foreign_operators import PAIRS
-from injected_faults.injection import GRADES, VARIANTS, Injection
+import harness
+from fault_severities import KINDS, Units, severities
+from injected_faults.injection import GRADES, Injection
+from studies import markdown
 
 import srt
 from srt.diagnosis.staged_diagnosis import diagnose
 from srt.exceptions import DataError, InputError
-from srt.recording.atomic_file import atomic_write_text
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
 
 
 SIGMAS: Final = 3.0
 """Largest shift in silence, in sigma of the calibration without the fault."""
 OUTCOMES: Final = ("named first", "another cause first", "refused without a cause", "doubtful", "within", "beyond")
 """Outcomes: the last three name no cause; the calibration is not sound, or its shift is within or beyond the limit."""
-HEADINGS: Final = ("named first", "another first", "refused", "only doubtful", "silent, within 3σ", "silent, beyond 3σ")
+COLUMNS: Final = (
+    "grade", "named first, all", "of what does harm", "of that, without what cannot be seen", "another first",
+    "refused", "only doubtful", "silent, within 3σ", "silent, beyond 3σ",
+)  # fmt: skip
 CANNOT_BE_SEEN: Final = {
     "gravity": "within the heights and anomalies of the Earth's surface, it is the scale of the accelerometers",
     "gravity of another country": "as gravity",
@@ -77,7 +72,6 @@ AT_THE_LIMIT: Final = {
     ("gyro_factor", "industrial-mems"): (1.06, "as sample_rate"),
 }
 """Largest severities that no check tells safely, by kind and grade, with the reason."""
-BEGIN, END = "<!-- outcomes -->", "<!-- end of outcomes -->"
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,11 +107,6 @@ class Outcome:
     harmful: bool = True
 
 
-def all_kinds() -> dict[str, Injection]:
-    """Faults of the catalogue, and their variants."""
-    return {**all_injections(), **VARIANTS}
-
-
 def outcome_of(injection: Injection, units: Units, grade: str, rung: int, severity: float) -> Outcome:
     """Inject a fault and classify what the diagnosis and the calibration say."""
     stated = injection.fault, grade, rung, severity
@@ -149,19 +138,19 @@ def _naming(injection: Injection, named: str | None) -> str:
 
 def outcomes(kinds: Sequence[str], grades: Sequence[str], seed: int) -> Iterator[Outcome]:
     """Outcomes of kinds in grades at all severities."""
-    units, known = Units(seed), all_kinds()
+    units = Units(seed)
     for grade in grades:
         for kind in kinds:
-            harms, steps = severities(known[kind], units, grade)
+            harms, steps = severities(KINDS[kind], units, grade)
             for rung, severity in enumerate(steps):
-                row = outcome_of(known[kind], units, grade, rung, severity)
+                row = outcome_of(KINDS[kind], units, grade, rung, severity)
                 yield replace(row, harmful=harms and row.outcome != OUTCOMES[4])
 
 
 def unseen(row: Outcome) -> bool:
     """True if the lists of what cannot be seen hold the fault in this grade, at this severity."""
     most, _ = AT_THE_LIMIT.get((row.kind, row.grade), (0.0, ""))
-    return row.grade in all_kinds()[row.kind].unseen or row.kind in CANNOT_BE_SEEN or row.severity <= most
+    return row.grade in KINDS[row.kind].unseen or row.kind in CANNOT_BE_SEEN or row.severity <= most
 
 
 def harmful(rows: Sequence[Outcome]) -> tuple[list[Outcome], list[Outcome]]:
@@ -170,99 +159,40 @@ def harmful(rows: Sequence[Outcome]) -> tuple[list[Outcome], list[Outcome]]:
     return harm, [row for row in harm if not (row.outcome in (OUTCOMES[3], OUTCOMES[5]) and unseen(row))]
 
 
-def named_first(rows: Sequence[Outcome]) -> int:
+def share_named(rows: Sequence[Outcome]) -> str:
     """Number of injections whose cause is named first."""
-    return sum(row.outcome == OUTCOMES[0] for row in rows)
+    first = sum(row.outcome == OUTCOMES[0] for row in rows)
+    return f"{first} of {len(rows)} ({100.0 * first / max(1, len(rows)):.0f} %)"
 
 
-def page(rows: Sequence[Outcome], seed: int) -> str:
-    """Section of docs/fault-detection.md: table by grade and severity, and every outcome that is not naming."""
-    known = all_kinds()
-    kinds = {row.kind for row in rows}
-    described = [row for row in rows if known[row.kind].causes]
-    harm, visible = harmful(rows)
-    right, ours, of_harm, of_visible = (named_first(part) for part in (rows, described, harm, visible))
-    variants = len(kinds & set(VARIANTS))
-    lines = [
-        BEGIN,
-        "## Outcomes at three severities",
-        "",
-        f"`python benchmarks/fault_outcomes.py --seed {seed} --markdown docs/fault-detection.md` injects {len(kinds)}",
-        f"kinds, {len(kinds) - variants} faults of the catalogue and {variants} variants ({len(PAIRS)} of them pairs), "
-        "into one unit of each",
-        "grade and severity; times, places, axes and signs come from the seed. The variants were written without",
-        f"knowledge of the checks. Of {len(rows)} injections, {right} were named first; of kinds that the catalogue",
-        f"describes, {ours} of {len(described)}; of what does harm, {of_harm} of {len(harm)}, and without what is",
-        f"silent and on the list of what cannot be seen, {of_visible} of {len(visible)}. A shift is that against the",
-        "recording without the fault; parameters",
-        "that the fault changes in truth do not count. \\* is on the list of what cannot be seen.",
-        "",
-        f"| grade | severity | {' | '.join(HEADINGS)} |",
-        "|---|---|" + "---|" * len(HEADINGS),
-    ]
-    for grade in GRADES:
-        for rung, word in enumerate(("largest", "middle", "least")):
-            mine = Counter(row.outcome for row in rows if row.grade == grade and row.rung == rung)
-            lines.append(f"| {grade} | {word} | " + " | ".join(str(mine[name]) for name in OUTCOMES) + " |")
-    lines += ["", "Not named first, by kind (grade, number of halvings):", ""]
-    for kind in known:
-        mine = [row for row in rows if row.kind == kind and row.outcome != OUTCOMES[0]]
-        if mine:
-            lines.append(f"- {kind}: {_told(mine)}")
-    return "\n".join([*lines, END])
+def table(rows: Sequence[Outcome]) -> Iterator[str]:
+    """Lines of the table by grade."""
+
+    def cells(grade: str, mine: Sequence[Outcome]) -> list[str]:
+        counts = Counter(row.outcome for row in mine)
+        shares = (share_named(part) for part in (mine, *harmful(mine)))
+        return [grade, *shares, *(str(counts[name]) for name in OUTCOMES[1:])]
+
+    grades = dict.fromkeys(row.grade for row in rows)
+    lines = [cells(grade, [row for row in rows if row.grade == grade]) for grade in grades]
+    return markdown(COLUMNS, [*lines, cells("all", rows)], len(COLUMNS))
 
 
-def _told(rows: Iterable[Outcome]) -> str:
-    by_text: dict[str, list[str]] = {}
-    for row in rows:
-        text = row.named if row.outcome == OUTCOMES[1] else row.outcome
-        if row.outcome in OUTCOMES[4:]:
-            text = "silent, beyond 3σ" if row.outcome == OUTCOMES[5] else "silent, within 3σ"
-        where = f"{row.grade} {row.rung}" + (f" ({row.shift:.2g}σ)" if row.outcome == OUTCOMES[5] else "")
-        by_text.setdefault(text, []).append(where + ("*" if unseen(row) else ""))
-    return "; ".join(f"{text}: {', '.join(where)}" for text, where in by_text.items())
-
-
-def write_section(path: Path, text: str) -> None:
-    """Replace the section of a page, or append it."""
-    whole = path.read_text(encoding="utf-8")
-    before, _, rest = whole.partition(BEGIN)
-    after = rest.partition(END)[2] if rest else "\n"
-    atomic_write_text(path, before.rstrip("\n") + "\n\n" + text + after)
-
-
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seed", type=int, default=0, help="first seed (default 0)")
-    parser.add_argument("--kinds", nargs="+", default=(), help="default all")
-    parser.add_argument("--grades", nargs="+", default=GRADES, choices=GRADES)
-    parser.add_argument("--part", type=int, default=1, metavar="N", help="every Nth kind (default 1)")
-    parser.add_argument("--markdown", type=Path, metavar="FILE", help="page of which to write the section")
-    arguments = parser.parse_args()
-    known = all_kinds()
-    wrong = [kind for kind in arguments.kinds if kind not in known]
-    if wrong:
-        parser.error(f"there is no kind {wrong[0]!r}: choose of {', '.join(known)}")
-    kinds = [*(arguments.kinds or known)][:: arguments.part]
+def main(
+    *, seed: int = 0, kinds: tuple[str, ...] = tuple(KINDS), grades: tuple[str, ...] = GRADES, part: int = 1
+) -> int:
+    kinds = kinds[::part]
     began, rows = time.process_time(), []
-    for row in outcomes(kinds, arguments.grades, arguments.seed):
+    for row in outcomes(kinds, grades, seed):
         rows.append(row)
         if row.outcome != OUTCOMES[0]:
             shift = f" {row.shift:.3g} sigma {row.parameter}" if row.parameter else ""
             marks = ("" if row.harmful else " (harmless)") + (" *" if unseen(row) else "")
             print(f"{row.kind}, {row.grade}, {row.severity:.4g}: {row.outcome} {row.named}{shift}{marks}", flush=True)
-    counts = Counter(row.outcome for row in rows)
-    harm, shown = harmful(rows)
-    print(f"{len(kinds)} kinds, {len(rows)} injections, {time.process_time() - began:.0f} s of CPU time")
-    for name in OUTCOMES:
-        print(f"  {name}: {counts[name]} ({100.0 * counts[name] / len(rows):.1f} %)")
-    for part, word in ((rows, "all"), (harm, "that do harm"), (shown, "that do harm and can be seen")):
-        first = named_first(part)
-        print(f"  named first of {word}: {first} of {len(part)} ({100.0 * first / max(1, len(part)):.1f} %)")
-    if arguments.markdown:
-        write_section(arguments.markdown, page(rows, arguments.seed))
+    print(f"{len(kinds)} kinds, {len(rows)} injections, {time.process_time() - began:.0f} s of CPU time\n")
+    print(*table(rows), sep="\n")
     return int(any(row.outcome == OUTCOMES[5] and not unseen(row) for row in rows))
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    harness.run(main, __doc__, kinds=KINDS, grades=GRADES)

@@ -7,12 +7,18 @@ calibrates the same unit with and without the fault, by least squares without ch
 from __future__ import annotations
 
 import math
+import sys
 from dataclasses import replace
+from functools import cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from fault_study import ALL_OR_NOTHING, FACTORS, LEAST_ONE, SHARES, severity_at
-from injected_faults.injection import GRADES, VARIANTS, Case, Injection
+
+sys.path.append(str(Path(__file__).parents[1] / "tests"))  # injected_faults
+
+from injected_faults import execution, foreign_operators, logger, site_and_drift  # noqa: F401 - they register
+from injected_faults.injection import GRADES, INJECTIONS, VARIANTS, Case, Injection
 
 import srt
 from srt.exceptions import DataError, InputError
@@ -21,6 +27,14 @@ from srt.sensor_errors import NAMES
 if TYPE_CHECKING:
     from srt.result.calibration import Calibration
 
+LEAST_ONE: Final = ("sequences", "samples", "columns", "channels", "windows")
+"""Severity units that are counts: a step halves them, rounded up; one is the last."""
+FACTORS: Final = ("times", "times the noise")
+"""Severity units that are factors: a step takes the square root."""
+SHARES: Final = ("of the planned length",)
+"""Severity units that are a remaining share of the whole: a step halves the missing part."""
+ALL_OR_NOTHING: Final = ("", "-")
+"""Severity units of a fault that is present or absent: there is no smaller severity."""
 SEVERITIES: Final = 3
 UNSCALED: Final = (*ALL_OR_NOTHING, "Hz", "counts per SI unit")
 """Severity units of a setting: a smaller one is another setting, and no smaller fault."""
@@ -57,6 +71,8 @@ MOVES_TRUTH: Final[dict[str, tuple[str, ...]]] = {
     "accelerometer board askew": ("accel",),
 }
 """Parameters that a fault changes in truth, by the beginning of their names: calibration finds them, and should."""
+KINDS: Final = {**INJECTIONS, **VARIANTS}
+"""Faults of the catalogue, and their variants."""
 OTHER_RECORDING: Final = (
     "samples dropped, stamps closed up",
     "labels of a fast clock",
@@ -65,33 +81,42 @@ OTHER_RECORDING: Final = (
 """Variants injected into a recording with the moves between sequences: their twin is the one without severity."""
 
 
+def severity_at(injection: Injection, grade: str, rung: int) -> float | None:
+    """Severity after ``rung`` halvings of the stated one; None if there is no such step."""
+    stated = injection.severity[grade]
+    if rung == 0:
+        return stated
+    if injection.unit in ALL_OR_NOTHING:
+        return None
+    if injection.unit in LEAST_ONE:
+        left = math.ceil(stated / 2.0**rung)
+        return float(left) if left < math.ceil(stated / 2.0 ** (rung - 1)) else None
+    if injection.unit in FACTORS:
+        return float(stated ** (0.5**rung))
+    if injection.unit in SHARES:
+        return 1.0 - (1.0 - stated) / 2.0**rung
+    return stated / 2.0**rung
+
+
 class Units:
     """One unit of each grade and severity, and its calibration without a fault."""
 
     def __init__(self, seed: int) -> None:
         self.seed = seed
-        self._cases: dict[tuple[str, int], Case] = {}
-        self._clean: dict[tuple[str, int], Calibration] = {}
-        self._twins: dict[tuple[str, str, int], Calibration] = {}
+        self.case, self.clean, self._twin = cache(self._case), cache(self._clean), cache(self._new_twin)
 
-    def case(self, grade: str, rung: int) -> Case:
-        key = grade, rung
-        if key not in self._cases:
-            self._cases[key] = Case(grade, self.seed + 10 * GRADES.index(grade) + rung)
-        return self._cases[key]
+    def _case(self, grade: str, rung: int) -> Case:
+        return Case(grade, self.seed + 10 * GRADES.index(grade) + rung)
 
-    def clean(self, grade: str, rung: int) -> Calibration:
-        key = grade, rung
-        if key not in self._clean:
-            self._clean[key] = srt.calibrate(self.case(grade, rung).recording, checks=False)
-        return self._clean[key]
+    def _clean(self, grade: str, rung: int) -> Calibration:
+        return srt.calibrate(self.case(grade, rung).recording, checks=False)
 
     def shift(self, found: Calibration, injection: Injection, grade: str, rung: int) -> tuple[float, str]:
         """Largest shift of a parameter against the recording without the fault, in sigma, and its name.
 
         The larger sigma of the two counts: what the result itself states as doubt is not in silence.
         """
-        clean = self.twin(injection, grade, rung)
+        clean = self._twin(injection.fault, grade, rung)
         known = found.observed & clean.observed
         known &= [not name.startswith(MOVES_TRUTH.get(injection.fault, ())) for name in NAMES]
         shifts = np.zeros(len(NAMES))
@@ -99,14 +124,9 @@ class Units:
         shifts[known] = np.abs(found.errors.vector - clean.errors.vector)[known] / sigma
         return float(shifts.max()), NAMES[int(shifts.argmax())]
 
-    def twin(self, injection: Injection, grade: str, rung: int) -> Calibration:
+    def _new_twin(self, kind: str, grade: str, rung: int) -> Calibration:
         """Calibration of the same injection with no severity, which draws the same noise, where there is such."""
-        key = injection.fault, grade, rung
-        if key not in self._twins:
-            self._twins[key] = self._new_twin(injection, grade, rung)
-        return self._twins[key]
-
-    def _new_twin(self, injection: Injection, grade: str, rung: int) -> Calibration:
+        injection = KINDS[kind]
         none = 1.0 if injection.unit in (*FACTORS, *SHARES) else 0.0
         variant = injection.fault in VARIANTS and injection.fault not in OTHER_RECORDING
         if variant or (injection.unit in (*ALL_OR_NOTHING, *LEAST_ONE) and injection.fault not in VARIANTS):

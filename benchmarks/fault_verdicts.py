@@ -10,15 +10,10 @@ silent beyond 4 sigma with a noncentrality of more than 25.
 
 from __future__ import annotations
 
-import os
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
-import argparse
 import math
-import sys
 from typing import NamedTuple
 
+import harness
 import numpy as np
 from foreign_faults import KINDS, Kind
 from foreign_fixture import LATITUDE_DEG, Motion, Trial, on_fixture, table_1
@@ -119,16 +114,10 @@ def silent(row: Row) -> bool:
     return row.verdict == "sound" and row.error > SIGMAS and row.noncentrality > NONCENTRALITY
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--count", type=int, default=200, help="recordings (default 200)")
-    parser.add_argument("--first", type=int, default=0, help="number of the first one (default 0)")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--only", nargs="+", default=(), metavar="WORD", help="kinds with one of these words")
-    arguments = parser.parse_args()
+def main(*, count: int = 200, first: int = 0, seed: int = 0, only: tuple[str, ...] = ()) -> int:
     rows = []
-    for number in range(arguments.first, arguments.first + arguments.count):
-        row = examined(number, arguments.seed, tuple(arguments.only))
+    for number in range(first, first + count):
+        row = examined(number, seed, only)
         rows.append(row)
         mark = "harmless" if harmless(row) else "right" if row.right else "SILENT" if silent(row) else "wrong"
         more = f", noncentrality {row.noncentrality:.0f}" if row.noncentrality else ""
@@ -144,4 +133,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    harness.run(main, __doc__)

@@ -18,27 +18,25 @@ along it; the six faces come in pairs half a turn about east apart, in whose mea
 
 from __future__ import annotations
 
-import importlib
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from scipy.linalg import polar
 
 from sims.physics.fixture import FixtureDraw, draw_fixture
-from sims.physics.motion import RateProfile
 from sims.physics.sequences import TABLE_1, TurnSequence
 from sims.physics.table_motion import Schedule, run_schedule
 from srt.constants import DEG
-from srt.exceptions import DataError, InputError, MissingExtraError
 from srt.sensor_errors import SensorErrors
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from sims.physics.motion import RateProfile
     from sims.physics.true_motion import TrueMotion
-    from srt.recording.recording import Recording, Site
+    from srt.recording.recording import Recording
     from srt.types import Array, Mask
 
     Picks = Mapping[str, tuple[tuple[int, int], ...]]
@@ -104,11 +102,7 @@ class Take:
         parts = []
         for sequence, window in picks:
             inside = np.flatnonzero(self._between(*self.windows[sequence][window]))
-            if len(inside) < count:
-                raise DataError(
-                    f"A still window has {len(inside)} samples, but {count} of it are to be used: ask for at most "
-                    f"{len(inside) * len(picks) / rate:g} s of a face."
-                )
+            assert len(inside) >= count, "the window is shorter than the share of the face that it is to give"
             parts.append(inside[:count])
         samples = np.concatenate(parts)
         return self.recording.gyro[samples], self.recording.accel[samples]
@@ -136,42 +130,25 @@ def face_seconds(total_s: float, profile: RateProfile) -> float:
 
 def ferraris_motions(
     *,
-    site: Site,
     face_s: float,
-    profile: RateProfile | None = None,
-    sample_rate_hz: float = 100.0,
+    profile: RateProfile,
     fixture_draw: FixtureDraw | None = None,
     rotation_sigma_rad: float = 0.0,
     rng: np.random.Generator | None = None,
-    U: Array | None = None,
-    earth_rate: bool = True,
+    **run: Any,
 ) -> tuple[TrueMotion, TrueMotion]:
     """Execute Ferraris' faces (:data:`FACE_SEQUENCES`) and turns (:data:`TURN_SEQUENCES`) on the fixture.
 
     Base, mounting and axes are those of ``fixture_draw``. Starts and rotations, which are other ones here, are drawn by
-    ``rng`` with a sigma of ``rotation_sigma_rad``. ``U``, shape (3, 3), takes table-mounted components to B.
-
-    Raises
-    ------
-    InputError
-        If rotation errors are to be drawn without a generator.
+    ``rng`` with a sigma of ``rotation_sigma_rad``. ``run`` are arguments of
+    :func:`sims.physics.table_motion.run_schedule`.
     """
     generator = np.random.default_rng(0) if rng is None else rng  # without one, sigma zero leaves nothing of it
-    if rng is None and rotation_sigma_rad != 0.0:
-        raise InputError("Rotation errors are to be drawn: pass a numpy.random.Generator.")
     motions = []
     for sequences, dwell_s in ((FACE_SEQUENCES, face_s), (TURN_SEQUENCES, TURN_WAIT_S)):
         executed = draw_fixture(generator, sequences, rotation_sigma_rad=rotation_sigma_rad)
         draw = replace(fixture_draw or FixtureDraw(), starts=executed.starts, legs=executed.legs)
-        motion = run_schedule(
-            Schedule(sequences, profile or RateProfile(), dwell_s=dwell_s),
-            site=site,
-            sample_rate_hz=sample_rate_hz,
-            fixture_draw=draw,
-            U=U,
-            earth_rate=earth_rate,
-        )
-        motions.append(motion)
+        motions.append(run_schedule(Schedule(sequences, profile, dwell_s=dwell_s), fixture_draw=draw, **run))
     return motions[0], motions[1]
 
 
@@ -190,37 +167,17 @@ def signal_regions(
 def imucal_errors(
     regions: Mapping[str, Array], *, sample_rate_hz: float, gravity_m_s2: float, turn_rad: float = TURN_RAD
 ) -> SensorErrors:
-    """Sensor errors by imucal in MARS axes, from :func:`signal_regions`; asymmetries, which it does not know, are zero.
+    """Sensor errors by imucal in MARS axes, from :func:`signal_regions`; it knows no asymmetries."""
+    import imucal
 
-    Raises
-    ------
-    MissingExtraError
-        If imucal is not installed.
-    DataError
-        If the gyro matrix found is no right-handed one.
-    """
-    try:
-        imucal = importlib.import_module("imucal")
-    except ModuleNotFoundError as error:
-        raise MissingExtraError(str(error.name), "benchmark", "The comparison with imucal") from None
     method = imucal.FerrarisCalibration(grav=gravity_m_s2, expected_angle=turn_rad / DEG)
     found = method.compute(imucal.FerrarisSignalRegions(**regions), sample_rate_hz, "m/s^2", "deg/s")
     return mars_errors(found.K_g @ found.R_g, found.K_a @ found.R_a, found.b_g * DEG, found.b_a)
 
 
 def mars_errors(gyro_matrix: Array, accel_matrix: Array, gyro_bias: Array, accel_bias: Array) -> SensorErrors:
-    """Sensor errors in MARS axes of triads whose readings are ``M v + bias`` (SI) for v in any common orthogonal axes.
-
-    Raises
-    ------
-    DataError
-        If the gyro matrix has no positive determinant.
-    """
-    if not np.linalg.det(gyro_matrix) > 0.0:
-        raise DataError(
-            "The gyro matrix found has no positive determinant, so there is no frame in which it is symmetric and "
-            "positive: look for a flipped axis or a turn of the wrong sign."
-        )
+    """Sensor errors in MARS axes of triads that read ``M v + bias`` (SI) for v in any common orthogonal axes."""
+    assert np.linalg.det(gyro_matrix) > 0.0, "a flipped axis: the gyro matrix is symmetric and positive in no frame"
     turn, Mg = polar(gyro_matrix, side="left")  # gyro_matrix = Mg @ turn
     Ma = accel_matrix @ turn.T
     values = {f"gyro_orthogonality_{'xyz'[i]}{'xyz'[j]}": 2.0 * Mg[i, j] for i, j in ((0, 1), (1, 2), (2, 0))}

@@ -11,15 +11,14 @@ missing sequences, g-sensitive gyros, protocols, stated rates, quantization, lar
 
 from __future__ import annotations
 
-import argparse
 import json
 import re
-import sys
 from functools import partial
-from pathlib import Path
+from pathlib import Path  # noqa: TC003 - the type of an option
 from typing import TYPE_CHECKING, Any, Final
 
 import accuracy_trials
+import harness
 from honesty_recordings import drifting_unit
 
 import sims
@@ -153,32 +152,32 @@ def line(name: str, estimator: str, compared: tuple[float, float, str]) -> bool:
     return same
 
 
-def main() -> int:
+def main(
+    *,
+    estimators: tuple[str, ...] = ("closed-form", "ekf", "graph"),
+    recordings: tuple[str, ...] = tuple(RECORDINGS),
+    write: Path | None = None,
+    against: Path | None = None,
+    same: tuple[str, ...] = (),
+) -> int:
     """Write or compare the results."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--estimators", default="closed-form,ekf,graph", help="names, with commas")
-    parser.add_argument("--recordings", default=";".join(RECORDINGS), help="names, with semicolons")
-    parser.add_argument("--write", type=Path, metavar="DIR", help="folder for the results")
-    parser.add_argument("--against", type=Path, metavar="DIR", help="folder of results to compare with")
-    parser.add_argument("--same", nargs=2, metavar=("A", "B"), help="compare two estimators with each other")
-    arguments = parser.parse_args()
     good = True
-    for name in arguments.recordings.split(";"):
+    for name in recordings:
         recording = RECORDINGS[name]()
-        if arguments.same:
-            new, old = (result(recording, estimator) for estimator in arguments.same)
-            good &= line(name, " = ".join(arguments.same), difference(new, old))
+        if same:
+            new, old = (result(recording, estimator) for estimator in same)
+            good &= line(name, " = ".join(same), difference(new, old))
             continue
-        for estimator in arguments.estimators.split(","):
+        for estimator in estimators:
             found, file = result(recording, estimator), f"{name.replace(' ', '-')}.{estimator}.json"
-            if arguments.write is not None:
-                arguments.write.mkdir(parents=True, exist_ok=True)
-                (arguments.write / file).write_text(json.dumps(found), encoding="utf-8")
-            if arguments.against is not None:
-                old = json.loads((arguments.against / file).read_text(encoding="utf-8"))
+            if write is not None:
+                write.mkdir(parents=True, exist_ok=True)
+                (write / file).write_text(json.dumps(found), encoding="utf-8")
+            if against is not None:
+                old = json.loads((against / file).read_text(encoding="utf-8"))
                 good &= line(name, estimator, difference(found, old))
     return 0 if good else 1
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    harness.run(main, __doc__, recordings=RECORDINGS)

@@ -18,15 +18,12 @@ watched, too. The numbers of the inputs are the seeds: the same number makes the
 
 from __future__ import annotations
 
-import argparse
 import gc
 import io
 import os
 import resource
 import shutil
 import signal
-import struct
-import subprocess
 import sys
 import sysconfig
 import tempfile
@@ -34,12 +31,16 @@ import traceback
 import warnings
 import zlib
 from collections import Counter
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
+from multiprocessing import get_context
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import TYPE_CHECKING, Any
+from unittest import mock
 
+import harness
 import numpy as np
 from fuzz_mutations import mutate
 from fuzz_seeds import READERS, RECORDINGS, Seed
@@ -51,6 +52,10 @@ from srt.recording.importer_registry import IMPORTERS, import_file, importer
 from srt.recording.importers import child_process
 from srt.recording.recording import Site
 
+if TYPE_CHECKING:
+    from multiprocessing.connection import Connection
+
+NAMES = (*READERS, *RECORDINGS)
 SECONDS_PER_INPUT = 10
 """Computing time of this process, s, after which an input counts as one that hangs; a busy machine does not matter."""
 SECONDS_TO_KILL = 20
@@ -212,12 +217,15 @@ def generator(name: str, index: int) -> np.random.Generator:
     return np.random.default_rng([zlib.crc32(name.encode()), index])
 
 
-def worker(name: str, start: int, stop: int, memory_mib: int, scratch: Path) -> None:
-    """Run the inputs of a reader; print a line "index outcome" for each failure, then the counts."""
+def worker(name: str, indices: range, memory_mib: int, scratch: Path, progress: Any, found: Connection) -> None:
+    """Run the inputs of a reader in a process of their own.
+
+    ``progress`` receives the number of the input, the counts of read and refused ones, and at the end the growth of the
+    memory in MiB; ``found`` a sentence for each failure.
+    """
     seeds = seeds_of(name)
     pool = [data for seed in seeds for data in seed.files.values()]
     folder = scratch / "input"
-    progress = scratch / "progress"
     watch = Watch(folder)
     unraisable: list[str] = []
     sys.unraisablehook = lambda info: unraisable.append(f"unraisable {info.exc_type.__name__}: {info.exc_value}"[:160])
@@ -231,58 +239,50 @@ def worker(name: str, start: int, stop: int, memory_mib: int, scratch: Path) -> 
         read(name, seed, place(seed, folder, None, pool))
     gc.collect()  # files that the libraries left open
     child_process.impose, child_process.spawn = impose, partial(Fork, watch=watch)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        used = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0]) * resource.getpagesize()
-        limit = used + (memory_mib << 20)
-        resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
-        before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-        outcomes: Counter[str] = Counter()
-        with progress.open("wb", buffering=0) as mark:
-            for index in range(start, stop):
-                os.pwrite(mark.fileno(), struct.pack("<qqq", index, outcomes["read"], outcomes["refused"]), 0)
-                _fresh(folder)
-                rng = generator(name, index)
-                seed = seeds[index % len(seeds)]
-                path = place(seed, folder, rng, pool)
-                unraisable.clear()
-                outcome = judge(name, seed, path, watch)
-                outcome = unraisable[0] if unraisable and outcome in ("read", "refused") else outcome
-                outcomes[outcome if outcome in ("read", "refused") else "failed"] += 1
-                if outcome not in ("read", "refused"):
-                    print(f"{index} {outcome!r}", flush=True)
+    warnings.simplefilter("error")
+    used = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0]) * resource.getpagesize()
+    limit = used + (memory_mib << 20)
+    resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    outcomes: Counter[str] = Counter()
+    for index in indices:
+        progress[:3] = index, outcomes["read"], outcomes["refused"]
+        _fresh(folder)
+        seed = seeds[index % len(seeds)]
+        path = place(seed, folder, generator(name, index), pool)
+        unraisable.clear()
+        outcome = judge(name, seed, path, watch)
+        outcome = unraisable[0] if unraisable and outcome in ("read", "refused") else outcome
+        outcomes[outcome] += 1
+        if outcome not in ("read", "refused"):
+            found.send(f"{name}:{index} {outcome!r}")
     peaks = [resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
-    grown = (max(peaks) - before) >> 10
-    print(f"done {outcomes['read']} {outcomes['refused']} {grown}", flush=True)
+    progress[1:] = outcomes["read"], outcomes["refused"], (max(peaks) - before) >> 10
 
 
-def supervise(name: str, first: int, count: int, memory_mib: int) -> tuple[int, int, list[str], int]:
+def supervise(name: str, indices: range, memory_mib: int) -> tuple[int, int, list[str], int]:
     """Run inputs of a reader in own processes; counts of read and refused, failures, peak growth in MiB."""
-    failures: list[str] = []
-    taken, refused, grown, start, stop = 0, 0, 0, first, first + count
-    with TemporaryDirectory(prefix="fuzz-") as scratch:
-        mark = Path(scratch) / "progress"
-        while start < stop:
-            command = [sys.executable, __file__, "--worker", name, str(start), str(stop), scratch]
-            environment = os.environ | {"TMPDIR": scratch}
-            done = subprocess.run(
-                [*command, "--memory", str(memory_mib)], capture_output=True, text=True, env=environment, check=False
-            )
-            lines = done.stdout.splitlines()
-            failures += [f"{name}:{line}" for line in lines if not line.startswith("done ")]
-            if done.returncode == 0:
-                read_now, refused_now, grown = (int(word) for word in lines[-1].split()[1:])
-                return taken + read_now, refused + refused_now, failures, grown
-            if not mark.exists():
-                raise SystemExit(f"{name}: the process ended before its first input:\n{done.stderr}")
-            index, read_now, refused_now = struct.unpack("<qqq", mark.read_bytes())
-            if done.returncode == -signal.SIGVTALRM:
-                reason = f"more than {SECONDS_TO_KILL} s in compiled code"
-            else:
-                reason = f"the process ended with {done.returncode}: {done.stderr[-300:]!r}"
+    context, failures, taken, refused = get_context("spawn"), [], 0, 0
+    with TemporaryDirectory(prefix="fuzz-") as scratch, mock.patch.dict(os.environ, TMPDIR=scratch):
+        while True:
+            progress, (received, sent) = context.Array("q", [-1, 0, 0, 0], lock=False), context.Pipe(duplex=False)
+            child = context.Process(target=worker, args=(name, indices, memory_mib, Path(scratch), progress, sent))
+            child.start()
+            sent.close()
+            with suppress(EOFError):  # the process has ended
+                while True:
+                    failures.append(received.recv())
+            child.join()
+            index, read_now, refused_now, grown = progress
+            taken, refused = taken + read_now, refused + refused_now
+            if child.exitcode == 0:
+                return taken, refused, failures, grown
+            if index < 0:
+                raise SystemExit(f"{name}: the process ended before its first input")
+            slow = child.exitcode == -signal.SIGVTALRM
+            reason = f"more than {SECONDS_TO_KILL} s in compiled code" if slow else f"ended with {child.exitcode}"
             failures.append(f"{name}:{index} {reason}")
-            taken, refused, start = taken + read_now, refused + refused_now, index + 1
-    return taken, refused, failures, grown
+            indices = range(index + 1, indices.stop)
 
 
 def _alarm(*_: object) -> None:
@@ -309,42 +309,31 @@ def once(text: str, *, keep: bool) -> None:
         print("read")
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    names = [*READERS, *RECORDINGS]
-    parser.add_argument("--count", type=int, default=TOTAL, help="inputs in all")
-    parser.add_argument("--first", type=int, default=0, help="number of each reader's first input, for a fresh sample")
-    parser.add_argument("--only", nargs="+", choices=names, default=names, metavar="NAME", help=", ".join(names))
-    parser.add_argument("--memory", type=int, default=512, help="MiB beyond those at the start (default 512)")
-    parser.add_argument("--one", metavar="NAME:INDEX", help="one input again")
-    parser.add_argument("--keep", action="store_true", help="with --one: copy its files to ./fuzz-input")
-    parser.add_argument("--worker", nargs=4, help=argparse.SUPPRESS)
-    arguments = parser.parse_args()
-    if arguments.worker:
-        name, start, stop, scratch = arguments.worker
-        worker(name, int(start), int(stop), arguments.memory, Path(scratch))
+def main(
+    *,
+    count: int = TOTAL,
+    first: int = 0,
+    only: tuple[str, ...] = NAMES,
+    memory: int = 512,
+    one: str | None = None,
+    keep: bool = False,
+) -> int:
+    if one is not None:
+        once(one, keep=keep)
         return 0
-    if arguments.one:
-        once(arguments.one, keep=arguments.keep)
-        return 0
+    widths = 8, 8, 9, 8, 12
     print(f"{'reader':<16}{'inputs':>8}{'read':>8}{'refused':>9}{'failed':>8}{'grown, MiB':>12}", flush=True)
-    shares = np.full(len(arguments.only), arguments.count // len(arguments.only))
-    shares[: arguments.count % len(arguments.only)] += 1
-    sums, failures = np.zeros(4, dtype=int), []
-    for name, share in zip(arguments.only, shares.tolist(), strict=True):
-        taken, refused, wrong, grown = supervise(name, arguments.first, share, arguments.memory)
-        row = (share, taken, refused, len(wrong))
-        sums += row
+    rows, failures = [], []
+    for number, name in enumerate(only):
+        share = count // len(only) + (number < count % len(only))
+        taken, refused, wrong, grown = supervise(name, range(first, first + share), memory)
         failures += wrong
-        print(
-            f"{name:<16}" + "".join(f"{n:>{w}}" for n, w in zip((*row, grown), (8, 8, 9, 8, 12), strict=True)),
-            flush=True,
-        )
-    print(f"{'in all':<16}" + "".join(f"{n:>{w}}" for n, w in zip(sums.tolist(), (8, 8, 9, 8), strict=True)))
-    for failure in failures:
-        print(failure)
-    return 1 if failures else 0
+        rows.append((share, taken, refused, len(wrong), grown))
+        print(f"{name:<16}" + "".join(f"{n:>{w}}" for n, w in zip(rows[-1], widths, strict=True)), flush=True)
+    sums = np.sum(rows, axis=0).tolist()[:-1]
+    print(f"{'in all':<16}" + "".join(f"{n:>{w}}" for n, w in zip(sums, widths, strict=False)), *failures, sep="\n")
+    return int(bool(failures))
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    harness.run(main, __doc__, only=NAMES)

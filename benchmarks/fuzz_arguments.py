@@ -16,7 +16,6 @@ random names.
 
 from __future__ import annotations
 
-import argparse
 import errno
 import hashlib
 import importlib
@@ -37,6 +36,7 @@ from typing import TYPE_CHECKING, Any
 from unittest import mock
 
 import click
+import harness
 import numpy as np
 
 import srt
@@ -343,33 +343,34 @@ def under_limits(laboratory: Path, count: int, seed: int) -> int:
     return found
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--count", type=int, default=10_000)
-    parser.add_argument("--start", type=int, default=0, help="number of the first run")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--seconds", type=float, default=10.0, help="time after which a run is interrupted")
-    parser.add_argument("--one", type=int, metavar="INDEX", help="one run again")
-    parser.add_argument("--limits", type=int, metavar="N", help="processes on N recordings, killed or limited, instead")
-    given = parser.parse_args()
+def main(
+    *,
+    count: int = 10_000,
+    start: int = 0,
+    seed: int = 1,
+    seconds: float = 10.0,
+    one: int | None = None,
+    limits: int = 0,
+) -> int:
+    """Runs from a first number on, each interrupted after some seconds; or one run; or recordings under limits."""
     failures = 0
-    indices = range(given.start, given.start + given.count) if given.one is None else range(given.one, given.one + 1)
+    indices = range(start, start + count) if one is None else range(one, one + 1)
     with tempfile.TemporaryDirectory(prefix="fuzz-") as scratch:
         pristine = Path(scratch) / "pristine"
         pristine.mkdir()
         laboratory(pristine)
-        if given.limits:
-            return int(under_limits(pristine, given.limits, given.seed) > 0)
-        done = runs(pristine, Path(scratch), given.seed, indices, given.seconds)
+        if limits:
+            return int(under_limits(pristine, limits, seed) > 0)
+        done = runs(pristine, Path(scratch), seed, indices, seconds)
         for index, (words, defect, said) in zip(indices, done, strict=True):
             failures += bool(defect)
-            if defect or given.one is not None:
+            if defect or one is not None:
                 print(f"{index} {defect!r} {words!r}"[:600], flush=True)
-            if given.one is not None:
+            if one is not None:
                 print(said)
     print(f"{len(indices)} command lines, {failures} with a defect")
     return 1 if failures else 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    harness.run(main, __doc__)

@@ -15,11 +15,11 @@ simulated with all sensor and fixture errors show it.
 
 from __future__ import annotations
 
-import argparse
 import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
+import harness
 import numpy as np
 from studies import markdown, nees_of
 
@@ -145,15 +145,10 @@ def _observed(unit: Simulation, found: Calibration) -> float:
     return float(np.mean((bias - own[:, None] + force @ Gamma.T) ** 2))
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--units", type=int, default=300)
-    parser.add_argument("--seed", type=int, default=5000)
-    parser.add_argument("--dwell", type=float, default=4.0, metavar="S", help="of each window")
-    parser.add_argument("--rate", type=float, default=50.0, metavar="HZ")
-    arguments = parser.parse_args()
-    plan = mems_scenario(dwell_s=arguments.dwell, sample_rate_hz=arguments.rate)
-    found = study(plan, arguments.units, first_seed=arguments.seed)
+def main(*, units: int = 300, seed: int = 5000, dwell: float = 4.0, rate: float = 50.0) -> None:
+    """Units, first seed, length of each window (s) and sample rate (Hz)."""
+    plan = mems_scenario(dwell_s=dwell, sample_rate_hz=rate)
+    found = study(plan, units, first_seed=seed)
 
     def row(name: str, unit: str, factor: float, pairs: list[tuple[float, float]]) -> list[str]:
         return [
@@ -174,4 +169,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    harness.run(main, __doc__)

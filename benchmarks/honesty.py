@@ -4,6 +4,10 @@
 WORD ...`` takes the cells with these words. NEES is over the number of observed parameters, 1 if all sigmas are true;
 the band is that of the whole table (family-wise 1 %). The exit code is 1 if a cell lies beyond the limit of its study.
 
+simulated          noise of three grades on the fixture, stated, estimated, or with an effect that nothing models
+fixture            the same over the Cramér-Rao bound, with axes out of square, by the accuracy of the rotations
+fixture-moves      the same with recorded moves
+nineteen-positions the 19-position test, no labels, over the bound, without and with what the model does not have
 verdicts           faults on the fixture, without the checks; "used": results with the verdict sound or doubtful
 silent-errors      errors that gave wrong results without a word
 fixture-drift      drift of the biases on the fixture, 0.1, 1 and 10 times what is stated of the grade
@@ -18,183 +22,54 @@ unstated-noise     nothing stated, of units without and with bias instability, a
 
 from __future__ import annotations
 
-import argparse
-import sys
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import partial
 from itertools import product
 from typing import Any
 
+import harness
 import numpy as np
 import studies
-from accuracy_trials import noisy_recording
 from foreign_motion import DRIFT_FORMS, PROFILES
-from foreign_motion import GRADES as HAND_GRADES
-from honesty_recordings import (
-    DEFECTS,
-    FAULTS,
-    SILENT_ERRORS,
-    STATED,
-    asymmetric_unit,
-    defective_unit,
-    drifting_unit,
-    fixture_drift,
-    hand_unit,
-    truth_of,
+from honesty_recordings import DEFECTS, FAULTS, SILENT_ERRORS, STATED
+from honesty_trials import (
+    ASYMMETRIES,
+    HAND_GRADES,
+    NINETEEN_POSITIONS,
+    SIMULATED,
+    SIMULATED_GRADES,
+    Cell,
+    Rows,
+    asymmetry,
+    by_hand,
+    defects,
+    drift_by_hand,
+    drift_on_the_fixture,
+    false_drift,
+    nineteen_positions,
+    on_the_fixture,
+    silent_errors,
+    simulated,
+    unstated_noise,
+    verdicts,
+    worse_than_stated,
 )
-from injected_faults.injection import GRADES, Case
+from injected_faults.injection import GRADES
+from scipy.special import ndtri
 from scipy.stats import binom, chi2
-from studies import ESTIMATORS, Score, counts, pooled_nees, rms, scored
-from worse_recordings import CASES, HAND_RESTS_S, STATEMENTS, unit_of, unstated_unit
+from studies import ESTIMATORS, Score, counts, pooled_nees, rms
+from worse_recordings import CASES, STATEMENTS
 
-import srt
-from srt.diagnosis.staged_diagnosis import diagnose
 from srt.noise.drift_forms import FALSE_ALARM
-from srt.result.verdict import OF_FIXTURE
-from srt.sensor_errors import GROUP_SLICES, NAMES
+from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, GROUP_SLICES, NAMES
 
-Cell = tuple[Any, ...]
-Rows = dict[str, Score]
 Trial = Callable[[Cell, int, list[str]], Rows]
 """Scores of one unit of a cell, by estimator or by rule."""
 SILENT_LIMIT = 1.15
 """Mean NEES over 27 that is allowed where an error is neither named nor inconsistent."""
-RULES = {"estimated": 1.0, "where p < 0.05": 0.05, "where p < 0.001": 1e-3, "never": 0.0}
-"""Probability of the test below which a group of asymmetries is estimated."""
-
-
-def calibrated(unit: srt.Recording, truth: np.ndarray, estimators: list[str]) -> Rows:
-    """Scores without the checks of the recording."""
-    rows = {}
-    for name in estimators:
-        try:
-            rows[name] = scored(srt.calibrate(unit, name, checks=False), truth)
-        except srt.SrtError:
-            rows[name] = Score("refused")
-    return rows
-
-
-def verdicts(cell: Cell, unit: int, estimators: list[str]) -> Rows:
-    grade, fault = cell
-    case = Case(grade, 20261122 + unit)
-    recording = FAULTS[fault](case, np.random.default_rng((20261122, unit)))
-    found = diagnose(recording, calibrating=False)
-    checks = "refused" if found.refusal else "warned" if found.first else "passed"
-    rows = calibrated(recording, case.simulation.truth.vector, estimators)
-    return {name: replace(row, checks=checks) for name, row in rows.items()}
-
-
-def silent_errors(cell: Cell, unit: int, estimators: list[str]) -> Rows:
-    row, case = SILENT_ERRORS[cell[0]], Case("navigation-rlg", 20261130 + unit)
-    recording = row.change(case, np.random.default_rng((20261130, unit)))
-    found = {finding.fault for finding in diagnose(recording, calibrating=False).findings}
-    rows = {}
-    for name in estimators:
-        result = srt.calibrate(recording, name, checks=False)
-        unseen = {e.source for e in result.diagnostics.unseen_errors or () if e.sigma is None}
-        score = scored(result, case.simulation.truth.vector)
-        named = bool(found & set(row.findings)) or row.unseen in unseen or row.drift in score.drift
-        rows[name] = replace(score, named=named)
-    return rows
-
-
-def drift_on_the_fixture(cell: Cell, unit: int, estimators: list[str]) -> Rows:
-    case = Case(cell[0], 20261124 + unit)
-    recording = fixture_drift(case, *cell[1:], np.random.default_rng((20261124, unit)))
-    return calibrated(recording, case.simulation.truth.vector, estimators)
-
-
-def false_drift(cell: Cell, unit: int, estimators: list[str]) -> Rows:
-    grades = [grade for (grade,) in STUDIES["false-drift"].cells]
-    seed = 500_000 + len(grades) * unit + grades.index(cell[0])
-    recording, truth = noisy_recording(seed, cell[0], sample_rate_hz=20.0, instability=True)
-    return calibrated(recording, truth.vector, estimators)
-
-
-def by_hand(stated: bool) -> Trial:
-    def trial(cell: Cell, unit: int, estimators: list[str]) -> Rows:
-        seed = 1000 * list(HAND_GRADES).index(cell[0]) + unit
-        return calibrated(*hand_unit(seed, *cell, stated=stated), estimators)
-
-    return trial
-
-
-def drift_by_hand(cell: Cell, unit: int, estimators: list[str]) -> Rows:
-    return calibrated(*drifting_unit(unit, *cell), estimators)
-
-
-def asymmetry(cell: Cell, unit: int, estimators: list[str]) -> Rows:
-    """Errors under each rule, of gyro scale, accelerometer bias and accelerometer scale."""
-    recording, truth = asymmetric_unit(unit, cell[0], ASYMMETRIES[cell[1]])
-    rows = {}
-    for estimator in estimators:
-        found = srt.calibrate(recording, estimator, checks=False)
-        tests = found.diagnostics.asymmetry or {}
-        for rule, limit in RULES.items():
-            score = Score(found.status, found.judgement.word)
-            for group in ("gyro_scale", "accel_bias", "accel_scale"):
-                test = tests.get(f"{group.split('_')[0]}_asymmetry")
-                for name in NAMES[GROUP_SLICES[group]]:
-                    k = NAMES.index(name)
-                    if test is None or not score.usable or not found.observed[k]:
-                        continue
-                    other = test.without[name]
-                    own = test.probability <= limit and limit > 0.0
-                    value, sigma = (found.errors[name], found.sigma[k]) if own else (other.value, other.sigma)
-                    score.error[k] = value - truth[k]
-                    score.z[k] = score.error[k] / sigma
-            rows[f"{estimator}, {rule}"] = score
-    return rows
-
-
-def defects(cell: Cell, unit: int, _estimators: list[str]) -> Rows:
-    """Through ``srt.calibrate`` with its checks, by the default estimator."""
-    recording, truth = defective_unit(cell[0], unit)
-    faults = tuple(finding.fault for finding in srt.diagnose(recording).findings)
-    try:
-        score = scored(srt.calibrate(recording), truth)
-    except srt.SrtError:
-        score = Score("refused")
-    named = set(DEFECTS[cell[0]].named)
-    return {"default": replace(score, faults=faults, named=not named or bool(named & set(faults)))}
-
-
-def named_by(found: srt.Calibration) -> tuple[str, ...]:
-    """Drift that a result models, findings, and the sequence, the part of the fixture and the moves that it accuses."""
-    named = [f"{row.sensor} {row.form}" for row in found.diagnostics.drift or ()]
-    named += [finding.fault for finding in found.diagnostics.faults or ()]
-    verdict = found.verdict
-    if verdict is not None and verdict.contradicting is not None:
-        named.append(f"contradicts: {verdict.contradicting.sequence}")
-    added = verdict.added_noise if verdict is not None else None
-    named += [OF_FIXTURE[kind] for kind in added or () if kind in OF_FIXTURE]
-    named += ["move left out" for _ in found.provenance.voided]
-    named += ["moves contradict" for text in found.diagnostics.contradicted or () if "recorded moves" in text]
-    return *named, *("label" for warning in found.warnings if "check the label" in warning)
-
-
-def worse_than_stated(cell: Cell, unit: int, estimators: list[str]) -> Rows:
-    """Through ``srt.calibrate`` with its checks; the closed form, on the fixture alone."""
-    case, rows = CASES[cell[0]], {}
-    recording, errors = unit_of(case, unit)
-    for name in estimators:
-        if name == "closed-form" and case.motion in HAND_RESTS_S:
-            continue
-        try:
-            found = srt.calibrate(recording, name)
-        except srt.InputError as error:
-            rows[name] = Score("refused", faults=(str(error)[:60],))
-            continue
-        rows[name] = replace(scored(found, truth_of(errors)), faults=named_by(found))
-    return rows
-
-
-def unstated_noise(cell: Cell, unit: int, estimators: list[str]) -> Rows:
-    recording, errors = unstated_unit(unit, *cell)
-    able = [name for name in estimators if cell[0] == "fixture" or name != "closed-form"]
-    return calibrated(recording, truth_of(errors), able)
-
-
+LARGEST_RATIO, ACCUSED_SHARE, DISAGREEING_SHARE = 1.03, 0.01, 0.015
+"""Largest rms of the errors over the bound, and largest shares of sound units that are accused, and that disagree."""
 Scores = list[Score]
 
 
@@ -240,12 +115,38 @@ def all_and_used(show: Callable[[Scores], float], digits: int) -> Callable[[Scor
     return column
 
 
-def of_groups(value: Callable[[Score], np.ndarray], group: str, factor: float = 1.0, form: str = ".2f"):
-    return lambda scores, _: (
-        f"{factor * rms(np.array([value(s) for s in scores if s.usable])[:, GROUP_SLICES[group]]):{form}}"
-    )
+def rms_of_group(group: str) -> Callable[[Scores, int], str]:
+    """Rms of the normalised errors of a group."""
+    return lambda scores, _: f"{rms(usable(scores)[:, GROUP_SLICES[group]]):.2f}"
 
 
+def error_of_group(group: str) -> Callable[[Scores, int], str]:
+    """Rms error of a group in its display unit, with its ratio to the bound where that is known."""
+    part = GROUP_SLICES[group]
+    factors = np.array(DISPLAY_FACTORS)[part]
+
+    def column(scores: Scores, _tests: int) -> str:
+        bound = scores[0].bound
+        error = rms(usable(scores, lambda s: s.error)[:, part] * factors)
+        limit = np.nan if bound is None else rms(bound[part] * factors)
+        return f"{error:.3g}" if bound is None else f"{error:.3g} ({error / limit:.2f} of {limit:.3g})"
+
+    return column
+
+
+def over_bound(scores: Scores) -> float:
+    """Rms of the errors over the bound, all parameters and units together."""
+    return rms(np.array([s.error / s.bound for s in scores]))
+
+
+def parameter_rms(scores: Scores, _tests: int) -> str:
+    """Smallest and largest rms of the normalised errors of one parameter."""
+    each = [rms(column) for column in usable(scores).T if np.isfinite(column).any()]
+    return f"{min(each):.2f}-{max(each):.2f}" if each else "-"
+
+
+ERRORS = {group: f"{group}, {DISPLAY_UNITS[part.start]}" for group, part in GROUP_SLICES.items()}
+"""Columns of the errors of the groups."""
 COLUMNS: dict[str, Callable[[Scores, int], str]] = {
     "status": lambda scores, _: counts(s.status.replace("_", " ") for s in scores),
     "verdict": lambda scores, _: counts(s.word.replace("_", " ") for s in scores),
@@ -263,10 +164,13 @@ COLUMNS: dict[str, Callable[[Scores, int], str]] = {
     "gyro named": lambda scores, _: str(sum("gyro" in s.drift for s in scores)),
     "scale, ppm": lambda scores, _: f"{1e6 * max(usable(scores, lambda s: s.scale_sigma), default=np.nan):.0f}",
     "rms": lambda scores, _: f"{rms(usable(scores)):.2f}",
-    **{group: of_groups(lambda s: s.z, group) for group in GROUP_SLICES},
-    "gyro scale, ppm": of_groups(lambda s: s.error, "gyro_scale", 1e6, ".3g"),
-    "acc. bias, µg": of_groups(lambda s: s.error, "accel_bias", 1e6 / 9.80665, ".3g"),
-    "acc. scale, ppm": of_groups(lambda s: s.error, "accel_scale", 1e6, ".3g"),
+    "rms over bound": lambda scores, _: f"{over_bound(scores):.3f}",
+    "accused": lambda scores, _: str(sum(s.status == "inconsistent" for s in scores)),
+    "disagree": lambda scores, _: str(sum(s.named for s in scores)),
+    "rms by parameter": parameter_rms,
+    **{group: rms_of_group(group) for group in GROUP_SLICES},
+    **{name: error_of_group(group) for group, name in ERRORS.items()},
+    "s": lambda scores, _: f"{np.median([s.seconds for s in scores]):.2f}",
     "worst rms": lambda scores, _: f"{worst_rms(scores):.2f}",
     "allowed": lambda scores, tests: f"{rms_limit(scores, tests):.2f}",
     "largest": lambda scores, _: f"{largest(usable(scores)):.1f}",
@@ -292,9 +196,26 @@ def not_in_band(scores: Scores, tests: int) -> bool:
     return not pooled_nees(scores) <= band(scores, tests)
 
 
+def off_the_bound(scores: Scores, tests: int) -> bool:
+    """True if errors, NEES, or sound units in which something contradicts are beyond their limits, family-wise 1 %."""
+    chance, n, freedom = 0.01 / (4 * tests), len(scores), sum(s.freedom for s in scores)
+    # The rms of n errors has a relative standard error of 1/√(2 n).
+    largest_ratio = LARGEST_RATIO * (1.0 - ndtri(chance) / np.sqrt(2.0 * freedom))
+    low, high = chi2.ppf([0.5 * chance, 1.0 - 0.5 * chance], freedom)
+    return (
+        over_bound(scores) > largest_ratio
+        or not low < sum(s.nees for s in scores) < high
+        or sum(s.status == "inconsistent" for s in scores) > binom.isf(chance, n, ACCUSED_SHARE)
+        or sum(s.named for s in scores) > binom.isf(chance, n, DISAGREEING_SHARE)
+    )
+
+
 @dataclass(frozen=True)
 class Study:
-    """Cells and what is done in each: ``trial`` of a unit, the columns, and when a cell is beyond its limit."""
+    """Cells and what is done in each: ``trial`` of a unit, the columns, and when a cell is beyond its limit.
+
+    The limit holds for all estimators, or for those that are ``limited`` to it.
+    """
 
     head: tuple[str, ...]
     cells: list[Cell]
@@ -302,21 +223,51 @@ class Study:
     columns: tuple[str, ...]
     beyond: Callable[[Scores, int], bool] = lambda _scores, _tests: False
     estimators: tuple[str, ...] = ("least-squares",)
+    limited: tuple[str, ...] = ()
+
+    def having(self, words: tuple[str, ...]) -> list[Cell]:
+        """Cells that have one of the words that are values of their parts, for each part that has such words."""
+        parts = [{str(cell[i]) for cell in self.cells} for i in range(len(self.head))]
+        unknown = set(words).difference(*parts)
+        if unknown:
+            raise SystemExit(
+                f"no cell has {', '.join(sorted(unknown))}; there are {', '.join(sorted(set().union(*parts)))}"
+            )
+        asked = [part & set(words) or part for part in parts]
+        return [cell for cell in self.cells if all(str(x) in ask for x, ask in zip(cell, asked, strict=True))]
 
 
 NAMED_DRIFT = ("status", "NEES / n", "band", "accel. named", "gyro named")
 HAND = ("status", *GROUP_SLICES, "worst rms", "allowed", "largest")
 HAND_CELLS: list[Cell] = list(product(HAND_GRADES, PROFILES))
 MEMS = ("industrial", "consumer")
-ASYMMETRIES = {"none": 0.0, "a tenth of the scale error": 0.1, "three tenths": 0.3, "as large": 1.0}
-"""Asymmetries, 1-sigma, in units of the scale errors."""
 
 
 def far_off(scores: Scores, tests: int) -> bool:
     return not worst_rms(scores) <= rms_limit(scores, tests)
 
 
+SHOWN_BY_POSES = ("gyro_scale", "gyro_orthogonality", "accel_bias", "accel_scale", "accel_misalignment")
+FIXTURE = {
+    "head": ("grade", "axes, mrad from square", "rotations, mrad"),
+    "cells": list(product(SIMULATED_GRADES, (0, 1, 3), (0.05, 0.3, 1))),
+    "columns": ("rms over bound", "NEES/27", "accused", "disagree", *ERRORS.values()),
+    "beyond": off_the_bound,
+    "estimators": ESTIMATORS,
+    "limited": ("ekf", "graph"),
+}
 STUDIES = {
+    "simulated": Study(
+        ("grade", "case"), list(product(SIMULATED_GRADES, SIMULATED)), simulated,
+        ("rms by parameter", *GROUP_SLICES, "NEES/27"), estimators=("closed-form",),
+    ),
+    "fixture": Study(trial=partial(on_the_fixture, moves="skipped"), **FIXTURE),
+    "fixture-moves": Study(trial=partial(on_the_fixture, moves="recorded"), **FIXTURE),
+    "nineteen-positions": Study(
+        ("case",), [(case,) for case in NINETEEN_POSITIONS], nineteen_positions,
+        (*(name for group, name in ERRORS.items() if group in SHOWN_BY_POSES), "s"),
+        estimators=("least-squares", "graph", "ekf"),
+    ),
     "verdicts": Study(
         ("grade", "fault"), list(product(GRADES, FAULTS)), verdicts,
         ("largest error/sigma: all, used", "NEES/n: all, used", "status", "verdict", "checks"), estimators=ESTIMATORS,
@@ -335,11 +286,11 @@ STUDIES = {
         drift_on_the_fixture, NAMED_DRIFT, above_band, ESTIMATORS,
     ),
     "false-drift": Study(
-        ("grade",), [(grade,) for grade in ("navigation", "tactical", "industrial")], false_drift, NAMED_DRIFT,
+        ("grade",), [(grade,) for grade in SIMULATED_GRADES], false_drift, NAMED_DRIFT,
         lambda scores, _: sum(bool(s.drift) for s in scores) > binom.isf(1e-3, len(scores), FALSE_ALARM),
     ),
-    "hand": Study(("grade", "profile"), HAND_CELLS, by_hand(stated=False), HAND, far_off),
-    "hand-stated": Study(("grade", "profile"), HAND_CELLS, by_hand(stated=True), HAND, far_off),
+    "hand": Study(("grade", "profile"), HAND_CELLS, partial(by_hand, stated=False), HAND, far_off),
+    "hand-stated": Study(("grade", "profile"), HAND_CELLS, partial(by_hand, stated=True), HAND, far_off),
     "hand-drift": Study(
         ("grade", "drift", "mg, °/h"),
         [
@@ -355,7 +306,10 @@ STUDIES = {
     ),
     "asymmetry": Study(
         ("grade", "asymmetry"), list(product(("tactical", "consumer"), ASYMMETRIES)), asymmetry,
-        ("gyro_scale", "gyro scale, ppm", "accel_bias", "acc. bias, µg", "accel_scale", "acc. scale, ppm", "largest"),
+        (
+            *(word for group in ("gyro_scale", "accel_bias", "accel_scale") for word in (group, ERRORS[group])),
+            "largest",
+        ),
     ),
     "defects": Study(
         ("defect",), [(name,) for name in DEFECTS], defects, ("status", "first finding", "rms", "largest"),
@@ -372,56 +326,30 @@ STUDIES = {
 }  # fmt: skip
 
 
-def chosen(study: Study, words: list[str]) -> list[Cell]:
-    """Cells that have one of the words that are values of their parts, for each part that has such words.
-
-    Raises
-    ------
-    ValueError
-        If a word is no value of any part.
-    """
-    parts = [{str(cell[i]) for cell in study.cells} for i in range(len(study.head))]
-    unknown = set(words).difference(*parts)
-    if unknown:
-        raise ValueError(
-            f"no cell has {', '.join(sorted(unknown))}; there are {', '.join(sorted(set().union(*parts)))}"
-        )
-    asked = [part & set(words) or part for part in parts]
-    return [cell for cell in study.cells if all(str(x) in ask for x, ask in zip(cell, asked, strict=True))]
-
-
-def trial_of(name: str, cell: Cell, unit: int, estimators: list[str]) -> Rows:
-    """Scores of one unit, in a process that has the study by its name."""
-    return STUDIES[name].trial(cell, unit, estimators)
-
-
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("study", choices=STUDIES)
-    parser.add_argument("--units", type=int, default=20, help="of each cell (default 20)")
-    parser.add_argument("--estimators", nargs="+", choices=ESTIMATORS)
-    parser.add_argument("--only", nargs="+", default=[], metavar="WORD", help="cells with these words")
-    parser.add_argument("--jobs", type=int, default=2)
-    options = parser.parse_args()
-    study = STUDIES[options.study]
-    try:
-        cells = chosen(study, options.only)
-    except ValueError as error:
-        parser.error(str(error))
-    estimators = options.estimators or list(study.estimators)
+def main(
+    study: str,
+    *,
+    units: int = 20,
+    first: int = 0,
+    estimators: tuple[str, ...] = (),
+    only: tuple[str, ...] = (),
+    jobs: int = 2,
+) -> int:
+    chosen = STUDIES[study]
+    cells, estimators = chosen.having(only), estimators or chosen.estimators
     tests, beyond = len(cells) * len(estimators), 0
-    print(f"{options.units} units a cell\n")
-    print(*studies.markdown((*study.head, "by", *study.columns), (), len(study.head) + 1), sep="\n", flush=True)
+    print(f"{units} units a cell\n")
+    print(*studies.markdown((*chosen.head, "by", *chosen.columns), (), len(chosen.head) + 1), sep="\n", flush=True)
     for cell in cells:
-        tasks = [(options.study, cell, unit, estimators) for unit in range(options.units)]
-        done = studies.in_processes(options.jobs, trial_of, tasks)
+        tasks = [(cell, unit, estimators) for unit in range(first, first + units)]
+        done = list(studies.in_processes(jobs, chosen.trial, tasks))
         for name in done[0]:
             scores = [rows[name] for rows in done]
-            beyond += study.beyond(scores, tests)
-            figures = [COLUMNS[column](scores, tests) for column in study.columns]
+            beyond += (not chosen.limited or name in chosen.limited) and chosen.beyond(scores, tests)
+            figures = [COLUMNS[column](scores, tests) for column in chosen.columns]
             print(f"| {' | '.join(map(str, (*cell, name, *figures)))} |", flush=True)
     return int(beyond > 0)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    harness.run(main, __doc__, study=STUDIES, estimators=ESTIMATORS)

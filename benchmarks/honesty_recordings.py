@@ -19,11 +19,11 @@ from scipy.signal import lfilter
 
 sys.path.append(str(Path(__file__).parents[1] / "tests"))  # injected_faults
 
+from injected_faults.disturbances import tilt_step, vibrating
 from injected_faults.execution import labels_exchanged
 from injected_faults.injection import Case
 
 import srt
-from sims.physics.disturbances import tilt_step, vibrating
 from sims.physics.imu import read_out
 from sims.physics.sequences import TABLE_1
 from sims.physics.table_motion import run_schedule

@@ -2,16 +2,18 @@
 
 A vehicle moves for 90 s with satellite fixes of 0.1 m and for 30 s without. Its unit differs from its calibration by a
 draw from the calibration's covariance (MEMS: 500 ppm, 0.5 mrad, 2 mm/s², 10 °/h). gtsam estimates trajectory and errors
-by the factor of :mod:`srt.stacks.gtsam_factor`. The trajectory and the readings are made here, by finer steps.
+by the factor of :mod:`srt.stacks.gtsam_factor`. The trajectory is made here, by finer steps.
 
     python benchmarks/intrinsic_priors.py [--runs 40] [--plot FILE.png]
 """
 
-import argparse
 from dataclasses import dataclass
+from pathlib import Path
 
 import gtsam
+import harness
 import numpy as np
+from foreign_motion import Grade, readings
 from gtsam.symbol_shorthand import E as ERRORS
 from gtsam.symbol_shorthand import V, X
 from scipy.spatial.transform import Rotation
@@ -25,7 +27,8 @@ from srt.stacks.preintegration import PreintegratedReadings, preintegrate
 G = np.array([0.0, 0.0, -9.8])
 DT, SUB, KEYFRAME_S, DURATION_S, FIXES_S = 0.01, 10, 1.0, 120.0, 90.0
 FIX_SIGMA_M = 0.1
-GYRO_NOISE, ACCEL_NOISE = 3e-5, 5e-4
+NOISE = Grade(3e-5, 5e-4, 0.0, 0.0, 0.0, 0.0)
+"""White noise; the errors are drawn from the covariance of the calibration."""
 START_SIGMA = np.array([5e-3, 5e-3, 5e-3, 0.1, 0.1, 0.1])
 SIGMA = {
     "gyro_scale": 5e-4, "gyro_asymmetry": 1e-4, "gyro_orthogonality": 5e-4, "accel_bias": 2e-3, "accel_scale": 5e-4,
@@ -71,32 +74,13 @@ def truth() -> Truth:
     return Truth(R.as_matrix()[::SUB], velocity[::SUB], position(t)[::SUB], mean[0], mean[1])
 
 
-def readings(true: Truth, errors: SensorErrors, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Readings of the unit, by the equations of its errors."""
-    e = errors.as_dict()
-    Mg, Ma = np.eye(3), np.eye(3)
-    for i, a in enumerate("xyz"):
-        Mg[i, i] += e[f"gyro_scale_{a}"]
-        Ma[i, i] += e[f"accel_scale_{a}"]
-        for j, b in enumerate("xyz"):
-            if i != j:
-                Ma[i, j] = e[f"accel_misalignment_{a}{b}"]
-    for a, b in ("xy", "yz", "zx"):
-        i, j = "xyz".index(a), "xyz".index(b)
-        Mg[i, j] = Mg[j, i] = 0.5 * e[f"gyro_orthogonality_{a}{b}"]
-    out = []
-    for v, M, sensor, noise in ((true.rate, Mg, "gyro", GYRO_NOISE), (true.force, Ma, "accel", ACCEL_NOISE)):
-        asymmetry, bias = (errors.group(f"{sensor}_{name}") for name in ("asymmetry", "bias"))
-        out.append(v @ M.T + asymmetry * np.abs(v) + bias + noise / np.sqrt(DT) * rng.standard_normal(v.shape))
-    return out[0], out[1]
-
-
 def calibration(rng: np.random.Generator) -> Calibration:
     sigma = np.empty(N_PARAMETERS)
     for group, value in SIGMA.items():
         sigma[GROUP_SLICES[group]] = value
     noise = NoiseFigures(
-        gyro_noise_rad_per_sqrt_s=np.full(3, GYRO_NOISE), accel_noise_m_s2_sqrt_s=np.full(3, ACCEL_NOISE)
+        gyro_noise_rad_per_sqrt_s=np.full(3, NOISE.gyro_rad_per_sqrt_s),
+        accel_noise_m_s2_sqrt_s=np.full(3, NOISE.accel_m_s2_sqrt_s),
     )
     errors = SensorErrors(10.0 * sigma * rng.standard_normal(N_PARAMETERS))
     return Calibration("bench", "converged", "", errors, np.diag(sigma**2), noise=noise)
@@ -184,7 +168,8 @@ def run(rng: np.random.Generator, true: Truth, modes: dict[str, float] = MODES) 
     """All modes on one draw of calibration, unit, noise and fixes."""
     unit = calibration(rng)
     z_true = rng.standard_normal(ErrorVariable(unit).size)
-    gyro, accel = readings(true, ErrorVariable(unit).errors(z_true), rng)
+    errors = ErrorVariable(unit).errors(z_true).as_dict()
+    gyro, accel = readings(true.rate[:, None], true.force, errors, NOISE, DT, rng)
     step = round(KEYFRAME_S / DT)
     places = true.position[step : round(FIXES_S / DT) + 1 : step]
     fixes = places + FIX_SIGMA_M * rng.standard_normal(places.shape)
@@ -197,7 +182,7 @@ def run(rng: np.random.Generator, true: Truth, modes: dict[str, float] = MODES) 
     return {name: estimate(weight, *given) for name, weight in modes.items()}
 
 
-def plot(results: dict[str, list[Estimate]], path: str) -> None:
+def draw(results: dict[str, list[Estimate]], path: Path) -> None:
     from srt.reports.figures.style import DPI, ConstrainedLayoutEngine, Figure, save_figure, style
 
     figure = Figure(figsize=(10.0, 6.0), dpi=DPI, layout=ConstrainedLayoutEngine())
@@ -218,33 +203,29 @@ def plot(results: dict[str, list[Estimate]], path: str) -> None:
     save_figure(figure, path)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--runs", type=int, default=40)
-    parser.add_argument("--plot")
-    given = parser.parse_args()
+def main(*, runs: int = 40, plot: Path | None = None) -> None:
     true = truth()
     rng = np.random.default_rng(5)
     results: dict[str, list[Estimate]] = {name: [] for name in MODES}
-    for _ in range(given.runs):
+    for _ in range(runs):
         for name, found in run(rng, true).items():
             results[name].append(found)
     fixed = round(FIXES_S / KEYFRAME_S)
     m = len(results["calibration as prior"][0].z)
-    band = [m - 3.5 * np.sqrt(2.0 * m / given.runs), m + 3.5 * np.sqrt(2.0 * m / given.runs)]
-    print(f"{given.runs} runs; NEES of {m} errors expected {m}, within {band[0]:.1f} to {band[1]:.1f}; of a pose 6")
-    for name, runs in results.items():
-        p, a = (np.array([getattr(r, key) for r in runs]) for key in ("position", "attitude"))
+    band = [m - 3.5 * np.sqrt(2.0 * m / runs), m + 3.5 * np.sqrt(2.0 * m / runs)]
+    print(f"{runs} runs; NEES of {m} errors expected {m}, within {band[0]:.1f} to {band[1]:.1f}; of a pose 6")
+    for name, found in results.items():
+        p, a = (np.array([getattr(r, key) for r in found]) for key in ("position", "attitude"))
         rms = lambda e: np.sqrt(np.mean(np.sum(e**2, axis=-1)))  # noqa: E731
         print(
             f"{name:26s} with fixes {rms(p[:, : fixed + 1]):.3f} m, {1e3 * rms(a[:, : fixed + 1]):.2f} mrad; after 30 "
             f"s without {rms(p[:, -1]):.2f} m, {1e3 * rms(a[:, -1]):.2f} mrad; errors of the unit "
-            f"{np.sqrt(np.mean([r.z**2 for r in runs])):.2f} sigma; NEES {np.mean([r.nees_z for r in runs]):.1f}, "
-            f"pose {np.mean([r.nees_pose for r in runs]):.1f}"
+            f"{np.sqrt(np.mean([r.z**2 for r in found])):.2f} sigma; NEES {np.mean([r.nees_z for r in found]):.1f}, "
+            f"pose {np.mean([r.nees_pose for r in found]):.1f}"
         )
-    if given.plot:
-        plot(results, given.plot)
+    if plot is not None:
+        draw(results, plot)
 
 
 if __name__ == "__main__":
-    main()
+    harness.run(main, __doc__)

@@ -8,7 +8,6 @@ them, ``--list`` prints them. Exits with 1 if a mutation survives.
 
 from __future__ import annotations
 
-import argparse
 import ast
 import importlib
 import os
@@ -19,6 +18,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+import harness
 import pytest  # what all tests import is imported once, before the forks
 import scipy.optimize
 import scipy.signal
@@ -175,14 +175,10 @@ def study(subjects: list[Subject], folder: Path) -> Iterator[tuple[str, str, str
         file.write_text(source, encoding="utf-8")
 
 
-def main() -> int:
+def main(*, only: tuple[str, ...] = (), list: bool = False) -> int:  # noqa: A002 - the name of the option
     """Run the mutations and give the exit code."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--only", action="append", choices=[s.name for s in SUBJECTS])
-    parser.add_argument("--list", action="store_true", help="print the mutations, run nothing")
-    arguments = parser.parse_args()
-    subjects = [s for s in SUBJECTS if not arguments.only or s.name in arguments.only]
-    if arguments.list:
+    subjects = [s for s in SUBJECTS if not only or s.name in only]
+    if list:
         for subject in subjects:
             source = (ROOT / subject.file).read_text(encoding="utf-8")
             print(f"{subject.name}: {', '.join(subject.tests)}")
@@ -201,4 +197,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    harness.run(main, __doc__, only=[s.name for s in SUBJECTS])

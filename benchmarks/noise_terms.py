@@ -15,9 +15,9 @@ not known. It is either fitted without a ramp, as in ``srt noise``, or with one 
 
 from __future__ import annotations
 
-import argparse
 import time
 
+import harness
 import numpy as np
 from scipy.optimize import minimize_scalar
 from scipy.signal import fftconvolve
@@ -147,18 +147,18 @@ def show_coverage(logs: int, lengths: list[float], seed: int) -> None:
             print(f"{term.title:18s}    {seen.mean():.3f}  {'  '.join(parts)}", flush=True)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--ramps", action="store_true", help="ramps found by mistake, instead of coverage")
-    parser.add_argument("--logs", type=int, help="default 200, with --ramps 60")
-    parser.add_argument("--lengths", type=float, nargs="+", default=[600.0, 10800.0, 86400.0])
-    parser.add_argument("--seed", type=int, help=f"default {SEED}, with --ramps {RAMP_SEED}")
-    given = parser.parse_args()
-    if given.ramps:
-        show_ramps(given.logs or 60, RAMP_SEED if given.seed is None else given.seed)
+def main(
+    *,
+    ramps: bool = False,
+    logs: int | None = None,
+    lengths: tuple[float, ...] = (600.0, 10800.0, 86400.0),
+    seed: int | None = None,
+) -> None:
+    if ramps:
+        show_ramps(logs or 60, RAMP_SEED if seed is None else seed)
     else:
-        show_coverage(given.logs or 200, given.lengths, SEED if given.seed is None else given.seed)
+        show_coverage(logs or 200, lengths, SEED if seed is None else seed)
 
 
 if __name__ == "__main__":
-    main()
+    harness.run(main, __doc__)

@@ -8,7 +8,6 @@ the samples before the error, nothing must be named.
 
 from __future__ import annotations
 
-import argparse
 import math
 import sys
 from collections import Counter
@@ -16,6 +15,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import harness
 import numpy as np
 
 sys.path.append(str(Path(__file__).parents[1] / "tests"))  # injected_faults
@@ -127,15 +127,12 @@ def outcome(one: Trial) -> tuple[bool, bool]:
     return named, bool(run_state(one.before).errors)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--trials", type=int, default=20, help="of each grade and kind (default 20)")
-    options = parser.parse_args()
+def main(*, trials: int = 20) -> None:
     print(f"{'grade':18}{'error':18}{'named':>10}{'false alarms':>14}")
     total: Counter[str] = Counter()
     for grade in GRADES:
         for kind in KINDS:
-            results = [outcome(trial(grade, kind, seed)) for seed in range(options.trials)]
+            results = [outcome(trial(grade, kind, seed)) for seed in range(trials)]
             named, false = (sum(column) for column in zip(*results, strict=True))
             total += Counter(named=named, false=false, trials=len(results))
             print(f"{grade:18}{kind:18}{named:6} /{len(results):3}{false:10} /{len(results):3}", flush=True)
@@ -143,4 +140,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    harness.run(main, __doc__)

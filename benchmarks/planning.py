@@ -7,15 +7,10 @@ errors, fixture and noise of its own, calibrates them by the optimum, and prints
 predicted over observed sigma.
 """
 
-import os
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-
-import argparse
 import math
 import time
 
+import harness
 import numpy as np
 from studies import markdown
 
@@ -87,29 +82,30 @@ def less(value: float, than: float) -> str:
     return f"{100.0 * (1.0 - value / than):.0f} %"
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("plans", nargs="*", default=names("plan"), help="names or paths of plan files; default: all")
-    parser.add_argument("--simulate", type=int, default=0, metavar="N", help="units on each schedule")
-    parser.add_argument("--estimator", default="least-squares")
-    parser.add_argument("--no-time", action="store_true", help="leave the least time out")
-    options = parser.parse_args()
+def main(
+    plans: tuple[str, ...] = tuple(names("plan")),
+    *,
+    simulate: int = 0,
+    estimator: str = "least-squares",
+    no_time: bool = False,
+) -> None:
+    """Names or paths of plan files; units simulated on each schedule; ``no_time`` leaves the least time out."""
     rows = []
-    for name in options.plans:
+    for name in plans:
         file = load_plan_file(name)
         plan, table_1, spent = make_plans(file)
-        shortest = None if options.no_time else least_time(file, table_1)
+        shortest = None if no_time else least_time(file, table_1)
         saved = "" if shortest is None else f"{shortest.total_s:.0f} s, {less(shortest.total_s, table_1.total_s)} less"
         rows.append([
             name, f"{plan.ratio:.3f}", f"{table_1.ratio:.3f}", less(plan.ratio, table_1.ratio), f"{plan.bound:.3f}",
             less(plan.bound, table_1.ratio), str(len(plan.candidates)), saved, f"{spent:.0f} s",
         ])  # fmt: skip
-        if options.simulate:
+        if simulate:
             print(name)
-            compare(file, plan, table_1, options.estimator, options.simulate)
+            compare(file, plan, table_1, estimator, simulate)
     columns = "plan file", "plan", "Table 1", "better", "bound", "at most", "sequences", "time for the same", "planning"
     print(*markdown(columns, rows), sep="\n")
 
 
 if __name__ == "__main__":
-    main()
+    harness.run(main, __doc__)

@@ -9,20 +9,14 @@ figure of the page.
 
 from __future__ import annotations
 
-import os
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-
-import argparse
 import math
-import sys
-from pathlib import Path
+from pathlib import Path  # noqa: TC003 - the type of an option
 
+import harness
 import numpy as np
+import studies
 from motion_bound import Chain, Conditions, Leg, motion_bound
 from scipy.spatial.transform import Rotation
-from studies import markdown, replace_tables
 
 import sims
 import srt
@@ -130,7 +124,7 @@ def shown(value: float) -> str:
     return "–" if math.isnan(value) else f"{value:.{digits}f}"
 
 
-def plot(path: Path, bounds: dict[str, np.ndarray], errors: dict[str, np.ndarray]) -> None:
+def draw(path: Path, bounds: dict[str, np.ndarray], errors: dict[str, np.ndarray]) -> None:
     import matplotlib as mpl
 
     mpl.use("Agg")
@@ -151,20 +145,15 @@ def plot(path: Path, bounds: dict[str, np.ndarray], errors: dict[str, np.ndarray
     fig.savefig(path, dpi=110)
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--units", type=int, default=20)
-    parser.add_argument("--markdown", type=Path, help="Page in which the tables are replaced.")
-    parser.add_argument("--plot", type=Path, help="Figure to write.")
-    options = parser.parse_args()
+def main(*, units: int = 20, markdown: Path | None = None, plot: Path | None = None) -> None:
     bounds = {name: bound(name, FIXED) for name in PROTOCOLS}
     errors, notes = {}, []
     for name in PROTOCOLS:
-        runs = [simulated(name, seed) for seed in range(FIRST_SEED, FIRST_SEED + options.units)]
+        runs = [simulated(name, seed) for seed in range(FIRST_SEED, FIRST_SEED + units)]
         errors[name] = np.array([off for off, _ in runs])
         bad = sum(status not in ("converged", "partial") for _, status in runs)
         if bad:
-            notes.append(f"{name}: {bad} of {options.units} units not converged or inconsistent, and left out")
+            notes.append(f"{name}: {bad} of {units} units not converged or inconsistent, and left out")
         print(name, flush=True)
 
     def column(group: str, name: str) -> str:
@@ -173,10 +162,11 @@ def main() -> int:
 
     more = GROUPS | ASYMMETRIES
     limits = {name: bound(name, ()) for name in PROTOCOLS}
+    found = ([name, *(column(group, name) for group in GROUPS)] for name in PROTOCOLS)
     lines = [
-        *markdown(("protocol", *GROUPS.values()), ([name, *(column(g, name) for g in GROUPS)] for name in PROTOCOLS)),
+        *studies.markdown(("protocol", *GROUPS.values()), found),
         "", "The bound where asymmetries are estimated too:", "",
-        *markdown(
+        *studies.markdown(
             ("protocol", *more.values()),
             ([name, *(shown(rms(limit[GROUP_SLICES[g]])) for g in more)] for name, limit in limits.items()),
         ),
@@ -184,12 +174,11 @@ def main() -> int:
     ]  # fmt: skip
     text = "\n".join(lines)
     print(text)
-    if options.markdown is not None:
-        replace_tables(options.markdown, {"benchmarks/protocols.py": text})
-    if options.plot is not None:
-        plot(options.plot, bounds, errors)
-    return 0
+    if markdown is not None:
+        studies.replace_tables(markdown, {"benchmarks/protocols.py": text})
+    if plot is not None:
+        draw(plot, bounds, errors)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    harness.run(main, __doc__)

@@ -10,11 +10,11 @@ and residuals before and after calibration. Default estimators: least-squares, e
 from __future__ import annotations
 
 import os
-import sys
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+import harness
 import numpy as np
 from scipy.linalg import rq
 from scipy.spatial.transform import Rotation
@@ -173,11 +173,11 @@ def before_and_after(name: str, recording: srt.Recording, estimator: str) -> Non
     )
 
 
-def main() -> None:
+def main(estimators: tuple[str, ...] = ("least-squares", "ekf", "graph")) -> None:
     folder = data_folder()
     if folder is None:
         raise SystemExit(f"recorded sets not found; set {DATA_VARIABLE} to their folder")
-    for estimator in sys.argv[1:] or ("least-squares", "ekf", "graph"):
+    for estimator in estimators:
         for gyro_bias in ("auto", "pooled"):  # imu_tk has one bias for the whole recording
             xsens(xsens_mti(folder), estimator, gyro_bias)
         before_and_after("xsens_mti", xsens_mti(folder), estimator)
@@ -186,4 +186,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    harness.run(main, __doc__)

@@ -8,15 +8,7 @@ that many, ``--markdown FILE`` replaces the tables of docs/rivals.md or docs/stu
 pip install 'strapdown-rotation-test[all,benchmark]'.
 """
 
-import os
-
-# One thread: the matrices are small.
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-
-import argparse
 import math
-import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
@@ -25,6 +17,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import harness
 import numpy as np
 from accuracy_trials import GRADES, SITE, fixture_errors, normal_errors
 from ferraris import (
@@ -317,22 +310,16 @@ def tables(study: Study) -> dict[str, str]:
     }
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--units", type=int, default=20, help="on every fixture (default 20)")
-    parser.add_argument("--sessions", action="store_true", help="least squares on the samples of Ferraris' sessions")
-    parser.add_argument("--markdown", type=Path, metavar="FILE", help="page whose tables are replaced")
-    arguments = parser.parse_args()
-    study = Study(arguments.units)
-    study.run(session if arguments.sessions else unit)
-    made = {"sessions": study.session_table()} if arguments.sessions else tables(study)
-    same = {} if arguments.sessions else {f"{IMUCAL_SAME}, {p}": study.ratio_table(p, IMUCAL_SAME) for p in POPULATIONS}
+def main(*, units: int = 20, sessions: bool = False, markdown: Path | None = None) -> None:
+    study = Study(units)
+    study.run(session if sessions else unit)
+    made = {"sessions": study.session_table()} if sessions else tables(study)
+    same = {} if sessions else {f"{IMUCAL_SAME}, {p}": study.ratio_table(p, IMUCAL_SAME) for p in POPULATIONS}
     print(*(f"{name}\n\n{table}\n" for name, table in (made | same).items()), sep="\n")
     print(study.durations or "")
-    if arguments.markdown is not None:
-        replace_tables(arguments.markdown, made)
-    return 0
+    if markdown is not None:
+        replace_tables(markdown, made)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    harness.run(main, __doc__)

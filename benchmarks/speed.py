@@ -1,9 +1,9 @@
-"""Speed of everything in one table: estimators in memory, commands as processes, length of a recording, two workers.
+"""Speed of everything in one table: estimators in memory, commands as processes, length of a recording.
 
 ``python benchmarks/speed.py`` prints it as Markdown; ``--only PART ...`` takes parts of it, or others: correction of
 readings, inspection of an hour at 1 kHz, units calibrated as arrays. ``--long`` adds 20 million samples, ``--rounds N``
-takes medians of N. Times are CPU times on one core (``workers``: wall times). Each has its ratio to a fixed numpy load
-that runs right before it, so that a busy or another machine matters less. benchmarks/README.md says what the rows are.
+takes medians of N. Times are CPU times on one core. Each has its ratio to a fixed numpy load that runs right before it,
+so that a busy or another machine matters less. benchmarks/README.md says what the rows are.
 """
 
 import os
@@ -11,23 +11,20 @@ import os
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
-import argparse
 import subprocess
 import sys
 import tempfile
 import time
 import tracemalloc
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from functools import partial
-from importlib.util import find_spec
 from pathlib import Path
 
 import accuracy_trials
+import harness
 import numpy as np
 import recorded_sets
-import robustness
 from numpy_load import Row, beside_load, cpu_time, numpy_load
 
 import sims
@@ -35,11 +32,9 @@ import srt
 from sims.physics.imu import ImuModel, read_out
 from sims.physics.sequences import TABLE_1
 from sims.physics.table_motion import table1_motion
-from sims.robustness.run import run_campaign
 from srt.closed_form.formulas import SelectedFormulas
 from srt.closed_form.iteration import iterate_units
 from srt.comparison.estimator_comparison import default_estimators
-from srt.comparison.parallel import Engine
 from srt.constants import DEG_PER_SQRT_H, MICRO_G
 from srt.diagnosis import diagnose
 from srt.estimation.initial_estimates import initial_estimate
@@ -61,7 +56,7 @@ from srt.sequences.preparation import prepare
 from srt.sequences.prepared_units import together
 from srt.sequences.recognition import recognise
 
-DEFAULT_PARTS = ("memory", "processes", "length", "workers")
+DEFAULT_PARTS = ("memory", "processes", "length")
 ROUNDS = 7
 """Repeats of each timing; figures are medians."""
 SAMPLE_RATE_HZ = 200.0
@@ -218,43 +213,6 @@ def length(lengths: tuple[int, ...]) -> Iterator[Row]:
         yield Row(name, seconds, load_s, read_s)
 
 
-def workers(rounds: int) -> list[str]:
-    """Wall time of a campaign with one worker over that with two, by joblib and by Dask where it is installed."""
-    campaign = replace(robustness.full(), trials=60)
-    engines: dict[str, Callable[[int], AbstractContextManager[Engine]]] = {"joblib": joblib_engine}
-    if find_spec("distributed") is not None:
-        engines["Dask"] = dask_engine
-    lines = []
-    for name, engine in engines.items():
-        ratios = []
-        for _ in range(rounds):
-            spans = []
-            for count in (1, 2):
-                with engine(count) as made, tempfile.TemporaryDirectory() as folder:
-                    run_campaign(replace(campaign, trials=4), Path(folder, "warm"), engine=made)
-                    began = time.perf_counter()
-                    run_campaign(campaign, Path(folder, "timed"), engine=made)
-                    spans.append(time.perf_counter() - began)
-            ratios.append(spans[0] / spans[1])
-        lines.append(f"Campaign by {name}: two workers are {np.median(ratios):.2f} times one ({rounds} rounds).")
-    return lines
-
-
-@contextmanager
-def joblib_engine(count: int) -> Iterator[Engine]:
-    """Processes of joblib."""
-    yield Engine(count)
-
-
-@contextmanager
-def dask_engine(count: int) -> Iterator[Engine]:
-    """Workers of one thread on this machine, behind a scheduler of Dask."""
-    from distributed import LocalCluster
-
-    with LocalCluster(n_workers=count, threads_per_worker=1, dashboard_address=None) as cluster:
-        yield Engine(count, cluster.scheduler_address)
-
-
 def calibration(sigma: float = 0.01) -> Calibration:
     """Calibration of a unit whose errors are drawn with one sigma."""
     vector = np.random.default_rng(1).normal(0.0, sigma, N_PARAMETERS)
@@ -377,30 +335,21 @@ def units_as_arrays(_rounds: int, count: int = 1024, batches: tuple[int, ...] = 
 MORE = {"correction": correction, "inspection": inspection, "units": units_as_arrays}
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--long", action="store_true", help="up to 20 million samples")
-    parser.add_argument(
-        "--only", nargs="+", choices=(*DEFAULT_PARTS, *MORE), default=DEFAULT_PARTS, help="parts of the table"
-    )
-    parser.add_argument("--rounds", type=int, default=ROUNDS, help="repeats of each timing")
-    arguments = parser.parse_args()
+def main(*, long: bool = False, only: tuple[str, ...] = DEFAULT_PARTS, rounds: int = ROUNDS) -> None:
     print("| what | CPU time, ms | over the numpy load | over one read of the samples | peer |")
     print("|---|---|---|---|---|")
-    lengths = (100_000, 1_000_000, 20_000_000) if arguments.long else (100_000, 1_000_000)
+    lengths = (100_000, 1_000_000, 20_000_000) if long else (100_000, 1_000_000)
     parts = {
-        "memory": partial(in_memory, arguments.rounds),
-        "processes": partial(processes, arguments.rounds),
+        "memory": partial(in_memory, rounds),
+        "processes": partial(processes, rounds),
         "length": partial(length, lengths),
-        **{name: partial(part, arguments.rounds) for name, part in MORE.items()},
+        **{name: partial(part, rounds) for name, part in MORE.items()},
     }
     for name, part in parts.items():
-        if name in arguments.only:
+        if name in only:
             for row in part():
                 print(row.text(), flush=True)
-    if "workers" in arguments.only:
-        print("\n" + "\n".join(workers(min(arguments.rounds, 3))))
 
 
 if __name__ == "__main__":
-    main()
+    harness.run(main, __doc__, only=(*DEFAULT_PARTS, *MORE))

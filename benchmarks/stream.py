@@ -5,7 +5,6 @@ pipes, one line at a time, each answer awaited (latency), and measures its memor
 then with MAVLink packets (HIGHRES_IMU in and out) over UDP on this computer, in the same way.
 """
 
-import argparse
 import io
 import socket
 import subprocess
@@ -16,6 +15,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from pathlib import Path
 
+import harness
 import numpy as np
 from numpy_load import cpu_time
 
@@ -124,19 +124,15 @@ def by_mavlink(n: int, file: str) -> None:
                 child.terminate()
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--samples", type=int, default=1_000_000)
-    parser.add_argument("--packets", type=int, default=200_000)
-    given = parser.parse_args()
-    texts = lines(given.samples)
+def main(*, samples: int = 1_000_000, packets: int = 200_000) -> None:
+    texts = lines(samples)
     steps(texts[:200_000])
     with tempfile.TemporaryDirectory() as folder:
         file = f"{folder}/unit.json"
         unit().save(Path(file))
         by_pipes(texts, file)
-        by_mavlink(given.packets, file)
+        by_mavlink(packets, file)
 
 
 if __name__ == "__main__":
-    main()
+    harness.run(main, __doc__)

@@ -40,7 +40,8 @@ class Score:
     ``error`` and ``z``, shape (27,), are estimate minus truth, SI, and the same over its sigma, NaN where not observed;
     ``nees`` is over all ``freedom`` observed parameters. ``word`` is the verdict, ``drift`` has the sensors whose drift
     is modelled, ``faults`` what the checks or the result name, ``named`` tells if that is the error that was put in,
-    and ``scale_sigma`` is the largest sigma of the accelerometer scale factors.
+    and ``scale_sigma`` is the largest sigma of the accelerometer scale factors. ``bound``, shape (27,), SI, is the
+    Cramér-Rao bound where it is known; ``seconds`` is the CPU time.
     """
 
     status: str
@@ -54,6 +55,8 @@ class Score:
     faults: tuple[str, ...] = ()
     checks: str = ""
     named: bool = False
+    bound: Array | None = None
+    seconds: float = math.nan
 
     @property
     def usable(self) -> bool:
@@ -125,8 +128,11 @@ def replace_tables(page: Path, tables: dict[str, str]) -> None:
     page.write_text(text, encoding="utf-8")
 
 
-def in_processes(jobs: int, trial: Callable[..., Any], tasks: Iterable[Sequence[Any]]) -> list[Any]:
-    """Results of ``trial(*task)`` in the order of the tasks."""
+def in_processes(
+    jobs: int, trial: Callable[..., Any], tasks: Iterable[Sequence[Any]], *, as_they_end: bool = False
+) -> Iterator[Any]:
+    """Results of ``trial(*task)`` in the order of the tasks, or as they end."""
     from joblib import Parallel, delayed
 
-    return list(Parallel(n_jobs=jobs)(delayed(trial)(*task) for task in tasks))
+    order = "generator_unordered" if as_they_end else "generator"
+    return iter(Parallel(n_jobs=jobs, return_as=order)(delayed(trial)(*task) for task in tasks))

@@ -1,1 +1,1 @@
-"""Physics of the simulator: fixture, motion, IMU and disturbances; no mathematics in common with the estimators."""
+"""Physics of the simulator: fixture, motion and IMU; no mathematics in common with the estimators."""

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -56,12 +56,9 @@ def free_motion(
     peak_rate_rad_s: float = 2.0,
     dwell_s: float = 5.0,
     settle_s: float = 0.0,
-    sample_rate_hz: float = 200.0,
-    earth_rate: bool = True,
-    start_time_s: float = 0.0,
     profile: ProfileName = "quintic",
     durations_s: Array | None = None,
-    rng: np.random.Generator | None = None,
+    **run: Any,
 ) -> TrueMotion:
     """Integrals of static poses and the turns between them; there is one pose more than turns.
 
@@ -78,14 +75,12 @@ def free_motion(
         Length of the window of every pose, s.
     settle_s : float
         Settling time between each turn and the following window, s.
-    sample_rate_hz, earth_rate, start_time_s
-        As in :func:`sims.physics.table_motion.run_schedule`.
     profile : str
         Profile of every turn, see :mod:`sims.physics.turn_profiles`.
     durations_s : ndarray, shape (m,), optional
         Duration of each turn, s, in place of ``peak_rate_rad_s``.
-    rng : numpy.random.Generator, optional
-        Required for the profile "recorded-hand".
+    sample_rate_hz, earth_rate, start_time_s, rng
+        As in :func:`placed_motion`.
 
     Returns
     -------
@@ -108,16 +103,7 @@ def free_motion(
         for vector, size, duration in zip(vectors, sizes.tolist(), durations.tolist(), strict=True)
     )
     placement = Placement(check_rotation(attitude), dwell_s, steps, (dwell_s,) * len(steps))
-    motion, _ = placed_motion(
-        (placement,),
-        site=site,
-        settle_s=settle_s,
-        sample_rate_hz=sample_rate_hz,
-        earth_rate=earth_rate,
-        start_time_s=start_time_s,
-        rng=rng,
-    )
-    return motion
+    return placed_motion((placement,), site=site, settle_s=settle_s, **run)[0]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from functools import lru_cache, partial
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -290,31 +290,11 @@ def table1_motion(
     dwell_s: float = 10.0,
     settle_s: float = 0.0,
     moves: Moves = "skipped",
-    sample_rate_hz: float = 200.0,
-    heading_rad: float = 0.0,
-    fixture_draw: FixtureDraw | None = None,
-    U: Array | None = None,
-    stated_fixture: Fixture | None = None,
-    earth_rate: bool = True,
+    **run: Any,
 ) -> TrueMotion:
-    """Run sequences of Table 1, stated by their ids; see :func:`run_schedule` and :class:`Schedule`."""
-    schedule = Schedule(
-        table_sequences(tuple(sequences)),
-        RateProfile(rate_rad_s, accel_rad_s2),
-        dwell_s=dwell_s,
-        settle_s=settle_s,
-        moves=moves,
-    )
-    return run_schedule(
-        schedule,
-        site=site,
-        sample_rate_hz=sample_rate_hz,
-        heading_rad=heading_rad,
-        fixture_draw=fixture_draw,
-        U=U,
-        stated_fixture=stated_fixture,
-        earth_rate=earth_rate,
-    )
+    """Run sequences of Table 1, stated by their ids; ``run`` has further arguments of :func:`run_schedule`."""
+    chosen, profile = table_sequences(tuple(sequences)), RateProfile(rate_rad_s, accel_rad_s2)
+    return run_schedule(Schedule(chosen, profile, dwell_s=dwell_s, settle_s=settle_s, moves=moves), site=site, **run)
 
 
 def constants_of_site(site: Site, *, earth_rate: bool) -> Array:

@@ -7,10 +7,10 @@ import math
 
 import numpy as np
 import pytest
+from mount_motion import simulate_mount
 
 import srt
 from sims.physics.imu import ImuModel, read_out
-from sims.physics.mount_motion import simulate_mount
 from srt.cli import main
 from srt.cli.app import COMMANDS
 from srt.model.rotations import rotation_matrix

@@ -11,10 +11,10 @@ import tempfile
 import numpy as np
 import pytest
 from failing_calls import FailingCalls
+from mount_motion import simulate_mount
 
 import srt
 from sims.physics.imu import ImuModel, read_out
-from sims.physics.mount_motion import simulate_mount
 from srt.cli import main
 from srt.cli.app import COMMANDS
 from srt.sensor_errors import SensorErrors

@@ -14,9 +14,9 @@ import pytest
 from diagnosing import WithoutRecognition, examine_stages, grades_and_faults
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from injected_faults.disturbances import tilt_step
 from injected_faults.injection import GRADES, INJECTIONS, Case
 
-from sims.physics.disturbances import tilt_step
 from sims.physics.imu import read_out
 from srt.diagnosis import faults
 from srt.diagnosis.channels import CHANNELS

@@ -3,8 +3,9 @@
 import functools
 
 import pytest
-from fault_outcomes import OUTCOMES, Units, all_kinds, outcome_of
-from fault_severities import halvings
+from fault_outcomes import OUTCOMES, outcome_of
+from fault_severities import KINDS as INJECTED
+from fault_severities import Units, halvings
 from fault_verdicts import trial
 from foreign_faults import KINDS
 from injected_faults.injection import Case
@@ -62,7 +63,7 @@ def case(kind, grade, rung=0, *, slow=True):
     ],
 )
 def test_named_first(kind, grade, rung):
-    injection = all_kinds()[kind]
+    injection = INJECTED[kind]
     severity = halvings(injection, grade)[rung]
     assert outcome_of(injection, units(), grade, rung, severity).outcome == OUTCOMES[0]
 
@@ -87,7 +88,7 @@ def test_named_first(kind, grade, rung):
     ],
 )
 def test_named_first_at_a_severity(kind, grade, severity):
-    assert outcome_of(all_kinds()[kind], units(), grade, 1, severity).outcome == OUTCOMES[0]
+    assert outcome_of(INJECTED[kind], units(), grade, 1, severity).outcome == OUTCOMES[0]
 
 
 @pytest.mark.parametrize(
@@ -125,7 +126,7 @@ def test_parts_of_rotations_that_jitter_overlap():
 
 @pytest.mark.parametrize("kind", ["sensors askew in their housing", "gyro scale drifts"])
 def test_mixed_pulses_are_no_dead_band(kind):
-    recording = all_kinds()[kind].recording(units().case("navigation-rlg", 1))
+    recording = INJECTED[kind].recording(units().case("navigation-rlg", 1))
     assert "gyro_dead_band" not in {f.fault for f in diagnose(recording, calibrating=False).findings}
 
 

@@ -15,9 +15,9 @@ from functools import cache, partial
 import accuracy_trials
 import numpy as np
 import pytest
+from injected_faults import disturbances
 
 import srt
-from sims.physics import disturbances
 from sims.physics.imu import read_out
 from sims.physics.sequences import TABLE_1
 from sims.physics.table_motion import table1_motion

@@ -7,8 +7,9 @@ import math
 import numpy as np
 import pytest
 from foreign_motion import GRADES
-from honesty import STATEMENTS, unstated_noise
+from honesty_trials import unstated_noise
 from studies import pooled_nees
+from worse_recordings import STATEMENTS
 
 import srt
 from sims.scenarios.scenario import load_scenario

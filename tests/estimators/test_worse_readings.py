@@ -6,7 +6,8 @@ from __future__ import annotations
 import math
 
 import pytest
-from honesty import largest, worse_than_stated
+from honesty import largest
+from honesty_trials import worse_than_stated
 from scipy.special import ndtri
 from studies import pooled_nees
 from worse_recordings import CASES, unit_of

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from injected_faults import disturbances
 from injected_faults.injection import injection
-from sims.physics import disturbances
 from sims.physics.fixture import rotation
 from sims.physics.imu import read_out
 from sims.physics.sequences import TABLE_1

@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from mount_motion import LEVEL_AND_NOSE_DOWN_RAD, draw_mount_errors, mount_matrix, simulate_mount
 
 import srt
 from sims.physics.imu import ImuModel, read_out
-from sims.physics.mount_motion import LEVEL_AND_NOSE_DOWN_RAD, draw_mount_errors, mount_matrix, simulate_mount
 from srt.model.rotations import rotation_vector
 from srt.mount.poses import mount_from_recording
 from srt.result.calibration import Calibration

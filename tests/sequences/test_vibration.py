@@ -7,10 +7,10 @@ from functools import cache
 
 import numpy as np
 import pytest
+from injected_faults.disturbances import vibrating
 from scipy.integrate import quad
 from scipy.stats import binom, gamma
 
-from sims.physics.disturbances import vibrating
 from sims.physics.imu import ImuModel, read_out
 from sims.physics.table_motion import table1_motion
 from srt.constants import ARCSEC, DEG_PER_SQRT_H, MICRO_G

@@ -3,8 +3,8 @@
 import fault_outcomes
 import numpy as np
 import pytest
-from fault_outcomes import OUTCOMES, Outcome, Units, all_kinds, outcome_of, outcomes, page, write_section
-from fault_severities import LEAST_SHIFT, halvings, severities
+from fault_outcomes import OUTCOMES, Outcome, outcome_of, outcomes, table
+from fault_severities import KINDS, LEAST_SHIFT, Units, halvings, severities
 from injected_faults.foreign_operators import PAIRS
 from injected_faults.injection import GRADES, INJECTIONS, VARIANTS
 
@@ -14,10 +14,10 @@ SEED = 20261400
 
 
 def test_kinds():
-    assert len(all_kinds()) >= 120
-    assert len(VARIANTS) * 3 >= len(all_kinds())
+    assert len(KINDS) >= 120
+    assert len(VARIANTS) * 3 >= len(KINDS)
     assert set(INJECTIONS) <= set(FAULTS)
-    for kind in all_kinds().values():
+    for kind in KINDS.values():
         assert set(kind.causes) <= set(FAULTS), kind.fault
     assert {f"{first} and {second}" for first, second in PAIRS} <= set(VARIANTS)
 
@@ -25,7 +25,7 @@ def test_kinds():
 @pytest.mark.parametrize("kind", ["bump", "labels_exchanged", "gyro_lsb", "left_handed", "window_short", "north"])
 def test_halvings_do_not_increase(kind):
     for grade in GRADES:
-        steps = halvings(all_kinds()[kind], grade)
+        steps = halvings(KINDS[kind], grade)
         assert len(steps) == 3
         away = [abs(np.log(step)) if kind == "gyro_lsb" else step for step in steps]
         assert away == sorted(away, reverse=kind != "window_short")
@@ -41,7 +41,7 @@ def test_halvings_do_not_increase(kind):
     ],
 )
 def test_least_severity_shifts_one_parameter_by_3_to_5_sigma(kind, grade):
-    units, injection = Units(SEED), all_kinds()[kind]
+    units, injection = Units(SEED), KINDS[kind]
     harmful, (most, middle, least) = severities(injection, units, grade)
     assert harmful
     assert most > middle > least > 0.0
@@ -50,7 +50,7 @@ def test_least_severity_shifts_one_parameter_by_3_to_5_sigma(kind, grade):
 
 def test_harmless_kinds_have_the_stated_severity():
     """A misread temperature moves no parameter of a unit without temperature coefficients."""
-    injection = all_kinds()["temperature_unit"]
+    injection = KINDS["temperature_unit"]
     harmful, steps = severities(injection, Units(SEED), "industrial-mems")
     assert not harmful
     assert steps == halvings(injection, "industrial-mems")
@@ -58,7 +58,7 @@ def test_harmless_kinds_have_the_stated_severity():
 
 def test_outcomes_of_some_kinds():
     """One fault that is named, one that the calibration finds as an error of the sensors, one with the wrong cause."""
-    units, kinds = Units(SEED), all_kinds()
+    units, kinds = Units(SEED), KINDS
     named = outcome_of(kinds["gyro_degrees"], units, "consumer-mems", 0, 1.0)
     assert (named.outcome, named.named) == (OUTCOMES[0], "gyro_degrees")
     found = outcome_of(kinds["offset subtracted twice"], units, "consumer-mems", 0, 0.01)
@@ -71,26 +71,21 @@ def test_outcomes_of_some_kinds():
 
 @pytest.mark.slow
 def test_a_twentieth_of_the_study():
-    rows = list(outcomes(list(all_kinds())[::20], GRADES, SEED))
-    assert len(rows) == 12 * len(list(all_kinds())[::20])
+    rows = list(outcomes(list(KINDS)[::20], GRADES, SEED))
+    assert len(rows) == 12 * len(list(KINDS)[::20])
     assert not [row for row in rows if row.outcome == OUTCOMES[5] and not fault_outcomes.unseen(row)]
 
 
-def test_page(tmp_path):
+def test_table():
+    """A fault named, one in silence that could be seen and one that cannot, and another cause."""
     rows = [
-        Outcome("bump", "consumer-mems", 1, 0.5, OUTCOMES[5], "", 4.2, "gyro_scale_x"),
         Outcome("bump", "consumer-mems", 0, 1.0, OUTCOMES[0], "bump"),
+        Outcome("bump", "consumer-mems", 1, 0.5, OUTCOMES[5], "", 4.2, "gyro_scale_x"),
         Outcome("north", "consumer-mems", 0, 1.0, OUTCOMES[5], "", 9.0, "gyro_bias_x"),
         Outcome("clock fast", "navigation-rlg", 0, 1.05, OUTCOMES[1], "latitude"),
     ]
-    path = tmp_path / "page.md"
-    path.write_text("# Page\n\ntext\n", encoding="utf-8")
-    for _ in range(2):
-        write_section(path, page(rows, SEED))
-    text = path.read_text(encoding="utf-8")
-    assert text.count("## Outcomes") == 1
-    assert text.startswith("# Page\n\ntext\n\n<!--")
-    assert "| consumer-mems | largest | 1 | 0 | 0 | 0 | 0 | 1 |" in text
-    assert "- bump: silent, beyond 3σ: consumer-mems 1 (4.2σ)" in text
-    assert "- north: silent, beyond 3σ: consumer-mems 0 (9σ)*" in text
-    assert "- clock fast: latitude: navigation-rlg 0" in text
+    assert list(table(rows))[2:] == [
+        "| consumer-mems | 1 of 3 (33 %) | 1 of 3 (33 %) | 1 of 2 (50 %) | 0 | 0 | 0 | 0 | 2 |",
+        "| navigation-rlg | 0 of 1 (0 %) | 0 of 1 (0 %) | 0 of 1 (0 %) | 1 | 0 | 0 | 0 | 0 |",
+        "| all | 1 of 4 (25 %) | 1 of 4 (25 %) | 1 of 3 (33 %) | 1 | 0 | 0 | 0 | 2 |",
+    ]

@@ -4,35 +4,19 @@ A stand-in for the trials, which names a fault down to a severity of its own, sh
 runs real injections.
 """
 
-import importlib.util
-import json
 import math
-import sys
-from pathlib import Path
 
-import fault_study
+import faults
 import pytest
-from fault_study import (
-    ALL_OR_NOTHING,
-    CLEAN,
-    FACTORS,
-    LEAST_ONE,
-    SHARES,
-    DiagnosedRecording,
-    FaultStudy,
-    all_injections,
-    diagnose_unit,
-    severity_at,
-)
-from faults import markdown, missed_targets
+from fault_severities import ALL_OR_NOTHING, FACTORS, LEAST_ONE, SHARES, severity_at
+from faults import CLEAN, NOTHING, FaultStudy, missed_targets, page, trials
 from hypothesis import given
 from hypothesis import strategies as st
-from injected_faults.injection import GRADES, Injection
+from injected_faults.injection import GRADES, INJECTIONS, Injection
 
 from srt.diagnosis.faults import FAULTS
 from srt.exceptions import InputError
 
-BENCHMARK = Path(__file__).parents[2] / "benchmarks" / "faults.py"
 FIRST, SECOND = GRADES[:2]
 
 
@@ -41,126 +25,109 @@ def injection(fault, severity, unit="m", unseen=None):
 
 
 @pytest.fixture
-def trials(monkeypatch):
-    """Two faults, of which the smallest severity named is known, and the trials that were run."""
+def ran(monkeypatch):
+    """Trials that were run, of two faults of which the smallest severity named is known."""
     catalogue = {
         "bump": injection("bump", {FIRST: 8.0, SECOND: 8.0}),
         "north": injection("north", {FIRST: 3.0}, unseen={SECOND: "It is too dark."}),
     }
     smallest = {("bump", FIRST): 2.0, ("bump", SECOND): 9.0, ("north", FIRST): 3.0}
-    ran = []
+    done = []
 
     def stand_in(grade, seed, asked):
-        ran.extend((grade, seed, *question) for question in asked)
         rows = []
-        for fault, rung in asked:
+        for fault, severity in asked:
             if fault == CLEAN:
-                rows.append(
-                    DiagnosedRecording(CLEAN, grade, seed, 0, 0.0, "spikes" if (grade, seed) == (FIRST, 1) else None)
-                )
-                continue
-            severity = severity_at(fault_study.all_injections()[fault], grade, rung)
-            # Below the smallest one a unit here and there is named all the same.
-            named = fault if severity >= smallest[fault, grade] or seed % 7 == 0 else "creep"
-            rows.append(DiagnosedRecording(fault, grade, seed, rung, severity, named))
+                cause = "spikes" if (grade, seed) == (FIRST, 1) else NOTHING
+            else:
+                # Below the smallest one a unit here and there is named all the same.
+                cause = fault if severity >= smallest[fault, grade] or seed % 7 == 0 else "creep"
+            rows.append((fault, grade, severity, seed, cause))
+        done.extend(row[:4] for row in rows)
         return rows
 
-    monkeypatch.setattr(fault_study, "all_injections", lambda: catalogue)
-    monkeypatch.setattr(fault_study, "diagnose_unit", stand_in)
-    return ran
+    monkeypatch.setattr(faults, "INJECTIONS", catalogue)
+    monkeypatch.setattr(faults, "trials", stand_in)
+    return done
 
 
 def study(path, **changes):
     return FaultStudy(path, grades=(FIRST, SECOND), **({"injections": 50, "clean": 3} | changes))
 
 
-def test_smallest_severity_and_counts(tmp_path, trials):
+def test_smallest_severity_and_counts(tmp_path, ran):
     run = study(tmp_path / "results")
     run.run()
     pairs = {(pair.fault, pair.grade): pair for pair in run.detections()}
     bump, missed, north, dark = (
         pairs[key] for key in (("bump", FIRST), ("bump", SECOND), ("north", FIRST), ("north", SECOND))
     )
-    assert (bump.named, bump.of, bump.smallest, bump.seen, bump.misnamed) == (50, 50, 2.0, True, {})
-    assert (missed.named, missed.of, missed.smallest, missed.seen) == (8, 50, None, False)
-    assert missed.misnamed == {"creep": 42}
+    assert (bump.causes, bump.smallest, bump.seen) == ({"bump": 50}, 2.0, True)
+    assert (missed.causes, missed.smallest, missed.seen) == ({"bump": 8, "creep": 42}, None, False)
     assert (north.smallest, north.seen) == (3.0, True)
-    assert (dark.severity, dark.reason, dark.seen) == (None, "It is too dark.", False)
+    assert (dark.severity, dark.seen) == (None, False)
     assert run.alarms(FIRST) == (3, {"spikes": 1})
     assert run.alarms(SECOND) == (3, {})
     # A rung that is not seen is given up after its first few units.
-    assert len([1 for _, _, fault, rung in trials if (fault, rung) == ("north", 1)]) < fault_study.LADDER_UNITS
+    assert len([1 for fault, _, severity, _ in ran if (fault, severity) == ("north", 1.5)]) < faults.LADDER_UNITS
 
 
-def test_every_recording_is_asked_once_and_what_is_done_is_not_done_again(tmp_path, trials):
-    path = tmp_path / "results"
-    study(path).run()
-    assert len(trials) == len(set(trials))
-    count = len(trials)
-    again = study(path)
-    again.run()
-    assert len(trials) == count
-    assert next(again.detections()).smallest == 2.0
-
-
-def test_an_interrupted_study_goes_on(tmp_path, trials):
-    """Cut at any place, even within a line, the file serves, and the result is the same."""
-    path = tmp_path / "results"
-    whole = study(path)
+def test_an_interrupted_study_goes_on(tmp_path, ran, monkeypatch):
+    """Stopped after any unit, it runs the other trials, each once, and the result is the same."""
+    whole = study(tmp_path / "whole")
     whole.run()
-    expected, content, count = list(whole.detections()), path.read_bytes(), len(trials)
-    for share in (0.01, 0.3, 0.8, 0.999):
-        path.write_bytes(content[: int(share * len(content))])
-        trials.clear()
-        resumed = study(path)
+    expected, every = list(whole.detections()), sorted(ran)
+    assert len(every) == len(set(every))
+    stand_in = faults.trials
+    for units in (0, 20, 60):
+        ran.clear()
+        left = iter(range(units))
+
+        def stopped(*task, left=left):
+            if next(left, None) is None:
+                raise KeyboardInterrupt
+            return stand_in(*task)
+
+        monkeypatch.setattr(faults, "trials", stopped)
+        with pytest.raises(KeyboardInterrupt):
+            study(tmp_path / str(units)).run()
+        monkeypatch.setattr(faults, "trials", stand_in)
+        resumed = study(tmp_path / str(units))
         resumed.run()
         assert list(resumed.detections()) == expected
-        assert len(trials) < count or share < 0.02
-        assert list(study(path).detections()) == expected
+        assert sorted(ran) == every
 
 
-def test_a_severity_that_is_stated_anew_is_run_anew(tmp_path, trials, monkeypatch):
+def test_a_severity_that_is_stated_anew_is_run_anew(tmp_path, ran, monkeypatch):
     path = tmp_path / "results"
     study(path).run()
-    catalogue = fault_study.all_injections() | {"bump": injection("bump", {FIRST: 4.0, SECOND: 20.0})}
-    monkeypatch.setattr(fault_study, "all_injections", lambda: catalogue)
+    monkeypatch.setitem(faults.INJECTIONS, "bump", injection("bump", {FIRST: 4.0, SECOND: 20.0}))
     run = study(path)
-    assert [pair.of for pair in run.detections()] == [0, 0, 50, 0]
-    trials.clear()
+    # A detection at 4 was found on the way from 8, with fewer units.
+    assert [pair.causes.total() for pair in run.detections()] == [faults.LADDER_UNITS, 0, 50, 0]
+    ran.clear()
     run.run()
-    assert {fault for _, _, fault, _ in trials} == {"bump"}
+    assert {fault for fault, *_ in ran} == {"bump"}
     assert [pair.smallest for pair in run.detections()] == [2.0, 10.0, 3.0, None]
 
 
-def test_the_file_of_something_else_is_refused(tmp_path, trials):
+def test_the_file_of_something_else_is_refused(tmp_path, ran):
     path = tmp_path / "results"
-    for content in ("not JSON\n", '{"format": 2}\n', json.dumps(fault_study.FORMAT) + '\n{"fault": 1}\n'):
-        path.write_text(content, encoding="utf-8")
-        with pytest.raises(InputError, match="holds no results of this study"):
-            study(path)
-        assert path.read_text(encoding="utf-8") == content
-    assert trials == []
+    path.write_text("no results\n" * 100, encoding="utf-8")
+    with pytest.raises(InputError, match="holds no results of this study"):
+        study(path)
+    assert path.read_text(encoding="utf-8") == "no results\n" * 100
 
 
-@pytest.mark.parametrize(("key", "value"), [("faults", ("gremlins",)), ("grades", ("toy",))])
-def test_unknown_names_are_refused(tmp_path, trials, key, value):
-    with pytest.raises(InputError, match=f"no {key[:-1]} '{value[0]}'"):
-        FaultStudy(tmp_path / "results", **{key: value})
-    assert trials == []
-
-
-def test_the_committed_table(tmp_path, trials):
+def test_the_tables(tmp_path, ran):
     run = study(tmp_path / "results")
     run.run()
-    page = markdown(run)
-    assert f"| `bump` | {FAULTS['bump'].effect} | 8 m: 50/50; ≥ 2 | 8 m: 8/50; none seen |" in page
-    assert f"| `north` | {FAULTS['north'].effect} | 3 m: 50/50; ≥ 3 | unseen |" in page
-    assert f"- `north`, {SECOND}: It is too dark." in page
-    assert f"- `bump`, {SECOND}: creep 42" in page
-    assert f"| {FIRST} | 3 | 1 | `spikes` 1 |" in page
-    # 40 of 40 are likely at 0.99 (0.99^40 = 0.67), and as unlikely as 5 % at 0.05^(1/40) = 0.928.
-    assert "67 times in 100" in page
-    assert "92.8 %" in page
+    lines = list(page(run))
+    assert f"| `bump` | {FAULTS['bump'].effect} | 8 m: 50/50; ≥ 2 | 8 m: 8/50; none seen |" in lines
+    assert f"| `north` | {FAULTS['north'].effect} | 3 m: 50/50; ≥ 3 | unseen |" in lines
+    assert f"- `north`, {SECOND}: It is too dark." in lines
+    assert f"- `bump`, {SECOND}, named otherwise: 42 creep" in lines
+    assert f"| {FIRST} | 3 | 1 | 1 spikes |" in lines
     assert list(missed_targets(run)) == [
         f"bump, {SECOND}: 8 of 50 named",
         "1 of 6 clean recordings raise a finding",
@@ -195,40 +162,28 @@ def test_a_share_that_is_left_nears_the_whole(stated):
 
 
 def test_real_trials():
-    """Results of three trials: a refusal on reading, a warning, and no finding without a fault."""
-    rows = diagnose_unit(
-        "tactical-fog", 320_000, [(CLEAN, 0), ("gravity", 0), ("not_finite", 0), ("temperature_drift", 1)]
-    )
-    assert [row.named for row in rows] == [None, "gravity", "not_finite", "temperature_drift"]
-    stated = all_injections()["temperature_drift"].severity["tactical-fog"]
-    assert [row.severity for row in rows[1:]][2] == 0.5 * stated
-    assert diagnose_unit("tactical-fog", 320_000, [("gravity", 0)]) == rows[1:2]
+    """Results of four trials: no finding without a fault, a warning, a refusal on reading, and a half severity."""
+    half = severity_at(INJECTIONS["temperature_drift"], "tactical-fog", 1)
+    gravity = INJECTIONS["gravity"].severity["tactical-fog"]
+    asked = [(CLEAN, 0.0), ("gravity", gravity), ("not_finite", 1.0), ("temperature_drift", half)]
+    rows = trials("tactical-fog", 320_000, asked)
+    assert [cause for *_, cause in rows] == [NOTHING, "gravity", "not_finite", "temperature_drift"]
+    assert half == 0.5 * INJECTIONS["temperature_drift"].severity["tactical-fog"]
+    assert trials("tactical-fog", 320_000, asked[1:2]) == rows[1:2]
 
 
 def test_every_fault_is_injected_or_said_to_be_unseen():
-    catalogue = all_injections()
-    assert set(catalogue) == set(FAULTS)
-    for fault, made in catalogue.items():
+    assert set(INJECTIONS) == set(FAULTS)
+    for fault, made in INJECTIONS.items():
         assert {*made.severity, *made.unseen} == set(GRADES), fault
         assert all(len(reason) > 20 for reason in made.unseen.values()), fault
 
 
-def test_the_benchmark(tmp_path, trials, monkeypatch, capsys):
-    spec = importlib.util.spec_from_file_location("benchmark_faults", BENCHMARK)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    page = tmp_path / "table.md"
-    monkeypatch.setattr(
-        sys,
-        "argv",
-        [
-            *("faults.py", "--grades", FIRST, "--injections", "50", "--clean", "300", "--jobs", "1", "--seed", "0"),
-            *("--results", str(tmp_path / "new" / "results"), "--markdown", str(page)),
-        ],
-    )
-    assert module.main() == 0
-    assert "bump" in capsys.readouterr().out
-    assert f"| {FIRST} | 300 | 1 | `spikes` 1 |" in page.read_text(encoding="utf-8")
-    monkeypatch.setattr(sys, "argv", ["faults.py", "--faults", "gremlins", "--results", str(tmp_path / "results")])
-    assert module.main() == 2
-    assert "no fault 'gremlins'" in capsys.readouterr().out
+def test_the_benchmark(tmp_path, ran, capsys):
+    results = tmp_path / "new" / "results"
+    assert faults.main(grades=(FIRST,), injections=50, clean=300, jobs=1, results=results) == 0
+    printed = capsys.readouterr().out
+    assert "| `bump` |" in printed
+    assert f"| {FIRST} | 300 | 1 | 1 spikes |" in printed
+    assert faults.main(grades=(SECOND,), injections=50, clean=3, jobs=1, results=results, fresh=True) == 1
+    assert f"Missed: bump, {SECOND}: 8 of 50 named" in capsys.readouterr().out

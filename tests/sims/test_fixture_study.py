@@ -1,33 +1,40 @@
 """A part of the study of the fixture: axes three sigmas from square with known rotations, and recorded moves."""
 
+import honesty
 import numpy as np
 import pytest
-from fixture_study import EFFICIENT, ESTIMATORS, Cell, CellResult, UnitResult, main, study
+from studies import Score
+
+FIXTURE = honesty.STUDIES["fixture"]
 
 
 def test_the_limits_of_a_cell_are_met():
     pytest.importorskip("gtsam")
-    (result,) = study([Cell("navigation", 3.0, 0.05, "skipped")], 3, 4000, 1)
-    assert not list(result.failures(3 * len(EFFICIENT) + 1))
-    assert len(result.row()) == 4 + len(ESTIMATORS)
+    rows = [FIXTURE.trial(("navigation", 3, 0.05), unit, list(FIXTURE.limited)) for unit in range(4000, 4003)]
+    for name in FIXTURE.limited:
+        assert not FIXTURE.beyond([row[name] for row in rows], len(FIXTURE.limited))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "arguments",
     [
-        "--units 10 --seed 30000",
-        "--moves recorded --rotation-mrad 1 --non-orthogonality-mrad 1 --units 25 --seed 31000",
+        {"study": "fixture", "units": 10, "first": 30_000},
+        {"study": "fixture-moves", "only": ("1",), "units": 25, "first": 31_000},
     ],
+    ids=["axes out of square", "moves"],
 )
 def test_a_twentieth_of_the_study(arguments):
     pytest.importorskip("gtsam")
-    assert main(arguments.split()) == 0
+    assert honesty.main(**arguments, jobs=1) == 0
 
 
-def test_failures_are_told():
-    """Errors of twice the bound, of which half the sigma is reported, in units that are all accused."""
-    bad = UnitResult(np.full((4, 27), 2.0), (4.0 * 27.0,) * 4, (True,) * 4, disagree=True)
-    told = list(CellResult(Cell("tactical", 0.0, 1.0, "skipped"), [bad] * 20).failures(7))
-    assert len(told) == 3 * len(EFFICIENT) + 1
-    assert any("NEES is 108.0" in line for line in told)
+@pytest.mark.parametrize(
+    "fault",
+    [{"error": np.full(27, 2.0)}, {"nees": 4.0 * 27.0}, {"status": "inconsistent"}, {"named": True}],
+    ids=["errors of twice the bound", "half the sigma reported", "all accused", "all in disagreement"],
+)
+def test_each_limit_is_told(fault):
+    sound = {"status": "converged", "error": np.ones(27), "nees": 27.0, "freedom": 27, "bound": np.ones(27)}
+    assert not FIXTURE.beyond([Score(**sound)] * 20, 7)
+    assert FIXTURE.beyond([Score(**(sound | fault))] * 20, 7)

@@ -20,7 +20,6 @@ from ferraris import (
     face_seconds,
     ferraris_motions,
     imucal_errors,
-    mars_errors,
     non_orthogonality,
     signal_regions,
 )
@@ -30,7 +29,6 @@ from sims.physics.fixture import FixtureDraw, earth_rate_ned, rotation
 from sims.physics.imu import read_out
 from sims.physics.motion import RateProfile
 from sims.physics.table_motion import Schedule, run_schedule, table1_motion
-from srt.exceptions import DataError, InputError, MissingExtraError
 from srt.sensor_errors import GROUP_SLICES, NAMES, SensorErrors
 
 sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
@@ -161,30 +159,12 @@ def test_faces_and_turns_last_as_long_as_asked_for():
     assert 6.0 * face_s + turning == pytest.approx(450.0, abs=1e-9)
 
 
-def test_a_face_is_read_equally_from_its_windows_and_not_beyond_them():
-    motion, _ = ferraris_motions(site=SITE, face_s=DWELL_S, sample_rate_hz=RATE_HZ)
+def test_a_face_is_read_equally_from_its_windows():
+    motion, _ = ferraris_motions(site=SITE, face_s=DWELL_S, profile=PROFILE, sample_rate_hz=RATE_HZ)
     take = Take(read_out(motion, SensorErrors()), motion.windows)
     gyro, accel = take.still(((2, 0), (2, 1)), DWELL_S)
     assert len(gyro) == len(accel) == DWELL_S * RATE_HZ
     np.testing.assert_allclose(accel, np.tile([0.0, 0.0, -SITE.gravity_m_s2], (len(accel), 1)), atol=1e-12)
-    with pytest.raises(DataError, match="ask for at most 4 s"):
-        take.still(((2, 0), (2, 1)), 2.1 * DWELL_S)
-
-
-def test_a_flipped_gyro_axis_is_refused():
-    with pytest.raises(DataError, match="flipped axis"):
-        mars_errors(np.diag([1.0, -1.0, 1.0]), np.eye(3), np.zeros(3), np.zeros(3))
-
-
-def test_rotation_errors_need_a_generator():
-    with pytest.raises(InputError, match="Generator"):
-        ferraris_motions(site=SITE, face_s=1.0, rotation_sigma_rad=1e-3)
-
-
-def test_missing_imucal_is_reported_with_what_to_install(monkeypatch):
-    monkeypatch.setitem(sys.modules, "imucal", None)
-    with pytest.raises(MissingExtraError, match=r"strapdown-rotation-test\[benchmark\]"):
-        imucal_errors({}, sample_rate_hz=RATE_HZ, gravity_m_s2=9.8)
 
 
 def test_one_unit_of_the_comparison(tmp_path):

@@ -7,15 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from disturbed_runs import MOTION, SITE, TILT, draw, run, small, snapshot, untouched
+from disturbed_runs import MOTION, SITE, draw, run, small, snapshot, untouched
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from injected_faults.disturbances import accel_bias_step, lose_samples, noisier_window, wrong_angle
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 import sims
-from sims.physics.disturbances import accel_bias_step, lose_samples, noisier_window, tilt_step, wrong_angle
-from srt.exceptions import InputError
 from srt.recording.recording import Recording
 from srt.sensor_errors import SensorErrors
 
@@ -188,59 +187,3 @@ def test_opposite_wrong_angles_cancel(sequence, error, data):
     back = wrong_angle(wrong, sequence, leg, -error)
     for a, b in zip(plain.legs, back.legs, strict=True):
         np.testing.assert_allclose(a, b, rtol=0.0, atol=1e-16)
-
-
-GAP = 0.5 * (MOTION.windows[0][1][1] + MOTION.windows[1][0][0])
-LAST = float(MOTION.time[-1])
-RNG = np.random.default_rng(0)
-
-
-@pytest.mark.parametrize(
-    ("call", "fragments"),
-    [
-        (lambda: tilt_step(MOTION, -0.1, TILT), ["-0.1 s", "samples run from 0 "]),
-        (lambda: tilt_step(MOTION, LAST, TILT), ["samples run from 0 "]),
-        (lambda: tilt_step(MOTION, math.nan, TILT), ["nan"]),
-        (lambda: tilt_step(MOTION, GAP, TILT), ["in a gap", "recorded piece"]),
-        (lambda: tilt_step(MOTION, MOTION.windows[0][1][1], TILT), ["in a gap"]),
-        (lambda: tilt_step(MOTION, 0.5, [1e-3, 0.0]), ["[0.001, 0.0]", "three finite numbers"]),
-        (lambda: tilt_step(MOTION, 0.5, [1e-3, math.inf, 0.0]), ["inf", "three finite numbers"]),
-        (lambda: lose_samples(RECORDING, 0.5, -0.1), ["-0.1 s", "zero or positive"]),
-        (lambda: lose_samples(RECORDING, 0.5, math.nan), ["nan", "zero or positive"]),
-        (lambda: lose_samples(RECORDING, -0.5, 0.1), ["[-0.5, -0.4]", "samples run from"]),
-        (lambda: lose_samples(RECORDING, LAST - 0.1, 0.2), ["samples run from"]),
-        (lambda: lose_samples(RECORDING, math.nan, 0.2), ["nan", "samples run from"]),
-        (lambda: lose_samples(RECORDING, 0.5, 0.001), ["holds no sample"]),
-        (lambda: lose_samples(RECORDING, GAP, 0.1), ["holds no sample"]),
-        (lambda: lose_samples(RECORDING, 0.0, 0.1), ["no neighbour", "gapless piece"]),
-        (lambda: lose_samples(RECORDING, LAST - 0.1, 0.1), ["no neighbour"]),
-        (lambda: lose_samples(RECORDING, MOTION.windows[0][1][1] - 0.1, 0.1), ["no neighbour"]),
-        (lambda: lose_samples(RECORDING, MOTION.windows[1][0][0], 0.1), ["no neighbour"]),
-        (lambda: lose_samples(RECORDING, MOTION.windows[0][1][1] - 0.1, GAP), ["a gap between"]),
-        (lambda: lose_samples(RECORDING, 0.5, 0.1, ()), ["sensors", "'gyro', 'accel'"]),
-        (lambda: lose_samples(RECORDING, 0.5, 0.1, "gyro"), ["sensors", "'gyro', 'accel'"]),
-        (lambda: accel_bias_step(RECORDING, 0.5, 0.5, TILT), ["end after it starts"]),
-        (lambda: accel_bias_step(RECORDING, 0.5, math.nan, TILT), ["end after it starts"]),
-        (lambda: accel_bias_step(RECORDING, 0.5, LAST + 1.0, TILT), ["samples run from"]),
-        (lambda: accel_bias_step(RECORDING, GAP, GAP + 0.1, TILT), ["holds no sample"]),
-        (lambda: accel_bias_step(RECORDING, 0.5, 0.6, 1e-3), ["three finite numbers"]),
-        (lambda: noisier_window(RECORDING, (0.6, 0.5), 2.0, 1.0, 1.0, RNG), ["end after it starts"]),
-        (lambda: noisier_window(RECORDING, (-1.0, 0.5), 2.0, 1.0, 1.0, RNG), ["samples run from"]),
-        (lambda: noisier_window(RECORDING, (0.5, 0.6), 0.99, 1.0, 1.0, RNG), ["0.99", "at least 1"]),
-        (lambda: noisier_window(RECORDING, (0.5, 0.6), math.inf, 1.0, 1.0, RNG), ["inf", "at least 1"]),
-        (lambda: noisier_window(RECORDING, (0.5, 0.6), 2.0, -1.0, 1.0, RNG), ["gyro noise", "-1"]),
-        (lambda: noisier_window(RECORDING, (0.5, 0.6), 2.0, 1.0, math.nan, RNG), ["accelerometer noise", "nan"]),
-        (lambda: wrong_angle(sims.FixtureDraw(), 0, 0, 0.1), ["no errors of rotations", "draw_fixture"]),
-        (lambda: wrong_angle(draw(), 3, 0, 0.1), ["no sequence 3", "for 3"]),
-        (lambda: wrong_angle(draw(), -1, 0, 0.1), ["no sequence -1"]),
-        (lambda: wrong_angle(draw(), 1, 2, 0.1), ["no rotation 2", "has 2"]),
-        (lambda: wrong_angle(draw(), 1, -1, 0.1), ["no rotation -1"]),
-        (lambda: wrong_angle(draw(), 1, 1, math.nan), ["nan", "finite"]),
-    ],
-)
-def test_impossible_disturbances_are_refused_in_one_sentence(call, fragments):
-    with pytest.raises(InputError) as caught:
-        call()
-    message = str(caught.value)
-    assert all(fragment in message for fragment in fragments), message
-    assert "\n" not in message

@@ -9,10 +9,10 @@ import pytest
 from disturbed_runs import LATITUDE, MOTION, SITE, TILT, U, run, small, snapshot, untouched
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from injected_faults.disturbances import tilt_step
 from scipy.spatial.transform import Rotation
 
 import sims
-from sims.physics.disturbances import tilt_step
 from srt.constants import EARTH_RATE_RAD_S
 
 EARTH_NED = EARTH_RATE_RAD_S * np.array([math.cos(LATITUDE), 0.0, -math.sin(LATITUDE)])

@@ -20,7 +20,6 @@ import numpy as np
 
 from sims.physics.fixture import rotation
 from sims.physics.free_motion import free_motion
-from srt.exceptions import InputError
 from srt.recording.recording import SequenceLabel
 
 if TYPE_CHECKING:
@@ -40,16 +39,9 @@ LEVEL_AND_NOSE_DOWN_RAD = (0.0, -0.5 * math.pi)
 class MountErrors:
     """Errors of one mount and its poses.
 
-    Attributes
-    ----------
-    level : ndarray, shape (2,), rad
-        Level errors of the mount about its x and its y axis.
-    tilt : float
-        Tilt of the axis from the horizontal, its y end down, rad.
-    square : float
-        Rotation of the axis about down from the mount's y axis, rad.
-    pitch : ndarray, shape (s,), rad
-        Error of the fixture's angle in each pose, in addition to ``level``; empty: no errors.
+    Level errors of the mount about its x and its y axis, tilt of the axis from the horizontal (its y end down), its
+    rotation about down from the mount's y axis, and the error of the fixture's angle in each pose (s,), in addition to
+    ``level``; empty: none. All in rad.
     """
 
     level: Array = field(default_factory=lambda: np.zeros(2))
@@ -97,41 +89,15 @@ def simulate_mount(
     earth_rate: bool = True,
     labelled: bool = True,
 ) -> TrueMotion:
-    """Integrals of static poses with a rotation of the fixture between them.
+    """Integrals of static poses with a rotation of the fixture between them; ``attitudes`` are those of the poses.
 
-    Parameters
-    ----------
-    angles_rad : array_like, shape (3,)
-        Roll, pitch and yaw of the sensor axes in the mount.
-    site : Site
-    pitch_rad : sequence of float
-        Nominal angle of the fixture in each pose, from level; at least two, and neighbours differ.
-    draw : MountErrors, optional
-        Errors of the mount; default none.
-    heading_rad : float
-        Heading of the mount's x axis, clockwise from north.
-    dwell_s, settle_s, peak_rate_rad_s, sample_rate_hz, earth_rate
-        As in :func:`sims.physics.free_motion.free_motion`.
-    labelled : bool
-        True: recordings state the stationary windows.
-
-    Returns
-    -------
-    TrueMotion
-        Motion without a fixture; ``attitudes`` are C_NED,B of the poses before and after each rotation.
-
-    Raises
-    ------
-    InputError
-        If there are fewer than two poses, neighbouring angles are equal, or the number of pitch errors differs.
+    ``angles_rad`` are roll, pitch and yaw of the sensor axes in the mount, ``pitch_rad`` the nominal angle of the
+    fixture in each pose, from level, ``heading_rad`` that of the mount's x axis, clockwise from north; the other
+    arguments are those of :func:`sims.physics.free_motion.free_motion`. Recordings state the windows if ``labelled``.
     """
     draw = draw or MountErrors()
     nominal = np.asarray(pitch_rad, dtype=np.float64)
-    if nominal.ndim != 1 or len(nominal) < 2 or np.any(np.diff(nominal) == 0.0):
-        raise InputError("The poses need at least two angles of the fixture, and neighbours that differ.")
     error = draw.pitch if draw.pitch.size else np.zeros(len(nominal))
-    if error.shape != nominal.shape:
-        raise InputError(f"The draw has pitch errors of {len(error)} poses, but there are {len(nominal)}.")
     heading = rotation([0.0, 0.0, heading_rad])
     level = heading @ rotation([*draw.level, 0.0])
     cosine = math.cos(draw.tilt)

@@ -24,7 +24,6 @@ import numpy as np
 from numpy.polynomial import legendre
 
 from sims.physics.fixture import rotation
-from srt.exceptions import InputError
 from srt.recording.recording import WINDOW_TOLERANCE
 
 if TYPE_CHECKING:
@@ -60,27 +59,10 @@ def tilt_step(motion: TrueMotion, time_s: float, rotation_vector_rad: ArrayLike)
     difference ∫|x| − |∫x|, which is zero unless a component changes sign within the sample, is left unchanged; the
     error is up to 2|v|·∫|x| in samples with a sign change in either frame.
 
-    Parameters
-    ----------
-    motion : TrueMotion
-    time_s : float
-        Any time at which samples are recorded, in windows or turns.
-    rotation_vector_rad : array_like, shape (3,), rad
-        v, small, in body axes. If several steps are applied in time order, a later one is in the axes after the
-        earlier ones.
-
-    Returns
-    -------
-    TrueMotion
-        Motion with changed ``angle``, ``angle_abs``, ``velocity`` and ``velocity_abs``, and changed ``attitudes`` of
-        the windows that end after the step in the same piece.
-
-    Raises
-    ------
-    InputError
-        If the time is outside the samples or in a gap, or the vector has another shape or is not finite.
+    ``rotation_vector_rad`` is v, small, in body axes; a later step is in the axes after the earlier ones. The attitudes
+    of the windows that end after the step in the same piece change with it.
     """
-    vector = _vector("The rotation vector of a tilt step", rotation_vector_rad)
+    vector = np.asarray(rotation_vector_rad)
     step, stop = _sample_and_end_of_piece(motion, time_s)
     during, after = slice(step, step + 1), slice(step + 1, stop)
     # For rows, multiplication with Exp(v) is Exp(-v) for columns; during the step, the mean over the sample applies.
@@ -123,24 +105,9 @@ def vibrating(
     The attitude C becomes C·Exp(v sin u), u = 2π f t + phase. Every vector x in B becomes x − v sin u × x, the rate
     v·du/dt·cos u is added, and the specific force of the linear vibration. Second-order terms in v are neglected.
 
-    Parameters
-    ----------
-    motion : TrueMotion
-    frequency_hz : float
-        f.
-    angle_rad : array_like, shape (3,), rad
-        v in body axes.
-    force_m_s2 : array_like, shape (3,), m/s²
-        Amplitude of the specific force of the linear vibration, in body axes, in phase with the angle.
-    phase_rad : float
-        Phase at time zero.
-
-    Raises
-    ------
-    InputError
-        If an amplitude has another shape or is not finite.
+    Angle v, rad, and amplitude of the specific force of the linear vibration, m/s², are in body axes and in phase.
     """
-    v, a = _vector("The angle of a vibration", angle_rad), _vector("The force of a vibration", force_m_s2)
+    v, a = np.asarray(angle_rad), np.asarray(force_m_s2)
     w, dt = 2.0 * math.pi * frequency_hz, motion.interval
     nodes, weights = legendre.leggauss(_NODES)
     u = w * (motion.time[:, None] - dt + 0.5 * dt * (1.0 + nodes)) + phase_rad
@@ -164,41 +131,12 @@ def lose_samples(
 ) -> Recording:
     """Replace consecutive samples by a straight line between their neighbours, as a logger fills lost samples.
 
-    Parameters
-    ----------
-    recording : Recording
-    start_s, duration_s : float
-        Span of the lost samples, s; with a duration of zero, no sample is lost.
-    sensors : sequence of "gyro", "accel"
-        Sensors that lose samples; the time stamps are unchanged.
-
-    Returns
-    -------
-    Recording
-        Recording with readings (rates or increments) that are linear in time over the span.
-
-    Raises
-    ------
-    InputError
-        If the duration is negative; if the span is outside the recording, contains no sample, or has no neighbour on
-        each side in the same gapless piece; or if ``sensors`` is empty or contains an unknown name.
+    The time stamps are unchanged; the span is within one gapless piece, with a neighbour on each side.
     """
-    if not sensors or any(name not in ("gyro", "accel") for name in sensors):
-        raise InputError(f"The sensors that lose samples are {sensors!r}, but a sequence of 'gyro', 'accel' is needed.")
-    if not (math.isfinite(duration_s) and duration_s >= 0.0):
-        raise InputError(f"Samples are lost for {duration_s:g} s, but a duration is zero or positive: correct it.")
-    what = "The run of lost samples"
-    _check_inside(recording, what, start_s, start_s + duration_s)
     if duration_s == 0.0:
         return recording
-    rows = _rows(recording, what, start_s, start_s + duration_s)
+    rows = recording.window_indices(start_s, start_s + duration_s)
     before, after = rows.start - 1, rows.stop
-    gaps = recording.gaps
-    if before < 0 or after >= len(recording.time) or np.any((gaps > before) & (gaps <= after)):
-        raise InputError(
-            f"{what} [{start_s:g}, {start_s + duration_s:g}] s has no neighbour on one side, or a gap between them: "
-            "keep it inside a gapless piece of the recording."
-        )
     time = recording.time
     weight = ((time[rows] - time[before]) / (time[after] - time[before]))[:, np.newaxis]
 
@@ -213,24 +151,8 @@ def lose_samples(
 
 
 def accel_bias_step(recording: Recording, start_s: float, end_s: float, step_m_s2: ArrayLike) -> Recording:
-    """Add a constant to the accelerometer readings of a time span.
-
-    Parameters
-    ----------
-    recording : Recording
-    start_s, end_s : float
-        Time span, s; it may include gaps.
-    step_m_s2 : array_like, shape (3,), m/s²
-        Constant in body axes; multiplied by the interval for increments.
-
-    Raises
-    ------
-    InputError
-        If the span does not end after it starts, exceeds the recording or contains no sample, or the step has another
-        shape or is not finite.
-    """
-    step = _vector("The step of the accelerometer bias", step_m_s2)
-    rows = _rows(recording, "The span of the bias step", start_s, end_s)
+    """Add a constant (3,), m/s² in body axes, to the accelerometer readings of a time span, which may include gaps."""
+    step, rows = np.asarray(step_m_s2), recording.window_indices(start_s, end_s)
     accel = recording.accel.copy()
     accel[rows] += step if recording.kind == "rate" else step * _intervals(recording, rows)
     return _with_samples(recording, recording.gyro, accel)
@@ -246,31 +168,10 @@ def noisier_window(
 ) -> Recording:
     """Increase the white noise in a window to ``factor`` times the stated noise, as a passing lorry or a fan does.
 
-    Parameters
-    ----------
-    recording : Recording
-        Recording with the stated white noise in its samples.
-    window : (start_s, end_s)
-        Time span, s; it may include gaps.
-    factor : float
-        At least 1; the added noise has √(factor² − 1) times the stated density.
-    gyro_noise, accel_noise : float
-        Stated angular random walk, rad/√s, and velocity random walk, m/s/√s; with zero, a sensor is unchanged.
-    rng : numpy.random.Generator
-        Random generator; each triad uses its own spawned generator.
-
-    Raises
-    ------
-    InputError
-        If the window does not end after it starts, exceeds the recording or contains no sample; or if the factor is
-        below 1 or a noise is negative or not finite.
+    ``gyro_noise`` and ``accel_noise`` are the stated angular random walk, rad/√s, and velocity random walk, m/s/√s.
+    Each triad uses a generator of its own.
     """
-    if not (math.isfinite(factor) and factor >= 1.0):
-        raise InputError(f"The noise of a window is raised by the factor {factor:g}, but at least 1 is expected.")
-    for name, noise in (("gyro", gyro_noise), ("accelerometer", accel_noise)):
-        if not (math.isfinite(noise) and noise >= 0.0):
-            raise InputError(f"The stated {name} noise is {noise:g}, but zero or a positive number is expected.")
-    rows = _rows(recording, "The noisier window", *window)
+    rows = recording.window_indices(*window)
     # White noise of density N has the variance N²·dt in an increment, N²/dt in a mean rate.
     power = -0.5 if recording.kind == "rate" else 0.5
     per_density = math.sqrt(factor**2 - 1.0) * _intervals(recording, rows) ** power
@@ -281,35 +182,11 @@ def noisier_window(
 
 
 def wrong_angle(draw: FixtureDraw, sequence: int, leg: int, error_rad: float) -> FixtureDraw:
-    """Add an error to one rotation of a fixture draw; it persists until the sequence ends.
+    """Add an error to one rotation of a fixture draw, in the positive sense of the fixture angle.
 
-    Parameters
-    ----------
-    draw : FixtureDraw
-        Draw with the errors of all rotations (without sigmas, :func:`sims.physics.fixture.draw_fixture` gives zeros).
-    sequence, leg : int
-        Number of the sequence in the order of execution, and number of the rotation in it, both from 0.
-    error_rad : float
-        Error added to the drawn one, in the positive sense of the fixture angle, rad.
-
-    Raises
-    ------
-    InputError
-        If the draw has no errors of rotations, an index is out of range, or the error is not finite.
+    It persists until the sequence ends. Sequences and their rotations are numbered in the order of execution, from 0.
     """
-    if draw.legs is None:
-        raise InputError(
-            "This fixture draw holds no errors of rotations, so that its sequences are unknown: "
-            "draw it for the sequences with draw_fixture, whose sigmas may be zero."
-        )
-    if not 0 <= sequence < len(draw.legs):
-        raise InputError(f"There is no sequence {sequence} in a fixture draw for {len(draw.legs)}: count from 0.")
-    if not 0 <= leg < len(draw.legs[sequence]):
-        raise InputError(
-            f"There is no rotation {leg} in sequence {sequence}, which has {len(draw.legs[sequence])}: count from 0."
-        )
-    if not math.isfinite(error_rad):
-        raise InputError(f"The error of a rotation is {error_rad:g} rad, but a finite number is expected.")
+    assert draw.legs is not None
     errors = np.array(draw.legs[sequence], dtype=np.float64)
     errors[leg] += error_rad
     return replace(draw, legs=(*draw.legs[:sequence], errors, *draw.legs[sequence + 1 :]))
@@ -317,51 +194,12 @@ def wrong_angle(draw: FixtureDraw, sequence: int, leg: int, error_rad: float) ->
 
 def _sample_and_end_of_piece(motion: TrueMotion, time_s: float) -> tuple[int, int]:
     """Find the sample with time - interval <= time_s < time, and the end (exclusive) of its gapless piece."""
-    early = WINDOW_TOLERANCE * motion.interval
-    first, last = float(motion.time[0]) - motion.interval, float(motion.time[-1])
-    if not first - early <= time_s < last - early:
-        raise InputError(
-            f"The tilt step is at {time_s:g} s, but the samples run from {first:g} to {last:g} s: move it."
-        )
     # A step at the edge of a sample must not fall into the preceding sample because of rounding.
+    early = WINDOW_TOLERANCE * motion.interval
     sample = int(np.searchsorted(motion.time, time_s + early, side="right"))
-    begins = float(motion.time[sample]) - motion.interval
-    if time_s < begins - early:
-        raise InputError(
-            f"The tilt step is at {time_s:g} s, in a gap: samples end at {motion.time[sample - 1]:g} s "
-            f"and continue at {begins:g} s: move it into a recorded piece."
-        )
     following = int(np.searchsorted(motion.piece_starts, sample, side="right"))
     stop = len(motion.time) if following == len(motion.piece_starts) else int(motion.piece_starts[following])
     return sample, stop
-
-
-def _vector(what: str, given: ArrayLike) -> Array:
-    vector = np.array(given, dtype=np.float64)
-    if vector.shape != (3,) or not np.isfinite(vector).all():
-        raise InputError(f"{what} is {vector.tolist()}, but three finite numbers are expected.")
-    return vector
-
-
-def _check_inside(recording: Recording, what: str, start_s: float, end_s: float) -> None:
-    interval = recording.nominal_interval_s
-    first, last = float(recording.time[0]) - interval, float(recording.time[-1])
-    early = WINDOW_TOLERANCE * interval
-    if not (first - early <= start_s and end_s <= last + early):
-        raise InputError(
-            f"{what} is [{start_s:g}, {end_s:g}] s, but the samples run from {first:g} to {last:g} s: move it inside."
-        )
-
-
-def _rows(recording: Recording, what: str, start_s: float, end_s: float) -> slice:
-    """Samples of a span, which must be within the recording and contain at least one sample."""
-    if not start_s < end_s:
-        raise InputError(f"{what} is [{start_s:g}, {end_s:g}] s, but it must end after it starts: correct its limits.")
-    _check_inside(recording, what, start_s, end_s)
-    rows = recording.window_indices(start_s, end_s)
-    if rows.stop == rows.start:
-        raise InputError(f"{what} [{start_s:g}, {end_s:g}] s holds no sample: widen it, or move it out of a gap.")
-    return rows
 
 
 def _intervals(recording: Recording, rows: slice) -> Array:
