@@ -4,8 +4,6 @@
 rounded numbers, one held, and U the identity.
 """
 
-from __future__ import annotations
-
 import email
 import json
 import os
