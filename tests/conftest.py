@@ -1,7 +1,5 @@
 """Fixtures: symbolic derivation, derivatives through the simulator, certificates, readers of logs in a fork."""
 
-from __future__ import annotations
-
 import contextlib
 import gc
 import importlib.util

@@ -1,7 +1,5 @@
 """Parts that the tests of the diagnosis share: the checks of some stages alone, on what is labelled."""
 
-from __future__ import annotations
-
 from functools import cached_property
 
 import pytest

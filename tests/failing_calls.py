@@ -1,7 +1,5 @@
 """Layer over the calls that change files, of which one fails: what a full or broken disk does to a command."""
 
-from __future__ import annotations
-
 import builtins
 import errno
 import io

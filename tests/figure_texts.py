@@ -1,7 +1,5 @@
 """Texts of a drawn figure."""
 
-from __future__ import annotations
-
 from itertools import combinations
 
 from matplotlib.backends.backend_agg import FigureCanvasAgg

@@ -3,16 +3,16 @@
 The file that ``srt calibrate -o`` writes is compared with the truth; all other outputs are compared with this file.
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 import json
 import re
 import traceback
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, partial
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from chain_readers import Rows, html_rows, pdf_rows, text_rows
@@ -26,10 +26,6 @@ from srt.cli import main
 from srt.exporters import ExportSettings, Readings, export, exporter
 from srt.exporters.applied_file import applied_of
 from srt.sensor_errors import GROUP_SLICES
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
 
 PAIRS = [(name, estimator) for name, case in CASES.items() for estimator in case.estimators]
 TAIL = 0.01 / (2 * len(PAIRS))

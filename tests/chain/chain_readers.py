@@ -1,15 +1,10 @@
 """Tables of parameters read back out of texts, HTML and PDF, without the modules that write them."""
 
-from __future__ import annotations
-
 import re
 import zlib
+from collections.abc import Iterable
 from html.parser import HTMLParser
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-    from pathlib import Path
+from pathlib import Path
 
 Rows = dict[str, tuple[str, str]]
 """Value and sigma as printed, by the name of the parameter."""

@@ -3,26 +3,21 @@
 Rests of 3 s and turns at 2.5 rad/s at 50 Hz: all errors are observed, and a recording takes a tenth of a second.
 """
 
-from __future__ import annotations
-
 import tomllib
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from zlib import crc32
 
 import numpy as np
 from foreign_fixture import Motion, by_protocol, on_fixture, table_1, write
 from foreign_motion import DEG, GRADES, GRAVITY_M_S2, START_DEG, Grade, Rotation, drawn_errors, drift_course, hand_turns
+from numpy.random import Generator
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.random import Generator
-
-    Samples = dict[str, np.ndarray]
-    Tables = dict[str, dict[str, Any]]
+Samples = dict[str, np.ndarray]
+Tables = dict[str, dict[str, Any]]
 
 SEED = 20261126
 REST_S, RATE_RAD_S, SIGMA_RAD, HZ = 3.0, 2.5, 1e-3, 50.0

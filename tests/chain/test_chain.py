@@ -4,8 +4,6 @@ The default form has every pair of recording, estimator and output; ``-m slow`` 
 figures of certificates and the files of figures.
 """
 
-from __future__ import annotations
-
 from functools import cache
 from itertools import combinations
 

@@ -1,7 +1,5 @@
 """``srt align-mount``: the angles of the library, and what is refused before anything is written."""
 
-from __future__ import annotations
-
 import json
 import math
 

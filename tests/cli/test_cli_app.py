@@ -1,7 +1,5 @@
 """The border of the command line: what is imported when, exit codes, and what reaches the user."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """``srt apply``: corrected recordings, the header, and what is refused before anything is written."""
 
-from __future__ import annotations
-
 import json
 import tomllib
 

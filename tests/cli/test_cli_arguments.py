@@ -1,7 +1,5 @@
 """Random command lines and environments: a small form of ``benchmarks/fuzz_arguments.py``, which runs 10,000."""
 
-from __future__ import annotations
-
 import fuzz_arguments
 import pytest
 

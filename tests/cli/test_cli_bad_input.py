@@ -1,22 +1,17 @@
 """A good recording, spoiled in one way, through ``srt calibrate``: exit code, one sentence, nothing half-written."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import srt
 from srt.cli import main
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
 
 # 50 Hz and windows of 2 s: small enough to calibrate in a moment, large enough for every check.
 SCENARIO = """

@@ -1,7 +1,5 @@
 """The border of the command line: limits of machine and Python, closed streams, signals, and hostile names."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """``srt calibrate``: tables, files, several recordings, and the exit code of every status."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

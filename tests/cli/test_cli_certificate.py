@@ -1,7 +1,5 @@
 """``srt certificate``: the files it writes, the sentence and the exit code of every outcome."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

@@ -1,7 +1,5 @@
 """``srt compare``: tables, files, and the exit code of every outcome."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

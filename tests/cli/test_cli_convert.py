@@ -1,7 +1,5 @@
 """``srt convert``: what is written, what is said of it, and that a refusal leaves nothing behind."""
 
-from __future__ import annotations
-
 import tomllib
 
 import numpy as np

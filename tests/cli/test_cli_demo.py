@@ -1,7 +1,5 @@
 """``srt demo``: the chain from simulation to verdict, as a newcomer runs it."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """``srt export``: the file, the printed loss, and what is refused before anything is written."""
 
-from __future__ import annotations
-
 import json
 import re
 

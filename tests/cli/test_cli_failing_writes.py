@@ -1,7 +1,5 @@
 """Writes of every command: whichever call fails, each file is the old or the new one, and nothing else remains."""
 
-from __future__ import annotations
-
 import errno
 import os
 import re

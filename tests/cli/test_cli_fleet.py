@@ -1,7 +1,5 @@
 """``srt calibrate`` of a fleet: folders and patterns, one table, outlying and failed units, any number of workers."""
 
-from __future__ import annotations
-
 import csv
 import json
 import re

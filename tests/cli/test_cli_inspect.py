@@ -1,7 +1,5 @@
 """``srt inspect``: table, JSON, picture, and exit codes."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import subprocess

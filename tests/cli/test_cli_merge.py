@@ -1,7 +1,5 @@
 """``srt calibrate --merge``: one calibration of several recordings, and how well they repeat."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

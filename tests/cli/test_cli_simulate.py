@@ -1,7 +1,5 @@
 """``srt simulate``: what it writes, and what it will not write over."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

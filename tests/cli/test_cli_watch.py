@@ -1,7 +1,5 @@
 """``srt watch``: a recording that grows, its messages, and an end result equal to that of ``srt calibrate``."""
 
-from __future__ import annotations
-
 import shutil
 import threading
 import time

@@ -1,7 +1,5 @@
 """Accuracy of a fixture from the verticals of its starts, with tilts put into the measured forces."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from functools import cache

@@ -1,7 +1,5 @@
 """The closed form of several units together: equal to that of each, whatever the batch; what leaves a batch."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

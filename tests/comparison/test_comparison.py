@@ -1,7 +1,5 @@
 """Comparison of estimators: its statistics on a linear model, whose estimates and covariances are exactly known."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

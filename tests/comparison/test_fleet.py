@@ -1,7 +1,5 @@
 """Units against their fleet: how often sound ones are flagged, how surely bad ones, and that none hides another."""
 
-from __future__ import annotations
-
 import csv
 import io
 import math

@@ -1,7 +1,5 @@
 """Several recordings of one unit merged: the values, what is common to recordings, and what differs between them."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from functools import cache

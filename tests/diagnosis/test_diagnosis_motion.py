@@ -3,8 +3,6 @@
 ``benchmarks/faults.py`` runs 200 of each.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from functools import cache, cached_property

@@ -3,8 +3,6 @@
 One unit of each grade per fault here; ``benchmarks/faults.py`` runs 200 of each.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

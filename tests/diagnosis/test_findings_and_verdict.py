@@ -1,7 +1,5 @@
 """A result is not sound beside a finding that says what is wrong with its readings. Units of a foreign generator."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Defects of real logs in recordings of an independent generator: named, and no wrong result; one unit of each."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from honesty import STUDIES

@@ -1,7 +1,5 @@
 """Result without asymmetries, as the linear algebra gives it and as another calibration does."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from foreign_motion import GRADES, drawn_errors, hand_turns, recording

@@ -1,7 +1,5 @@
 """Drift is told from faults of moves, windows and sequences; a step of a bias is a form of drift."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from worse_recordings import CASES, unit_of

@@ -1,7 +1,5 @@
 """Error of the time base: its effect is that of stretched time stamps, and a stated sigma is in the covariance."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

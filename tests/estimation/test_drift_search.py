@@ -1,7 +1,5 @@
 """Bias drift within a recording: forms, probability of a false selection, and what least squares makes of it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

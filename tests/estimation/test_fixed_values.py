@@ -3,8 +3,6 @@
 The recordings are those of a generator that shares nothing with the estimators (``benchmarks/foreign_motion.py``).
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Gyro g-sensitivity: the regression, its effect in rotations, its sigmas, and the test where it is not estimated."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 import math

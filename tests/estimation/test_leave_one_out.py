@@ -3,8 +3,6 @@
 Independent truth is the plain way: solve again, or calibrate again, without the sequence.
 """
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from functools import cache

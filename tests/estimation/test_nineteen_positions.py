@@ -1,7 +1,5 @@
 """The 19-position test without labels, from a generator that shares nothing with the estimators, against the bound."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from honesty_trials import nineteen_positions

@@ -3,8 +3,6 @@
 A mutation of one source changes its own test: an alignment error times zero, or a sign of a window's edge.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

@@ -1,7 +1,5 @@
 """Poses alone and stated rates as measurements: exact solutions, errors against their sigmas, and what is not seen."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np

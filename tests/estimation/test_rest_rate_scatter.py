@@ -1,7 +1,5 @@
 """Scatter of the gyro biases between sequences beyond the noise of the rates at rest."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.integrate import quad

@@ -1,7 +1,5 @@
 """Scatter of executed rotations against the stated accuracy of a fixture."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Residuals that the sensors' own noise does not explain enlarge the sigmas of all estimators alike, and say so."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

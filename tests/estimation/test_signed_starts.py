@@ -3,8 +3,6 @@
 By quarter turns the fixture has 16 attitudes: x, -x, y or -y along the outer axis, and four axes down with each.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from functools import cache

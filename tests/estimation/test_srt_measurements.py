@@ -1,7 +1,5 @@
 """Corrections of the processing of a recording: estimated g-sensitivity and estimated Earth rate."""
 
-from __future__ import annotations
-
 import accuracy_trials
 import numpy as np
 import pytest

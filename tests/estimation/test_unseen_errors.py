@@ -1,7 +1,5 @@
 """Coefficients of the errors that no residual shows, against calibrations of recordings that have them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Bias instability as Markov states in the joint estimators, against its dense covariance."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

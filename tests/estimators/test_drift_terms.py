@@ -1,7 +1,5 @@
 """Bias drift within a recording in Kalman filter and factor graph."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

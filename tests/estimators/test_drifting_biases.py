@@ -1,7 +1,5 @@
 """A part of the study of biases that drift within a recording: hand-turned units, by an independent generator."""
 
-from __future__ import annotations
-
 import pytest
 from honesty import STUDIES
 from scipy.stats import chi2

@@ -1,7 +1,5 @@
 """Forms of the Kalman filter: the same optimum where linearisation and rounding allow it, a named failure elsewhere."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -8,8 +8,6 @@ both ways. The recordings here therefore state a noise of 1e-4, which sets the w
 ten-millionth of it: second order is 1e-11 of a sigma then, rounding too, and the estimates still move by 1e-7.
 """
 
-from __future__ import annotations
-
 import math
 import sys
 from dataclasses import dataclass, replace

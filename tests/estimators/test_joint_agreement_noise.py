@@ -1,7 +1,5 @@
 """Filter, factor graph and dense solution agree on the full model, with navigation noise and drifting biases."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from functools import partialmethod

@@ -1,7 +1,5 @@
 """Factors of the graph against the rows of the linearised system, and its elimination against the dense solution."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

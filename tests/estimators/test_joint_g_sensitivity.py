@@ -1,7 +1,5 @@
 """Gyro g-sensitivity in Kalman filter and factor graph."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import accuracy_trials

@@ -5,8 +5,6 @@ written here, and the sensor errors are those of ``benchmarks/foreign_motion.py`
 the errors: to 2e-8 on the fixture, 5e-6 without one.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """The adapter of filterpy's square-root filter against its plain filter, and against least squares."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.linalg import solve_triangular

@@ -1,7 +1,5 @@
 """Runs at a stated rate in all estimators: noise-free solutions, agreement, a brute-force minimum, and true sigmas."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from functools import cache

@@ -1,7 +1,5 @@
 """Bias instability that is in the sigmas and not in the weights, in all estimators."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

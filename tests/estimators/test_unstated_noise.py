@@ -1,7 +1,5 @@
 """Sigmas and verdicts where no noise is stated, of units by a generator that shares nothing with the estimators."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

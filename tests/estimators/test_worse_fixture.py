@@ -1,7 +1,5 @@
 """Recordings on a fixture that is less accurate than stated, by a generator that shares nothing with the estimators."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

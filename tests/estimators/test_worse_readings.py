@@ -1,8 +1,6 @@
 """Units whose biases move, and readings that no noise model covers, by a generator that shares nothing with the
 estimators."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,7 +1,5 @@
 """Formulas of the tools that read exported files, typed from the tools' own statements, and calibrations to export."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import subprocess

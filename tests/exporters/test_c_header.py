@@ -1,7 +1,5 @@
 """The generated C header: compiled with all warnings as errors, and as exact as the arithmetic that it repeats."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 from dataclasses import replace

@@ -3,8 +3,6 @@
 The autopilots here are typed from their sources, with orientations by pymavlink; pyulog and pymavlink write the logs.
 """
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

@@ -3,8 +3,6 @@
 The formulas are typed here a second time, from the tools' own statements, over plain JSON, YAML and text.
 """
 
-from __future__ import annotations
-
 import importlib
 import json
 import math

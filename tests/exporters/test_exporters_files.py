@@ -1,7 +1,5 @@
 """Exported files read back as pre-calibrations, and refused when they are truncated or edited."""
 
-from __future__ import annotations
-
 import importlib
 import json
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Settings of an export, its refusals, and the tools that open the exported files."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace

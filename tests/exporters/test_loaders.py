@@ -3,8 +3,6 @@
 ``pytest tests/exporters/test_loaders.py -rP`` prints the table of docs/exports.md.
 """
 
-from __future__ import annotations
-
 import importlib
 import json
 from dataclasses import replace

@@ -1,30 +1,23 @@
 """Faults in the execution of a test: labels, sequences, stationary windows and rotations."""
 
-from __future__ import annotations
-
 import math
+from collections.abc import Iterable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
 from injected_faults import disturbances
-from injected_faults.injection import injection
+from injected_faults.injection import Case, injection
 from sims.physics.fixture import rotation
 from sims.physics.imu import read_out
 from sims.physics.sequences import TABLE_1
 from sims.physics.table_motion import run_schedule
+from sims.physics.true_motion import TrueMotion
 from sims.scenarios.simulation import schedule_of
 from srt.constants import DEG, MICRO_G
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from injected_faults.injection import Case
-    from sims.physics.true_motion import TrueMotion
-    from srt.recording.recording import Recording, SequenceLabel
-    from srt.types import Array
-
+from srt.recording.recording import Recording, SequenceLabel
+from srt.types import Array
 
 _IDS: Final = tuple(TABLE_1)
 _VIBRATION_HZ: Final = 23.0

@@ -1,21 +1,16 @@
 """Faults of firmware: high-pass filters, gravity removed, unsigned words, dead bands, truncation, stuck bits."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from scipy.signal import lfilter
 
-from injected_faults.injection import GRADES, injection
+from injected_faults.injection import GRADES, Case, injection
 from srt.constants import MICRO_G
-
-if TYPE_CHECKING:
-    from injected_faults.injection import Case
-    from srt.recording.recording import Recording
-    from srt.types import Array
+from srt.recording.recording import Recording
+from srt.types import Array
 
 
 def _high_passed(values: Array, interval_s: float, time_s: float) -> Array:

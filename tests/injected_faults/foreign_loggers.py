@@ -5,23 +5,18 @@ the catalogue that are correct findings for it. Some variants state none: they a
 fault for them.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from scipy.signal import lfilter
 
-from injected_faults.injection import variant
+from injected_faults.injection import Case, variant
 from injected_faults.logger import restamped, somewhere
 from srt.constants import DEG, MICRO_G, STANDARD_GRAVITY_M_S2
-
-if TYPE_CHECKING:
-    from injected_faults.injection import Case
-    from srt.recording.recording import Recording, SequenceLabel
-    from srt.types import Array, Indices
+from srt.recording.recording import Recording, SequenceLabel
+from srt.types import Array, Indices
 
 _G: Final = STANDARD_GRAVITY_M_S2
 _BITS: Final = 15

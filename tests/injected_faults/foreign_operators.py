@@ -3,10 +3,9 @@
 They were written without knowledge of the checks, like the variants of ``injected_faults.foreign_loggers``.
 """
 
-from __future__ import annotations
-
+from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -14,16 +13,11 @@ from scipy.spatial.transform import Rotation
 import injected_faults.execution
 import injected_faults.foreign_loggers
 import injected_faults.site_and_drift  # noqa: F401 - registers its injections
-from injected_faults.injection import INJECTIONS, FaultyCase, variant
+from injected_faults.injection import INJECTIONS, Case, FaultyCase, variant
 from sims.physics.imu import accel_matrix, gyro_matrix
 from srt.constants import DEG
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from injected_faults.injection import Case
-    from srt.recording.recording import Recording, SequenceLabel
-    from srt.types import Array
+from srt.recording.recording import Recording, SequenceLabel
+from srt.types import Array
 
 
 def _sign(rng: np.random.Generator) -> float:

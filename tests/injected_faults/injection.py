@@ -4,24 +4,18 @@ Each injection models the physical cause of a fault, independently of the check 
 ``logger``, ``execution`` and ``site_and_drift`` register injections when imported.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final, Self
 
 import numpy as np
 
-from sims.scenarios.scenario import scenario_from_dict
-from sims.scenarios.simulation import simulate
+from sims.scenarios.scenario import Scenario, scenario_from_dict
+from sims.scenarios.simulation import Simulation, simulate
+from srt.estimation.options import Options
 from srt.exceptions import InputError
-
-if TYPE_CHECKING:
-    from sims.scenarios.scenario import Scenario
-    from sims.scenarios.simulation import Simulation
-    from srt.estimation.options import Options
-    from srt.recording.recording import Recording
+from srt.recording.recording import Recording
 
 GRADES: Final = ("navigation-rlg", "tactical-fog", "industrial-mems", "consumer-mems")
 """Names of the unit configurations, best first."""
@@ -68,12 +62,12 @@ class Case:
         """Recording without the fault."""
         return self.simulation.recording
 
-    def changed(self, **sections: Mapping[str, Any]) -> Case:
+    def changed(self, **sections: Mapping[str, Any]) -> Self:
         """Case with the same unit and changes of the test, by section as in ``changes``."""
         merged = {name: dict(keys) for name, keys in self.changes.items()}
         for name, keys in sections.items():
             merged[name] = {**merged.get(name, {}), **keys}
-        return Case(self.grade, self.seed, merged)
+        return type(self)(self.grade, self.seed, merged)
 
 
 Apply = Callable[[Case, float, np.random.Generator], "Recording"]

@@ -3,26 +3,19 @@
 Faults of units and axes are in ``injected_faults.units_and_axes``.
 """
 
-from __future__ import annotations
-
 import math
+from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
 import injected_faults.firmware
 import injected_faults.units_and_axes  # noqa: F401 - these modules register their injections on import
-from injected_faults.injection import GRADES, injection
+from injected_faults.injection import GRADES, Case, injection
 from sims.physics.imu import read_out
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from injected_faults.injection import Case
-    from srt.recording.recording import Recording, SequenceLabel
-    from srt.types import Array
-
+from srt.recording.recording import Recording, SequenceLabel
+from srt.types import Array
 
 _EDGE: Final = 5
 """Number of undisturbed samples at each end of a sequence."""

@@ -1,25 +1,19 @@
 """Faults of the stated site and of the temperature, and drift, noise and scale-factor asymmetry of the unit."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from scipy.signal import lfilter
 
 from injected_faults.injection import GRADES, Case, injection
-from sims.physics.imu import read_out
+from sims.physics.imu import ImuModel, read_out
+from sims.physics.true_motion import TrueMotion
 from srt.constants import DEG, DEG_PER_H, MICRO_G, normal_gravity_m_s2
 from srt.estimation.options import Options
-
-if TYPE_CHECKING:
-    from sims.physics.imu import ImuModel
-    from sims.physics.true_motion import TrueMotion
-    from srt.recording.recording import Recording
-    from srt.types import Array
-
+from srt.recording.recording import Recording
+from srt.types import Array
 
 _ANOMALY_M_S2: Final = 5e-4
 """Standard deviation of a gravity anomaly, m/s²: the uncertainty of normal gravity."""

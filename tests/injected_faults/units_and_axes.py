@@ -1,22 +1,15 @@
 """Wrong statements of a file: units, kind of samples, count values, sample rates and axes."""
 
-from __future__ import annotations
-
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
-from injected_faults.injection import GRADES, injection
+from injected_faults.injection import GRADES, Case, injection
 from srt.constants import DEG, DEG_PER_H, STANDARD_GRAVITY_M_S2
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from injected_faults.injection import Case
-    from srt.recording.recording import Recording
-    from srt.types import Array
-
+from srt.recording.recording import Recording
+from srt.types import Array
 
 _G: Final = STANDARD_GRAVITY_M_S2
 

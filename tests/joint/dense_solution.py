@@ -1,7 +1,5 @@
 """Least-squares solution of a linearised system by one QR decomposition of all its rows: the reference of the tests."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

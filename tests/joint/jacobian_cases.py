@@ -1,11 +1,8 @@
 """Rotations, differences and recordings that the tests of the Jacobians of joint estimation share."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -17,14 +14,12 @@ from sims.physics.free_motion import Placement, Turn, placed_motion
 from sims.physics.turn_profiles import trapezoid
 from srt.estimation.options import Options
 from srt.joint.initial_attitudes import initial_attitudes
+from srt.joint.joint_model import JointModel
 from srt.joint.linearisation import linearise
 from srt.joint.recording_opening import open_joint_model
 from srt.model.prior import Prior
 from srt.recording.recording import Fixture, ImuNoise, SequenceLabel, Site
 from srt.sensor_errors import N_PARAMETERS, SensorErrors
-
-if TYPE_CHECKING:
-    from srt.joint.joint_model import JointModel
 
 EPS = np.finfo(float).eps
 G = 9.80665

@@ -1,7 +1,5 @@
 """Recordings and limits that the tests of agreement between estimators share."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

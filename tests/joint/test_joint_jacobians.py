@@ -6,8 +6,6 @@ what a reading error at a window's edge does by putting it into the samples. The
 the rows of the system.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

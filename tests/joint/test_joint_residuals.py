@@ -1,7 +1,5 @@
 """Jacobians of the residuals of windows and turns against differences through rotations of scipy."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Rotation vectors and their Jacobians against small rotations of scipy."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Streams and accuracies that the tests of the analytic platform share."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from srt.model.gyro_stream import gyro_stream

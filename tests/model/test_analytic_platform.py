@@ -1,7 +1,5 @@
 """Attitude integration against motions whose attitude is known in closed form."""
 
-from __future__ import annotations
-
 import math
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """Compiled steps of the analytic platform: the same integrals as numpy, chosen where they pay, and only there."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

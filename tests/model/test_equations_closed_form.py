@@ -1,7 +1,5 @@
 """The closed-form inversion, eqs. 13-14: exact inverse of the signatures, and what it does with fewer sequences."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from conftest import SAMPLE_RATE_HZ, Simulated, component_rows

@@ -7,8 +7,6 @@ numerical derivatives of the exact compensation, and what the simulator's fixtur
 the Earth.
 """
 
-from __future__ import annotations
-
 import ast
 import inspect
 import sys

@@ -4,8 +4,6 @@ MARS.
 Derivatives are blind to what is a constant of the errors; here the values themselves are held against the truth.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

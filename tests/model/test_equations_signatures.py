@@ -1,7 +1,5 @@
 """The signatures of the 17 sequences: as a table, from the paper's equations, from the model, from the simulator."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import sympy as sp

@@ -3,8 +3,6 @@
 [N] is Savage 2017, part 3; [P] is Savage 2020. The biases' effects are stated as estimate minus truth.
 """
 
-from __future__ import annotations
-
 import math
 from fractions import Fraction
 

@@ -4,8 +4,6 @@ Every matrix and every vector below is the paper's, entered as numbers; the misa
 put in as the paper does when it goes over to MARS axes (eq. 10).
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from math import pi
 

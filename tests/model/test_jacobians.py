@@ -2,8 +2,6 @@
 compensated values by the exact compensation; at no errors, at tiny and at large ones.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

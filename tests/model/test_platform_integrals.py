@@ -1,7 +1,5 @@
 """Integrals of the analytic platform against those of ideal turns, at several sample rates and on the turning Earth."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from conftest import G

@@ -1,7 +1,5 @@
 """Quaternions and rotation vectors against rotations of scipy."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

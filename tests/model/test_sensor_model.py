@@ -1,7 +1,5 @@
 """Compensation inverts the reading model exactly; composition and gauge; ten readings worked by hand."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

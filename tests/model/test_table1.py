@@ -1,7 +1,5 @@
 """Table 1 as data, against the kinematics of the two-axis fixture it is executed on."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -5,8 +5,6 @@ The bias turns the attitude wrongly by the ordered exponential of ``v = C κ``, 
 most ``(|κ| T)^n / n!``. The specific force of the end, which is −g u in start axes, is then carried to ``−g E u``.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Mount alignment, Savage 2020 §10: its equations, what the stand does to it, its sigmas, and what it refuses."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace

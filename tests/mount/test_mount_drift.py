@@ -1,7 +1,5 @@
 """Mount alignment of a unit with bias instability: the sigmas match the errors."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Allan deviation against noise of known figures, its pooling, and what it refuses."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from math import sqrt

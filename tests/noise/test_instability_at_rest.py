@@ -1,7 +1,5 @@
 """Bias instability from the stationary windows, on noise of known spectrum."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -3,8 +3,6 @@
 Truth is the noise that is made here, by sums and filters of normal numbers.
 """
 
-from __future__ import annotations
-
 import json
 from functools import partial
 

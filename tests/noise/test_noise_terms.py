@@ -1,7 +1,5 @@
 """Noise terms by maximum likelihood: coverage of intervals, record lengths, the command, exports that use them."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import json

@@ -1,7 +1,5 @@
 """White noise behind the low-pass filter of a sensor, with filters of scipy.signal: the noise of window means."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise
 

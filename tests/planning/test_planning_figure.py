@@ -1,7 +1,5 @@
 """The picture of a plan: what is drawn is the timetable and the prediction, and its texts can be read."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

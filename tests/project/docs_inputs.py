@@ -4,10 +4,8 @@ Recordings of one unit, short and at 50 Hz, and what follows from them. Every na
 pages.
 """
 
-from __future__ import annotations
-
 from functools import cache
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 
@@ -16,9 +14,6 @@ import srt
 from srt.constants import DEG, STANDARD_GRAVITY_M_S2
 from srt.exporters import export, save
 from srt.recording.applied import AppliedCorrection
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 SAMPLE_RATE_HZ = 50.0
 TABLES = {

@@ -1,7 +1,5 @@
 """Wrong arguments of the public functions: one sentence of what is expected, where the argument comes in."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

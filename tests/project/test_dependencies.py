@@ -1,7 +1,5 @@
 """Third-party packages: every import is declared in pyproject.toml, in an extra of the folder that uses it."""
 
-from __future__ import annotations
-
 import ast
 import sys
 import tomllib

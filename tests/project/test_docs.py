@@ -1,7 +1,5 @@
 """The documentation: every link, name, key and equation in it exists."""
 
-from __future__ import annotations
-
 import importlib
 import re
 from itertools import pairwise

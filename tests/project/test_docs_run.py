@@ -11,8 +11,6 @@ commands, one a line. A comment before a block changes this:
   block runs in the slow tests.
 """
 
-from __future__ import annotations
-
 import contextlib
 import doctest
 import io

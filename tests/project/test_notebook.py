@@ -1,7 +1,5 @@
 """The notebook runs from its first cell to its last, and the calibration shortens the drift."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

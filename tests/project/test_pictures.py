@@ -1,7 +1,5 @@
 """The pictures of the documentation are those that the present software draws, and the pages show them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import matplotlib as mpl

@@ -1,7 +1,5 @@
 """The functions of ``srt`` give what the commands give, from files, recordings and arrays; objects print as tables."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import replace

@@ -1,10 +1,8 @@
 """The wheel, installed beside numpy and scipy alone: it is complete, it loads, applies and calibrates.
 
-``tests/data/calibration-v1.json`` is a file of format version 1 as version 0.1.0 writes it, with 26 parameters of
-rounded numbers, one held, and U the identity.
+``tests/data/calibration-v1.json`` is a file of format version 1 as version 0.1.0 writes it, but for its line breaks: 26
+parameters of rounded numbers, one held, and U the identity.
 """
-
-from __future__ import annotations
 
 import email
 import json

@@ -1,7 +1,5 @@
 """Samples and writers of files that the tests of the importers of tables share."""
 
-from __future__ import annotations
-
 import csv
 
 import numpy as np

@@ -1,7 +1,5 @@
 """CSV by pyarrow and by numpy: the same bits, and the same refusals."""
 
-from __future__ import annotations
-
 import sys
 
 import numpy as np

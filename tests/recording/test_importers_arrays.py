@@ -1,7 +1,5 @@
 """Units that HDF5 files state for their datasets, and structs of NaveGo."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import scipy.io

@@ -1,7 +1,5 @@
 """Units, counts, axes and names of the columns of an imported table."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

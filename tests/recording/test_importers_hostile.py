@@ -1,7 +1,5 @@
 """Files that mean harm: headers that promise terabytes, ways out of the folder, objects, damaged structure."""
 
-from __future__ import annotations
-
 import importlib
 import io
 import re

@@ -1,7 +1,5 @@
 """Tables of samples in foreign formats, each in a file that its own library wrote, and messages on faulty ones."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Protocols: reading, the fixture that runs them, and what is refused."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Bounds on what is read: hostile files are refused at once, in one sentence."""
 
-from __future__ import annotations
-
 import time
 import zipfile
 from functools import partial

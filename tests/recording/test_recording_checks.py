@@ -1,7 +1,5 @@
 """Wrong units, clipped readings and interruptions: told apart from a unit that is merely far off."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Recordings written and read back, in every format and unit."""
 
-from __future__ import annotations
-
 import hashlib
 import math
 import os

@@ -1,7 +1,5 @@
 """Overwriting a recording: whatever call fails, the folder has the old or the new recording, complete."""
 
-from __future__ import annotations
-
 import errno
 import os
 

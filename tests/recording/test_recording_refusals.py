@@ -1,7 +1,5 @@
 """A good folder, spoiled in one way: what the sentence must name."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Intervals and gaps from stamps that are rounded, jittered and interrupted."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import assume, given

@@ -1,7 +1,5 @@
 """A recording in memory: what it refuses, what it copies, and which samples a window holds."""
 
-from __future__ import annotations
-
 import math
 import pickle
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """Time stamps that are dates or durations, in tables, files and frames, and tables that end in empty rows."""
 
-from __future__ import annotations
-
 from datetime import UTC, datetime
 
 import numpy as np

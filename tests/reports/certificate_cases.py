@@ -1,7 +1,5 @@
 """Calibrations for certificates, their files, and a reader of pages."""
 
-from __future__ import annotations
-
 from html.parser import HTMLParser
 
 import numpy as np

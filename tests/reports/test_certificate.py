@@ -1,7 +1,5 @@
 """Certificates: numbers, limits, changes and pictures of the page."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Certificates of files that were edited or cut are refused."""
 
-from __future__ import annotations
-
 import copy
 import json
 from dataclasses import replace

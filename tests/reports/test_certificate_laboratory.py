@@ -1,7 +1,5 @@
 """Statements of the laboratory, coverage, budget and decision rule of a certificate."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

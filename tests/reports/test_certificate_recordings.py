@@ -1,7 +1,5 @@
 """Certificates beside their recordings, merged, of free recordings, and as PDF."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import accuracy_trials

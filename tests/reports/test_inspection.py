@@ -1,7 +1,5 @@
 """Findings of an inspection in simulated and recorded data, and its picture."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

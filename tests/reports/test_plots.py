@@ -1,7 +1,5 @@
 """Figures: what they hold, that nothing overlaps, and that matplotlib's global state is left alone."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Correction of readings: exact, the same for arrays and single samples, without allocation, with covariance."""
 
-from __future__ import annotations
-
 import math
 import tracemalloc
 

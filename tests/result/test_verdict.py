@@ -1,7 +1,5 @@
 """The verdict on a calibration: one function of its status and of the chi-square of its residuals."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from types import SimpleNamespace

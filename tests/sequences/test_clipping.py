@@ -1,7 +1,5 @@
 """Clipped readings are found whatever range is stated, on fixtures and in free recordings; sound ones raise nothing."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

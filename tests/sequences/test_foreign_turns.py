@@ -1,7 +1,5 @@
 """Unlabelled turns of a generator that shares nothing with simulator or estimators: errors match their sigmas."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Unlabelled recordings labelled by their protocol; motions that contradict it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

@@ -1,7 +1,5 @@
 """Moves between labelled sequences, in readings made by hand."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

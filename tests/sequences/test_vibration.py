@@ -1,7 +1,5 @@
 """Vibration in the windows: false alarms on white noise, size and frequency, and its removal from the measurements."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

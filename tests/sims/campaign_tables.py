@@ -1,7 +1,5 @@
 """Tables of trials with known results, for the tests of the reports of a robustness campaign."""
 
-from __future__ import annotations
-
 from functools import cache
 from itertools import product
 

@@ -1,7 +1,5 @@
 """Simulated runs that the tests of disturbances share."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import fields
 

@@ -1,7 +1,5 @@
 """Accuracy of a plan whose moves between the sequences are recorded: against the bound, and in the plan itself."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

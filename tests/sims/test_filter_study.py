@@ -1,7 +1,5 @@
 """A part of the study of filter forms (``srt robustness filters``), and the page that shows its tables."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Figures and pages that report a robustness campaign."""
 
-from __future__ import annotations
-
 import base64
 import re
 import sys

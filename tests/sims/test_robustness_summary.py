@@ -1,7 +1,5 @@
 """Summary of a robustness campaign from tables of trials whose results are known."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

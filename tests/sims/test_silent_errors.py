@@ -1,7 +1,5 @@
 """A part of the study of errors that gave wrong results without a word: one or two units of each row that can show."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from honesty import ESTIMATORS, STUDIES

@@ -1,7 +1,5 @@
 """Disturbances of a simulated test, each against the same disturbance made in another way."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

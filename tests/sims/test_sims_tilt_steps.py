@@ -1,7 +1,5 @@
 """Tilt steps of a simulated test, each against the same step made in another way."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Calibration, readings and their correction for the tests of streams."""
 
-from __future__ import annotations
-
 import numpy as np
 from g_sensitive import with_g_sensitivity
 

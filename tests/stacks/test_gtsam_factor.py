@@ -1,7 +1,5 @@
 """Preintegrated factor with the sensor errors: every Jacobian, its noise, its sums, and a graph that uses the prior."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """MAVLink packets: what goes out for each message, version and signature, and no damage that ends a stream."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from stream_cases import Y, corrector

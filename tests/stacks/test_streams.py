@@ -1,7 +1,5 @@
 """Streams: corrected lines and packets are those of the arrays, and no damage to one ends the stream."""
 
-from __future__ import annotations
-
 import io
 import json
 import socket

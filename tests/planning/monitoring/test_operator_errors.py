@@ -1,7 +1,5 @@
 """The monitor of a running test names operator's errors in time, and nothing else; a repetition repairs them."""
 
-from __future__ import annotations
-
 import numpy as np
 import operator_errors as study
 import pytest
