@@ -43,6 +43,7 @@ from srt.recording.schema import (
     number,
     read_fields,
     text,
+    whole,
 )
 from srt.recording.toml_text import read_toml
 
@@ -243,12 +244,6 @@ def _read_rests(value: Any) -> tuple[float, float]:
     return before, after
 
 
-def _read_repeat(value: Any) -> int:
-    if not isinstance(value, int) or isinstance(value, bool) or not 1 <= value <= _MOST_STEPS:
-        raise ValueError
-    return value
-
-
 _LARGEST_ACCELERATION_DEG_S2: Final = 1e9  # bound of accelerations, °/s²: the largest rate within a millisecond
 _RATE: Final = number("rate_deg_s", "deg/s", "rate_rad_s", factor=DEG, above=0.0, high=LARGEST_RATE_DEG_S)
 _RESTS: Final = Key("rest_s", "a positive number of seconds, or a pair [before, after]", _read_rests, "rest_s")
@@ -271,7 +266,7 @@ STEP_KEYS: Final = (
     _RATE,
     number("turn_s", "s", "turn_s", above=0.0, high=LARGEST_TIME_S),
     number("stated_rate_deg_s", "deg/s", "stated_rate_rad_s", factor=DEG, above=0.0, high=LARGEST_RATE_DEG_S),
-    Key("repeat", f"a whole number from 1 to {_MOST_STEPS}", _read_repeat, "repeat"),
+    whole("repeat", "repeat", 1, _MOST_STEPS),
 )
 """Keys of the file and of a [[step]]."""
 

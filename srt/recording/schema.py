@@ -99,15 +99,15 @@ def one_or_three(name: str, unit: str, *, zero: bool, high: float) -> Key:
     return Key(name, f"{limits}, of magnitudes up to {high:g}, in {unit}", read)
 
 
-def whole(name: str, attribute: str) -> Key:
-    """Key of a whole number from 0 that has 32 bits."""
+def whole(name: str, attribute: str, low: int = 0, high: int = (1 << 32) - 1) -> Key:
+    """Key of a whole number within [low, high], by default one that has 32 bits."""
 
     def read(value: Any) -> int:
-        if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value < 1 << 32:
+        if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
             raise ValueError
         return value
 
-    return Key(name, "a whole number, not negative, of 32 bits,", read, attribute)
+    return Key(name, f"a whole number from {low} to {high}", read, attribute)
 
 
 def numbers(name: str, unit: str, attribute: str, count: int) -> Key:

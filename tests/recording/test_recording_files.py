@@ -173,6 +173,8 @@ def test_counts(tmp_path):
     recording = load_recording(write_folder(tmp_path, header))
     np.testing.assert_array_equal(recording.gyro, [[0.0, 0.25, -2.0], [3.0, 1.75, -8.0]])
     np.testing.assert_array_equal(recording.accel, [[0.0, 0.25, 3.0], [3.0, 3.25, 6.0]])
+    alone = header.replace('gyro_unit = "counts"\n', "").replace('accel_unit = "counts"\n', "")
+    np.testing.assert_array_equal(load_recording(write_folder(tmp_path, alone)).gyro, recording.gyro)
 
 
 SI = 'gyro_unit = "rad/s"\naccel_unit = "m/s^2"\n'
