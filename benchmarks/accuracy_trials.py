@@ -6,13 +6,11 @@ Estimators are reached through the registry (:func:`srt.calibrate`) only.
 
 from __future__ import annotations
 
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
-from multiprocessing import get_context
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from studies import scored
+from studies import in_processes, scored
 
 import srt
 from sims.physics.fixture import FixtureDraw, draw_fixture, rotation
@@ -60,10 +58,7 @@ INSTABILITY: Final = {
 
 def run(trial: Callable[[int], Any], seeds: Iterable[int], *, workers: int = 1) -> list[Any]:
     """Results of ``trial(seed)`` in the order of the seeds."""
-    if workers <= 1:
-        return [trial(seed) for seed in seeds]
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        return list(pool.map(trial, seeds, chunksize=4))
+    return list(in_processes(workers, trial, ((seed,) for seed in seeds)))
 
 
 def normal_errors(rng: np.random.Generator, sigma: float = 1e-3, gyro_bias: float = 0.0) -> SensorErrors:

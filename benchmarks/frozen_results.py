@@ -30,15 +30,17 @@ if TYPE_CHECKING:
     from srt.recording.recording import Recording
 
 _NUMBER: Final = re.compile(r"[\d.]+(e[+-]?\d+)?")
+SLOW: Final = {"sample_rate_hz": 50.0}
 LARGEST: Final = 1e-6
 """Largest difference, in sigmas, that counts as none."""
 
 
-def simulated(**tables: Any) -> Recording:
-    """Recording of a scenario given by its tables; latitude 45° and a fixture of 1 mrad unless given."""
-    base = {"imu": {"from": "tactical-fog"}, "site": {"from": "latitude-45"}}
-    fixture = {} if "free" in tables or tables.pop("unplaced", False) else {"fixture": {"from": "lab-1mrad"}}
-    return sims.simulate(sims.scenario_from_dict({**base, **fixture, **tables})).recording
+def simulated(tables: dict[str, Any]) -> Recording:
+    """Recording of a scenario given by its tables; latitude 45°, a fixture of 1 mrad and 50 Hz unless given."""
+    base = {"imu": {"from": "tactical-fog"}, "site": {"from": "latitude-45"}, "recording": SLOW}
+    fixture = {} if "free" in tables else {"fixture": {"from": "lab-1mrad"}}
+    given = {name: table for name, table in {**base, **fixture, **tables}.items() if table is not None}
+    return sims.simulate(sims.scenario_from_dict(given)).recording
 
 
 def shipped(name: str) -> Recording:
@@ -56,61 +58,46 @@ def drifting_biases(seed: int, form: str, change: str) -> Recording:
     return drifting_unit(seed, "industrial", form, change, profile="quintic")[0]
 
 
-_QUICK: Final = {"dwell_s": 4.0, "rate_rad_s": 2.0, "acceleration_rad_s2": 20.0}
-_SLOW_SAMPLES: Final = {"sample_rate_hz": 50.0}
-_HALF: Final = ("1", "2", "3", "1a", "4", "5", "6", "7", "8", "9", "13")
-
-RECORDINGS: Final[dict[str, Callable[[], Recording]]] = {
-    **{
-        name: partial(shipped, name)
-        for name in (
-            "demo", "tactical-fog", "industrial-mems", "consumer-mems", "navigation-rlg", "noise-free", "robustness",
-            "free-mems",
-        )
+QUICK: Final = {"dwell_s": 4.0, "rate_rad_s": 2.0, "acceleration_rad_s2": 20.0}
+HALF: Final = ["1", "2", "3", "1a", "4", "5", "6", "7", "8", "9", "13"]
+SHIPPED: Final = (
+    "demo", "tactical-fog", "industrial-mems", "consumer-mems", "navigation-rlg", "noise-free", "robustness",
+    "free-mems",
+)  # fmt: skip
+SCENARIOS: Final[dict[str, dict[str, Any]]] = {
+    "free tactical": {"seed": 31, "free": {"turns": 24, "dwell_s": 6.0}},
+    "half of Table 1": {"seed": 32, "schedule": {**QUICK, "sequences": HALF}},
+    "repeated": {"seed": 33, "schedule": {**QUICK, "repeats": 2}},
+    "g-sensitive": {
+        "seed": 34, "schedule": QUICK,
+        "imu": {"from": "consumer-mems", "noise": {"gyro_g_sensitivity_deg_per_h_per_g": 400.0}},
     },
+    "two-axis table": {"seed": 35, "protocol": {"from": "two-axis-table"}},
+    "19 positions, no fixture": {"seed": 36, "fixture": None, "protocol": {"from": "19-positions"}},
+    "rate table": {"seed": 37, "fixture": None, "protocol": {"from": "rate-table"}},
+    "six faces": {"seed": 38, "fixture": None, "protocol": {"from": "six-face-tumble"}},
+    "hand-turned protocol": {
+        "seed": 39, "fixture": None, "imu": {"from": "industrial-mems"}, "protocol": {"from": "hand-turned"},
+    },
+    "pulses": {
+        "seed": 40, "schedule": QUICK, "recording": {"sample_rate_hz": 100.0, "kind": "increment"},
+        "imu": {"from": "navigation-rlg", "noise": {"gyro_quantization_arcsec": 2.0}},
+    },
+    "large errors": {"seed": 41, "errors": {"draw": "uniform", "factor": 40.0}, "schedule": QUICK},
+    "nothing stated": {
+        "seed": 42, "site": {"from": "latitude-45", "state_latitude": False}, "schedule": QUICK,
+        "fixture": {"from": "lab-1mrad", "state_heading": False}, "recording": {**SLOW, "state_noise": False},
+    },
+}  # fmt: skip
+RECORDINGS: Final[dict[str, Callable[[], Recording]]] = {
+    **{name: partial(shipped, name) for name in SHIPPED},
     "moves tactical": partial(moving, 21, "tactical"),
     "moves navigation": partial(moving, 22, "navigation"),
-    "free tactical": partial(
-        simulated, seed=31, free={"turns": 24, "dwell_s": 6.0}, recording=_SLOW_SAMPLES
-    ),
     "drift linear": partial(drifting_biases, 100, "linear", "4, 300"),
     "drift warm-up": partial(drifting_biases, 101, "warm-up", "10, 1000"),
     "drift random walk": partial(drifting_biases, 102, "random walk", "0.1, 10"),
-    "half of Table 1": partial(
-        simulated, seed=32, schedule={**_QUICK, "sequences": list(_HALF)}, recording=_SLOW_SAMPLES
-    ),
-    "repeated": partial(simulated, seed=33, schedule={**_QUICK, "repeats": 2}, recording=_SLOW_SAMPLES),
-    "g-sensitive": partial(
-        simulated, seed=34, imu={"from": "consumer-mems", "noise": {"gyro_g_sensitivity_deg_per_h_per_g": 400.0}},
-        schedule=_QUICK, recording=_SLOW_SAMPLES,
-    ),
-    "two-axis table": partial(
-        simulated, seed=35, protocol={"from": "two-axis-table"}, recording=_SLOW_SAMPLES
-    ),
-    "19 positions, no fixture": partial(
-        simulated, seed=36, unplaced=True, protocol={"from": "19-positions"}, recording=_SLOW_SAMPLES
-    ),
-    "rate table": partial(simulated, seed=37, unplaced=True, protocol={"from": "rate-table"}, recording=_SLOW_SAMPLES),
-    "six faces": partial(
-        simulated, seed=38, unplaced=True, protocol={"from": "six-face-tumble"}, recording=_SLOW_SAMPLES
-    ),
-    "hand-turned protocol": partial(
-        simulated, seed=39, unplaced=True, imu={"from": "industrial-mems"}, protocol={"from": "hand-turned"},
-        recording=_SLOW_SAMPLES,
-    ),
-    "pulses": partial(
-        simulated, seed=40, imu={"from": "navigation-rlg", "noise": {"gyro_quantization_arcsec": 2.0}},
-        schedule=_QUICK, recording={"sample_rate_hz": 100.0, "kind": "increment"},
-    ),
-    "large errors": partial(
-        simulated, seed=41, errors={"draw": "uniform", "factor": 40.0}, schedule=_QUICK, recording=_SLOW_SAMPLES
-    ),
-    "nothing stated": partial(
-        simulated, seed=42, site={"from": "latitude-45", "state_latitude": False},
-        fixture={"from": "lab-1mrad", "state_heading": False}, schedule=_QUICK,
-        recording={**_SLOW_SAMPLES, "state_noise": False},
-    ),
-}  # fmt: skip
+    **{name: partial(simulated, tables) for name, tables in SCENARIOS.items()},
+}
 """Recordings by name."""
 
 

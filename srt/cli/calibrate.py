@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from srt.cli.calibration_jobs import Display, Job, plan, plan_fleet, plan_merging
+from srt.cli.calibration_jobs import Display, Job, draw, plan, plan_fleet, plan_merging
 from srt.cli.fleet import FLEET_FROM, FleetEngine, run_fleet
 from srt.cli.grouped_command import GroupedCommand
 from srt.cli.merge import run_merging
@@ -24,9 +24,7 @@ if TYPE_CHECKING:
 
     from srt.estimation.options import Options
     from srt.model.prior import Prior
-    from srt.recording.protocol import Protocol
     from srt.result.calibration import Calibration
-    from srt.sensor_errors import SensorErrors
 
 # Option types of srt.estimation.options, written out: importing them would make the help wait for numpy.
 CHOICES = {
@@ -197,8 +195,11 @@ def calibrate(
     )
     options = parse_options(choices, trust=trust)
     check_tools(estimator, plot)
-    known = None if protocol is None else known_protocol(protocol)
-    true_errors = None if truth is None else known_errors(truth)
+    from srt.cli.truth import load_truth
+    from srt.recording.protocol import load_protocol
+
+    known = None if protocol is None else load_protocol(protocol)
+    true_errors = None if truth is None else load_truth(truth)
     if fleet:
         engine = FleetEngine(workers, scheduler)
         return run_fleet(jobs, estimator, options, engine=engine, output=output, quiet=quiet, force=force)
@@ -206,20 +207,6 @@ def calibrate(
     if merge:
         return run_merging(jobs, estimator, options, display, output, plot)
     return run_each(jobs, estimator, options, display, output)
-
-
-def known_protocol(name: str) -> Protocol:
-    """Shipped protocol, or one of a file."""
-    from srt.recording.protocol import load_protocol
-
-    return load_protocol(name)
-
-
-def known_errors(path: Path) -> SensorErrors:
-    """True errors of a simulated recording."""
-    from srt.cli.truth import load_truth
-
-    return load_truth(path)
 
 
 def refuse_combinations(*rules: tuple[bool, str]) -> None:
@@ -330,7 +317,6 @@ def run_job(job: Job, estimator: str, options: Options, display: Display) -> Cal
     """
     import srt
     from srt.cli.progress import iteration_progress
-    from srt.reports.text.calibration_summary import calibration_text
 
     recording = display.load(job.recording)
     with iteration_progress(job.name, quiet=display.quiet) as progress:
@@ -340,21 +326,8 @@ def run_job(job: Job, estimator: str, options: Options, display: Display) -> Cal
     if job.output is not None:
         calibration.save(job.output)
     if not display.quiet:
-        show(
-            calibration_text(
-                calibration,
-                title=str(job.recording),
-                truth=display.truth,
-                source=str(job.recording),
-                details=display.details,
-                budget=display.budget,
-                verdict=display.verdict,
-            )
-        )
-    if job.plot is not None:
-        from srt.reports.figures.calibration import calibration_figure, save_figure
-
-        save_figure(calibration_figure(calibration, truth=display.truth, title=figure_title(job.name)), job.plot)
+        show(display.text(calibration, str(job.recording), str(job.recording)))
+    draw(calibration, job.plot, figure_title(job.name), display.truth)
     announce(job.output, job.plot, quiet=display.quiet)
     return calibration
 

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     from srt.recording.protocol import Protocol
     from srt.recording.recording import Recording
+    from srt.result.calibration import Calibration
     from srt.sensor_errors import SensorErrors
 
 
@@ -62,10 +63,25 @@ class Display:
         recording = load_recording(path)
         return recording if self.protocol is None else replace(recording, protocol=self.protocol, sequences=())
 
+    def text(self, calibration: Calibration, title: str, source: str = "") -> str:
+        """Parts of a calibration as text."""
+        from srt.reports.text.calibration_summary import calibration_text
+
+        parts = {"details": self.details, "budget": self.budget, "verdict": self.verdict}
+        return calibration_text(calibration, title=title, truth=self.truth, source=source, **parts)
+
     @property
     def complete(self) -> bool:
         """True if the whole report is printed, not the summary alone."""
         return self.details or self.budget or self.verdict
+
+
+def draw(calibration: Calibration, plot: Path | None, title: str, truth: SensorErrors | None = None) -> None:
+    """Write the figure of a calibration; nothing for None."""
+    if plot is not None:
+        from srt.reports.figures.calibration import calibration_figure, save_figure
+
+        save_figure(calibration_figure(calibration, truth=truth, title=title), plot)
 
 
 def plan(recordings: Sequence[Path], output: Path | None, plot: Path | None) -> tuple[Job, ...]:
@@ -90,17 +106,15 @@ def plan(recordings: Sequence[Path], output: Path | None, plot: Path | None) -> 
             raise InputError(
                 f"Two recordings are named {twice}, and their results would replace each other: calibrate them apart."
             )
-    jobs = []
-    for path, name in zip(recordings, names, strict=True):
-        file = output / f"{name}.json" if output is not None and into_folder else output
-        figure = plot.with_name(f"{plot.stem}-{name}{plot.suffix}") if plot is not None and several else plot
-        jobs.append(Job(path, name, file, figure))
     if output is not None and into_folder:
         check_directory(output)
     else:
         check_file(output, RESULT_SUFFIXES, "The result")
     check_file(plot, PLOT_SUFFIXES, "The plot")
-    return tuple(jobs)
+    if not several:
+        file = output / f"{names[0]}.json" if output is not None and into_folder else output
+        return (Job(recordings[0], names[0], file, plot),)
+    return tuple(_job(path, name, output, plot) for path, name in zip(recordings, names, strict=True))
 
 
 def plan_merging(recordings: Sequence[Path], output: Path | None, plot: Path | None) -> tuple[Job, ...]:
@@ -140,9 +154,15 @@ def plan_fleet(recordings: Sequence[Path], output: Path | None, plot: Path | Non
             )
         check_directory(output)
     check_file(plot, PLOT_SUFFIXES, "The plot")
-    jobs = []
-    for path, name in zip(recordings, unit_names(recordings), strict=True):
-        file = output / f"{file_name(name)}.json" if output is not None else None
-        figure = plot.with_name(f"{plot.stem}-{file_name(name)}{plot.suffix}") if plot is not None else None
-        jobs.append(Job(path, name, file, figure))
-    return tuple(jobs)
+    return tuple(_job(path, name, output, plot) for path, name in zip(recordings, unit_names(recordings), strict=True))
+
+
+def _job(recording: Path, name: str, folder: Path | None, plot: Path | None) -> Job:
+    """One of several recordings: its result in the folder, its figure beside the plot, with its name."""
+    file = file_name(name)
+    return Job(
+        recording,
+        name,
+        None if folder is None else folder / f"{file}.json",
+        None if plot is None else plot.with_name(f"{plot.stem}-{file}{plot.suffix}"),
+    )

@@ -6,6 +6,7 @@ import importlib.util
 from collections import Counter
 from typing import TYPE_CHECKING, Final, NamedTuple
 
+from srt.cli.calibration_jobs import draw
 from srt.cli.messages import figure_title, say, show, warn
 from srt.cli.output_paths import make_directory
 from srt.cli.progress import unit_progress
@@ -112,10 +113,7 @@ def _write(unit: FleetUnit, job: Job) -> None:
         return
     if job.output is not None:
         unit.calibration.save(job.output)
-    if job.plot is not None:
-        from srt.reports.figures.calibration import calibration_figure, save_figure
-
-        save_figure(calibration_figure(unit.calibration, title=figure_title(job.name)), job.plot)
+    draw(unit.calibration, job.plot, figure_title(job.name))
 
 
 def _tell(fleet: Fleet, jobs: Mapping[str, Job]) -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Final
 
+from srt.cli.calibration_jobs import draw
 from srt.cli.messages import announce, say, show, warn
 from srt.exceptions import DataError
 
@@ -45,7 +46,6 @@ def run_merging(
     """
     from srt.comparison.merge import merge_calibrations
     from srt.reports.text.calibration import held_summary
-    from srt.reports.text.calibration_summary import calibration_text
     from srt.reports.text.repeatability import repeatability_text
     from srt.result.verdict import DOUBTFUL, PARTIAL
 
@@ -68,21 +68,9 @@ def run_merging(
     if output is not None:
         merged.save(output)
     if not display.quiet:
-        title = str(output) if output is not None else ", ".join(found)
-        text = calibration_text(
-            merged,
-            title=title,
-            truth=display.truth,
-            details=display.details,
-            budget=display.budget,
-            verdict=display.verdict,
-        )
-        show(text)
+        show(display.text(merged, str(output) if output is not None else ", ".join(found)))
         show(f"\n{repeatability_text(merged)}")
-    if plot is not None:
-        from srt.reports.figures.calibration import calibration_figure, save_figure
-
-        save_figure(calibration_figure(merged, truth=display.truth, title="merged"), plot)
+    draw(merged, plot, "merged", display.truth)
     announce(output, plot, quiet=display.quiet)
     if output is None and plot is None and not display.quiet:
         show("\nNothing was written: -o FILE.json keeps the result.")

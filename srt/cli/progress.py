@@ -53,17 +53,14 @@ def status_line(first: str) -> Iterator[Callable[[str], None] | None]:
 @contextmanager
 def live_text(*, quiet: bool) -> Iterator[Callable[[str], None] | None]:
     """Yield a function that replaces a text of several lines; None if quiet, without a terminal or without rich."""
-    if quiet or sys.stderr is None or not sys.stderr.isatty():
+    console = None if quiet else _console()
+    if console is None:
         yield None
         return
-    try:
-        from rich.console import Console
-        from rich.live import Live
-        from rich.text import Text
-    except ModuleNotFoundError:
-        yield None
-        return
-    with Live(console=Console(stderr=True, highlight=False), auto_refresh=False, transient=True) as live:
+    from rich.live import Live
+    from rich.text import Text
+
+    with Live(console=console, auto_refresh=False, transient=True) as live:
         yield lambda text: live.update(Text(printable(text)), refresh=True)
 
 

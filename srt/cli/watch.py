@@ -99,7 +99,7 @@ def watch(
         save_figure(sigma_figure(followed.history, targets, title=title), plot)
         announce(plot, quiet=quiet)
     job = Job(recording, recording_folder(recording).resolve().name, output, None)
-    code = report_problems(job, run_job(job, estimator, Options(), Display(None, False, False, False, quiet, False)))
+    code = report_problems(job, run_job(job, estimator, Options(), Display(quiet=quiet)))
     return max(code, DataError.exit_code if followed.open_errors else 0)
 
 
