@@ -235,7 +235,10 @@ def _absolute_integral(samples: Array, basis: _Basis) -> Array:
         powers = legendre.legvander(root, len(basis.nodes) - 1)
         value = np.einsum("pd,pd->p", powers, polynomial)
         d = np.einsum("pd,pd->p", powers[:, :-1], slope)
-        root = np.clip(root - np.divide(value, d, out=np.zeros_like(d), where=d != 0.0), left, right)
+        step = np.divide(value, d, out=np.zeros_like(d), where=d != 0.0)
+        root = np.clip(root - step, left, right)
+        if np.abs(step).max(initial=0.0) < 1e-6:  # the error of the integral is below its square
+            break
     at_root = np.einsum("pd,pd->p", legendre.legvander(root, len(basis.nodes)), primitive[item])
     cells[item, cell] = np.abs(at_root - sums[item, cell]) + np.abs(sums[item, cell + 1] - at_root)
     absolute[changing] = cells.sum(axis=1)

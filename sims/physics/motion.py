@@ -240,44 +240,42 @@ def angle_profile(
         Rest before each leg, s.
     """
     episodes, count = turn_rad.shape
-    of_axis = axis[..., np.newaxis] == np.arange(2)
-    after = start_rad[:, np.newaxis] + np.cumsum(turn_rad[..., np.newaxis] * of_axis, axis=1)
-    before = np.concatenate([start_rad[:, np.newaxis], after], axis=1)
+    steps = turn_rad[..., np.newaxis] * (axis[..., np.newaxis] == np.arange(2))
+    reached = np.cumsum(np.concatenate([start_rad[:, np.newaxis], steps], axis=1), axis=1)
 
     ramp_s, plateau_s = profile.ramp_and_plateau_s(turn_rad)
     half = np.copysign(0.5 * profile.accel_rad_s2, turn_rad)
-    peak, ramp_rad = 2.0 * half * ramp_s, half * ramp_s**2
+    ramp_rad = half * ramp_s**2
     # Four pieces of each leg: rest, ramp, plateau, ramp; then the rest of the episode
-    durations = np.stack(np.broadcast_arrays(rest_s, ramp_s, plateau_s, ramp_s), axis=-1)
-    turned = np.zeros((3, episodes, count, 4))
-    turned[0, ..., 2:] = np.stack([ramp_rad, turn_rad - ramp_rad], axis=-1)
-    turned[1, ..., 2:] = peak[..., np.newaxis]
-    turned[2, ..., 1], turned[2, ..., 3] = half, -half
-    coefficients = np.zeros((2, 3, episodes, 4 * count + 1))
-    coefficients[..., :-1] = (np.moveaxis(of_axis, -1, 0)[:, np.newaxis, ..., np.newaxis] * turned).reshape(
-        2, 3, episodes, -1
-    )
-    coefficients[:, 0] += np.moveaxis(np.repeat(before, [4] * count + [1], axis=1), -1, 0)
+    durations = np.stack(np.broadcast_arrays(rest_s, ramp_s, plateau_s, ramp_s), axis=-1).reshape(episodes, -1)
+    turned = np.zeros((3, episodes, count + 1, 4))
+    turned[0, :, :-1, 2], turned[0, :, :-1, 3] = ramp_rad, turn_rad - ramp_rad
+    turned[1, :, :-1, 2:] = (2.0 * half * ramp_s)[..., np.newaxis]
+    turned[2, :, :-1, 1], turned[2, :, :-1, 3] = half, -half
 
-    ends = np.cumsum(durations.reshape(episodes, -1), axis=1)
+    ends = np.cumsum(durations, axis=1)
     borders = np.concatenate([np.zeros((episodes, 1)), ends, np.full((episodes, 1), math.inf)], axis=1)
-    spent = np.where(np.arange(4 * count) % 4 > 0, durations.reshape(episodes, -1), 0.0)
+    spent = np.where(np.arange(4 * count) % 4 > 0, durations, 0.0)
     whole = np.maximum(spent.sum(axis=1, keepdims=True), np.finfo(float).tiny)
     progress = np.zeros((2, episodes, 4 * count + 1))
     progress[0, :, 1:] = np.cumsum(spent, axis=1) / whole
     progress[1, :, :-1] = (spent > 0.0) / whole
 
-    exists = borders[:, 1:] > borders[:, :-1]
-    episode, leg = np.nonzero(turn_rad)
+    episode, place = np.nonzero(borders[:, 1:] > borders[:, :-1])
+    leg, part = np.divmod(place, 4)
+    coefficients, number = np.zeros((2, 3, len(episode))), np.arange(len(episode))
+    coefficients[axis[episode, np.minimum(leg, count - 1)], :, number] = turned[:, episode, leg, part].T
+    coefficients[:, 0] += reached[episode, leg].T
+    of_leg, nth = np.nonzero(turn_rad)
     return AngleProfile(
-        np.nonzero(exists)[0],
-        borders[:, :-1][exists],
-        borders[:, 1:][exists],
-        coefficients[..., exists],
-        progress[:, exists],
-        Legs(episode, axis[episode, leg], ends[episode, 4 * leg + 3]),
+        episode,
+        borders[episode, place],
+        borders[episode, place + 1],
+        coefficients,
+        progress[:, episode, place],
+        Legs(of_leg, axis[of_leg, nth], ends[of_leg, 4 * nth + 3]),
         ends[:, -1],
         profile,
-        np.zeros((0, exists.sum()), dtype=np.intp),
-        np.zeros((0, exists.sum())),
+        np.zeros((0, len(episode)), dtype=np.intp),
+        np.zeros((0, len(episode))),
     )

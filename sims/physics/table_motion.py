@@ -189,7 +189,7 @@ def _sensed(
     ``constant_base`` holds the Earth's rate (rad/s) and the specific force at rest (m/s²) in the base, shape (2, 3).
     """
     (inner, inner_rate), (outer, outer_rate) = (profile.angle(axis, piece, time) for axis in (INNER, OUTER))
-    lean, lean_rate = wobble[:, piece]
+    lean, lean_rate = wobble[:, piece] if wobble.any() else np.zeros(2)
     if lean_rate.any():
         lean = lean + lean_rate * (time - profile.begin_s[piece])
     at = geometry.turned(inner, outer, lean)

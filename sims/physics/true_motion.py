@@ -8,11 +8,13 @@ intervals, including those not recorded.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from sims.physics.integrals import Pieces, integrate
+from srt.recording.recording import Recording
 
 if TYPE_CHECKING:
     from sims.physics.fixture import FixtureDraw
@@ -20,7 +22,7 @@ if TYPE_CHECKING:
     from srt.types import Array, Indices
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class TrueMotion:
     """Per-sample integrals of the true rate and specific force in B, with labels, site and fixture of the run.
 
@@ -69,6 +71,20 @@ class TrueMotion:
     def stated_as(self, *, site: Site | None = None, fixture: Fixture | None = None) -> TrueMotion:
         """Return a copy whose recordings declare another site or fixture."""
         return replace(self, site=site or self.site, fixture=fixture or self.fixture)
+
+    @cached_property
+    def ideal(self) -> Recording:
+        """Increments of an IMU without errors; all its recordings have stamps and labels in common, checked once."""
+        return Recording(
+            self.time,
+            self.angle,
+            self.velocity,
+            self.site,
+            "increment",
+            self.fixture,
+            sequences=self.labels,
+            source="simulated",
+        )
 
 
 @dataclass(slots=True)

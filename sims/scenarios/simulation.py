@@ -20,7 +20,7 @@ from sims.scenarios.protocol_run import protocol_run, table_run
 from sims.scenarios.scenario import MRAD
 from srt.constants import DEG
 from srt.exceptions import InputError
-from srt.sensor_errors import GROUPS, SensorErrors
+from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SensorErrors
 
 if TYPE_CHECKING:
     from sims.physics.fixture import FixtureDraw
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 TRUTH_FORMAT = "srt-truth"
 TRUTH_VERSION = 1
 _KEPT: Final = 4
-"""Number of motions that are kept: those of some points of a grid, at 100 bytes a sample."""
+"""Number of motions that are kept: those of some points of a grid, at 150 bytes a sample."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,16 +120,16 @@ def draw_errors(
     values : dict, optional
         Values by parameter name, SI; they replace drawn values.
     """
-    drawn: dict[str, float] = {}
-    for group in GROUPS:
-        count = len(group.suffixes)
+    drawn = np.zeros(N_PARAMETERS)
+    for name, at in GROUP_SLICES.items():
+        count = at.stop - at.start
         # Both are always drawn, so that a seed gives the same numbers for either distribution and if a group is
         # switched off.
         normal, uniform = rng.standard_normal(count), rng.uniform(-math.sqrt(3.0), math.sqrt(3.0), count)
-        unit = {"normal": normal, "uniform": uniform, "none": np.zeros(count)}[distribution]
-        named = zip(group.suffixes, (unit * sizes.get(group.name, 0.0)).tolist(), strict=True)
-        drawn |= {f"{group.name}_{suffix}": value for suffix, value in named}
-    return SensorErrors.from_dict(drawn | (values or {}))
+        if distribution != "none":
+            drawn[at] = sizes.get(name, 0.0) * (normal if distribution == "normal" else uniform)
+    errors = SensorErrors(drawn)
+    return SensorErrors.from_dict(errors.as_dict() | values) if values else errors
 
 
 def simulate(scenario: Scenario, rng: np.random.Generator | None = None) -> Simulation:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from copy import copy
 from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any, Final, Literal, TypeVar, get_args
 
@@ -52,7 +53,8 @@ Rotary tables on air bearings, the best, are specified to less than one second o
 more. A navigation-grade unit would gain little with one second, and zero would be wrong (docs/design/joint.md).
 """
 
-_WINDOWS: Final = "windows of the labels"  # name of their indices among the derived values
+_TIMING: Final = "timing"  # names of the intervals, and of the indices of the labels' windows, among the derived values
+_WINDOWS: Final = "windows of the labels"
 WINDOW_TOLERANCE: Final = 1e-6
 """Tolerance of window limits for the rounding of stamps, in intervals."""
 
@@ -238,23 +240,15 @@ class Recording(Presented):
     def __post_init__(self) -> None:
         for name, (needed, kinds) in _FIELDS.items():
             require_type(f"The field {name} of a recording", needed, getattr(self, name), *kinds)
-        if self.kind not in get_args(Kind):
-            raise InputError(f"The kind of a recording is {self.kind!r}, but 'rate' or 'increment' is expected.")
         check_fields("The recording's", self, (key for key in RECORDING_KEYS if key.name in _NUMBERS))
         time = as_samples("time", self.time, 1)
         if time.size < 2:
             raise InputError(f"The recording holds {time.size} samples, but at least 2 are needed: check its file.")
         require_finite("time", time, None)
         object.__setattr__(self, "time", time)
-        for name, dimensions in (("gyro", 2), ("accel", 2), ("temperature", 1)):
-            given = getattr(self, name)
-            if given is None and name == "temperature":
-                continue
-            values = as_samples(name, given, dimensions)
-            if len(values) != time.size:
-                raise InputError(f"{name} holds {len(values)} samples, but time {time.size}: they must agree.")
-            require_finite(name, values, time)
-            object.__setattr__(self, name, values)
+        self._check_readings()
+        if self.temperature is not None:
+            self._check_samples("temperature", 1)
         require_increasing(time)
         object.__setattr__(self, "sequences", tuple(self.sequences))
         for label in self.sequences:
@@ -263,6 +257,20 @@ class Recording(Presented):
             limits = [own for label in self.sequences for own in (label.start_static_s, label.end_static_s)]
             self._memo[_WINDOWS] = dict(zip(limits, self._windows(limits), strict=True))
         self._check_overlap([self._checked_rotation(label) for label in self.sequences])
+
+    def _check_readings(self) -> None:
+        if self.kind not in get_args(Kind):
+            raise InputError(f"The kind of a recording is {self.kind!r}, but 'rate' or 'increment' is expected.")
+        for name in ("gyro", "accel"):
+            self._check_samples(name, 2)
+
+    def _check_samples(self, name: str, dimensions: int) -> None:
+        """Store checked samples, of which there must be as many as stamps."""
+        values = as_samples(name, getattr(self, name), dimensions)
+        if len(values) != self.time.size:
+            raise InputError(f"{name} holds {len(values)} samples, but time {self.time.size}: they must agree.")
+        require_finite(name, values, self.time)
+        object.__setattr__(self, name, values)
 
     def _check_overlap(self, rotations: Sequence[tuple[int, int]]) -> None:
         """Refuse rotations that share samples: they would count as independent data."""
@@ -323,7 +331,7 @@ class Recording(Presented):
     @property
     def timing(self) -> SampleTiming:
         """Sampling intervals and gaps, computed at the first use."""
-        return self.memo("timing", lambda: sample_timing(self.time, self.sample_rate_hz))
+        return self.memo(_TIMING, lambda: sample_timing(self.time, self.sample_rate_hz))
 
     @property
     def interval_s(self) -> float | Array:
@@ -352,6 +360,21 @@ class Recording(Presented):
         edge = (0.5 + WINDOW_TOLERANCE) * self.nominal_interval_s
         found = np.searchsorted(self.time, np.reshape(limits, (-1, 2)) + edge, side="right")
         return [slice(start, max(start, stop)) for start, stop in found.tolist()]
+
+    def with_readings(
+        self, gyro: Array, accel: Array, *, kind: Kind, noise: ImuNoise, serial: str | None = None
+    ) -> Recording:
+        """Recording of the same motion by another IMU.
+
+        Only the readings and their kind are checked, as the other fields are those of this recording. Raises
+        InputError.
+        """
+        other = copy(self)
+        for name, value in {"gyro": gyro, "accel": accel, "kind": kind, "noise": noise, "serial": serial}.items():
+            object.__setattr__(other, name, value)
+        other._check_readings()
+        other._memo.update({key: self._memo[key] for key in (_TIMING, _WINDOWS) if key in self._memo})
+        return other
 
     def with_sequences(self, sequences: tuple[SequenceLabel, ...]) -> Recording:
         """Recording of the same samples with other labels."""

@@ -2,6 +2,7 @@
 
 import math
 import pickle
+from dataclasses import fields
 from itertools import pairwise
 
 import numpy as np
@@ -161,6 +162,29 @@ def test_a_recording_survives_pickling_for_worker_processes():
     assert copy.sequences == recording.sequences
     assert copy.nominal_interval_s == recording.nominal_interval_s
     np.testing.assert_array_equal(copy.gyro, recording.gyro)
+
+
+def test_readings_of_another_unit_on_the_same_motion():
+    """They make the recording that the constructor makes of them, and are checked as it does."""
+    labels = (SequenceLabel((0.0, 1.0), (8.0, 9.0), "1"),)
+    first = make(sequences=labels, temperature=np.full(1000, 20.0), serial="first")
+    first.memo("of these readings", first.gyro.sum)
+    given = {"gyro": 2.0 * first.gyro, "accel": 3.0 * first.accel, "kind": "increment", "noise": ImuNoise(1e-4)}
+    found, expected = first.with_readings(**given), make(sequences=labels, temperature=np.full(1000, 20.0), **given)
+    for field in fields(Recording):
+        if field.name != "_memo":
+            np.testing.assert_array_equal(getattr(found, field.name), getattr(expected, field.name))
+    assert found.window_indices(8.0, 9.0) == slice(800, 900)
+    assert found.nominal_interval_s == pytest.approx(0.01, rel=1e-12)
+    assert found.memo("of these readings", lambda: 0.0) == 0.0
+    assert not found.gyro.flags.writeable
+    for changes, fragment in (
+        ({"gyro": np.zeros((999, 3))}, "gyro holds 999"),
+        ({"accel": np.full((1000, 3), np.nan)}, "accel_x"),
+        ({"kind": "speed"}, "'rate' or 'increment'"),
+    ):
+        with pytest.raises(InputError, match=fragment):
+            first.with_readings(**(given | changes))
 
 
 def test_window_holds_the_samples_whose_interval_lies_inside():
