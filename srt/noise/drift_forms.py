@@ -39,7 +39,7 @@ MOST_WALK_TERMS: Final = 100
 """Most components of a random walk, which recordings of more windows have; others would have 0.2 % of its variance."""
 TESTED_TERMS: Final = 3
 """Components of the random walk in its test: they have 83 % of its variance about the mean."""
-_WARM_UP: Final = {"fast warm-up": 1.0 / 12.0, "warm-up": 1.0 / 6.0, "slow warm-up": 0.4}
+WARM_UP: Final = {"fast warm-up": 1.0 / 12.0, "warm-up": 1.0 / 6.0, "slow warm-up": 0.4}
 """Time constants of the warm-up by name, as a share of the recording."""
 _SCATTER_RANGE: Final = (-14.0, 3.0)
 """Range of the variance of independent errors, logarithm of the ratio to their estimate without a walk."""
@@ -120,7 +120,7 @@ def drift_shapes(intervals: Intervals) -> dict[str, DriftShape]:
     """Shapes of all forms by name."""
     times = a, b = _shares(intervals)
     values = {LINEAR: 0.5 * (a + b)[:, None]}
-    for name, share in _WARM_UP.items():
+    for name, share in WARM_UP.items():
         falls = [(-share * np.exp(-x / share), -(x + share) * np.exp(-x / share)) for x in (a, b)]
         values[name] = np.column_stack([_mean(begin, end, b - a) for begin, end in zip(*falls, strict=True)])
     if intervals.temperature is not None:
