@@ -11,6 +11,7 @@ from scipy.special import gammainc
 from srt.constants import EARTH_RATE_RAD_S, STANDARD_GRAVITY_M_S2
 from srt.diagnosis.evidence import SAMPLES
 from srt.diagnosis.findings import Fault, by_sensor
+from srt.diagnosis.gravity_rotation import SAME
 from srt.diagnosis.repeated_samples import BY_CHANCE, PULSES, repeated_runs, single_repeats
 from srt.diagnosis.rotation_readings import ROUNDING
 from srt.diagnosis.sensor_synchronisation import sample_twice
@@ -26,10 +27,8 @@ if TYPE_CHECKING:
 
 MOVED: Final = 0.5
 """Labelled rotation, rad, and change of a gravity component, g, that the readings of an axis must show."""
-_ERROR: Final = 0.1
+SENSOR_ERROR: Final = 0.1
 """Largest scale-factor error, misalignment, and bias (in g) of a working sensor."""
-_SAME_G: Final = 0.02
-"""Largest change of a dead accelerometer's reading from one window to the next, g: noise and drift."""
 _MISSING: Final = 0.8
 """Change of gravity on a dead accelerometer that the others must show, g. An axis keeps its reading in a rotation about
 it; errors of 0.1 g of both others then change what they leave of gravity by up to 0.69 g."""
@@ -99,7 +98,9 @@ def _dead_gyro(evidence: Evidence) -> tuple[int, int, int] | None:
 def unread(missed: Array, read: Array) -> Mask:
     """True for each rotation, by axis, of which a gyro reads next to nothing, beyond the errors of the others."""
     size, most = np.abs(missed), np.abs(read).max(axis=1, initial=0.0, keepdims=True)
-    return np.asarray((size > np.maximum(2.0 * MOVED, 2.0 * _ERROR * most)) & (np.abs(read) < _ERROR * size))
+    return np.asarray(
+        (size > np.maximum(2.0 * MOVED, 2.0 * SENSOR_ERROR * most)) & (np.abs(read) < SENSOR_ERROR * size)
+    )
 
 
 def _dead_accel(evidence: Evidence) -> tuple[int, int, int] | None:
@@ -114,18 +115,19 @@ def _dead_accel(evidence: Evidence) -> tuple[int, int, int] | None:
         others = np.delete(np.arange(3), axis)
         left = np.sqrt(np.maximum(1.0 - np.sum(force[:, others] ** 2, axis=1), 0.0))
         # Runs of windows with one reading.
-        cuts = [0, *(np.flatnonzero(np.abs(np.diff(force[:, axis])) > _SAME_G) + 1).tolist(), len(force)]
+        cuts = [0, *(np.flatnonzero(np.abs(np.diff(force[:, axis])) > SAME) + 1).tolist(), len(force)]
         first, last = max(pairwise(cuts), key=lambda run: float(np.ptp(left[slice(*run)])))
         inside = slice(first, last)
         # A channel of one polarity reads zero for the other sign, and one sign alone elsewhere.
-        off = evidence.force[:, axis] / gravity - float(np.median(force[inside, axis]))
-        one_polarity = np.ptp(off) > MOVED and min(-float(off.min()), float(off.max())) < 2.0 * _SAME_G
+        low, high = (float(x[3 + axis]) * evidence.per_rate / gravity for x in evidence.extremes)
+        middle = float(np.median(force[inside, axis]))
+        one_polarity = high - low > MOVED and min(middle - low, high - middle) < 2.0 * SAME
         if (
             last - first > 2
             and np.ptp(left[inside]) > (MOVED if labelled else _MISSING)
             and (not labelled or np.ptp(poses[inside, axis]) > _MISSING)
-            and np.ptp(force[inside, axis]) < 2.0 * _SAME_G
-            and np.all(np.abs(reach[others] - 1.0) < _ERROR)
+            and np.ptp(force[inside, axis]) < 2.0 * SAME
+            and np.all(np.abs(reach[others] - 1.0) < SENSOR_ERROR)
         ):
             found.append((axis, int(turns.spans[first // 2, 0]), int(turns.spans[(last - 1) // 2, 1]), one_polarity))
     # Gravity that one axis cuts off is missing while another axis is level, too.
@@ -160,9 +162,9 @@ def columns_repeat(evidence: Evidence) -> Iterator[Finding]:
         factor = float(product[i, j] / product[j, j])
         proportional = np.ptp(columns[i] - factor * columns[j]) <= 1e-6 * np.ptp(columns[i])
         if i // 3 == j // 3:
-            fault = _ERROR < abs(factor) < 1.0 / _ERROR
+            fault = SENSOR_ERROR < abs(factor) < 1.0 / SENSOR_ERROR
         else:
-            earth = (1.0 + _ERROR) * EARTH_RATE_RAD_S / STANDARD_GRAVITY_M_S2
+            earth = (1.0 + SENSOR_ERROR) * EARTH_RATE_RAD_S / STANDARD_GRAVITY_M_S2
             fault = abs(factor) > earth or bool(evidence.noisy_channels[j])
         if fault and proportional:
             yield COLUMNS_REPEAT.found(channel=CHANNELS[i], other=CHANNELS[j])

@@ -19,9 +19,11 @@ import numpy as np
 from scipy.special import ndtri
 
 from srt.diagnosis.cause_comparison import Cause, compare
+from srt.diagnosis.channels import SENSOR_ERROR
 from srt.diagnosis.false_alarms import limit
 from srt.diagnosis.findings import Fault
-from srt.diagnosis.gravity_rotation import block_size
+from srt.diagnosis.gravity_rotation import SECOND, block_size
+from srt.diagnosis.rotation_readings import ROUNDING
 from srt.diagnosis.window_averages import ACCEL
 from srt.model.table1 import AXES
 from srt.sequences.rest_detection import BLOCK_S, SPREAD
@@ -36,8 +38,6 @@ if TYPE_CHECKING:
 _EXPLAINED: Final = 0.5
 """Smallest share of the variance of a steady run that the filter explains, and of the steady time in which it does: a
 rotation about the vertical, which the accelerometers do not see, looks like a decay in its own run."""
-_STEADY: Final = 10
-"""Distance, in blocks (1 s), over which the readings of a triad at rest do not change."""
 _LONGEST_S: Final = 200.0
 """Longest time constant of a filter, s: accelerometers that settle by 1e-3 of gravity within a window look like a
 filter with a time constant of 1e4 s."""
@@ -45,12 +45,7 @@ filter with a time constant of 1e4 s."""
 
 def high_passed(evidence: Evidence) -> Iterator[Finding]:
     """Test the readings at rest for a decrease in proportion to their own time integral."""
-    size = block_size(evidence.recording)
-    count, tiny = len(evidence.rate) // size, np.finfo(float).tiny
-    gyro, accel = (
-        np.einsum("bsc->bc", table[: count * size].reshape(count, size, 3)) / size
-        for table in (evidence.rate, evidence.force)
-    )
+    size, (gyro, accel), tiny = block_size(evidence.recording), evidence.block_means, np.finfo(float).tiny
     rounding = evidence.steps * evidence.per_rate / math.sqrt(12.0 * size)
     for fault, own, other, least in (
         (GYRO_HIGH_PASSED, gyro, accel, rounding[1]),
@@ -78,13 +73,13 @@ def _steady_runs(means: Array, least: Array, gaps: Indices) -> list[tuple[int, i
     The noise of a mean, of at least ``least``, is that of the quietest fifth of the successive differences. ``gaps``
     are the blocks with a gap of the time stamps.
     """
-    if len(means) <= _STEADY:
+    if len(means) <= SECOND:
         return []
     fifth = np.quantile(np.abs(np.diff(means, axis=0)), 0.2, axis=0) / (math.sqrt(2.0) * float(ndtri(0.6)))
-    same = np.all(np.abs(means[_STEADY:] - means[:-_STEADY]) <= SPREAD * np.maximum(fifth, least), axis=1)
-    same[np.unique(np.clip(gaps[:, None] - np.arange(_STEADY + 1), 0, len(same) - 1))] = False
+    same = np.all(np.abs(means[SECOND:] - means[:-SECOND]) <= SPREAD * np.maximum(fifth, least), axis=1)
+    same[np.unique(np.clip(gaps[:, None] - np.arange(SECOND + 1), 0, len(same) - 1))] = False
     edges = np.flatnonzero(np.diff(same, prepend=False, append=False)).reshape(-1, 2)
-    return [(first + 1, last + _STEADY - 1) for first, last in edges.tolist()]
+    return [(first + 1, last + SECOND - 1) for first, last in edges.tolist()]
 
 
 GYRO_HIGH_PASSED: Final = Fault(
@@ -110,8 +105,6 @@ GRAVITY_REMOVED: Final = Fault(
 _TIMES_S: Final = np.exp2(range(4))
 """Time constants that are tried, 1 to 8 s: if the true value differs by a factor of up to 1.4, the pattern still has
 a correlation above 0.95."""
-_SHARES: Final = (1e-7, 0.1)
-"""Smallest and largest share for a finding: 0.1 µg for 1 g is rounding, and a larger deviation is motion."""
 
 
 def accel_settling(evidence: Evidence) -> Iterator[Finding]:
@@ -132,7 +125,8 @@ def accel_settling(evidence: Evidence) -> Iterator[Finding]:
     best = max(found, key=lambda explanation: explanation.score)
     share, sigma = float(best.value[0]), float(best.sigma[0])
     least = limit("t", best.freedom, tests=len(found), both_sides=True) * sigma
-    if _SHARES[1] > abs(share) > max(_SHARES[0], least):
+    # A larger deviation than a sensor error is motion.
+    if SENSOR_ERROR > abs(share) > max(ROUNDING, least):
         yield ACCEL_SETTLING.found(share_ppm=1e6 * share, sigma_ppm=1e6 * sigma, **best.cause.details)
 
 

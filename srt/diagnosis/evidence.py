@@ -12,10 +12,12 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar
 import numpy as np
 
 from srt.diagnosis.gravity_rotation import (
+    block_means,
     gravity_relation,
     labelled_manoeuvres,
     missed_rotations,
     recognised_manoeuvres,
+    turning_blocks,
 )
 from srt.diagnosis.jumps import NO_SPIKES, find_spikes, wrapped_readings
 from srt.diagnosis.label_shift import label_shift
@@ -27,9 +29,10 @@ from srt.diagnosis.rotation_readings import (
     raw_integrals,
     turning_windows,
 )
+from srt.diagnosis.scale_causes import scale_cause
 from srt.diagnosis.scale_ratios import accel_ratios, gyro_ratios_to_gravity, gyro_ratios_to_labels
 from srt.diagnosis.stationary_rates import earth_rate, earth_rate_factor, stationary_rate_fit, stationary_rates
-from srt.diagnosis.time_offsets import attitude_step, lag, stabilised_force, time_offset
+from srt.diagnosis.time_offsets import attitude_step, force_effects, lag, stabilised_force, time_offset
 from srt.diagnosis.triad_fits import accel_fit, gyro_fit, measured_angles, raw_triads
 from srt.diagnosis.window_averages import quantization, window_averages
 from srt.estimation.options import Options
@@ -47,11 +50,13 @@ if TYPE_CHECKING:
     from srt.diagnosis.gravity_rotation import ManoeuvreReadings
     from srt.diagnosis.jumps import Spikes
     from srt.diagnosis.label_shift import LabelShift
+    from srt.diagnosis.scale_causes import ScaleCause
     from srt.diagnosis.scale_ratios import ScaleRatios
     from srt.diagnosis.time_offsets import AttitudeStep
     from srt.diagnosis.triad_fits import MeasuredAngles
     from srt.recording.recording import Recording, SequenceLabel
     from srt.result.calibration import Calibration
+    from srt.result.diagnostics import RunnerUp
     from srt.sequences.clipping import Clipping
     from srt.sequences.preparation import PreparedRecording
     from srt.sequences.recognition import Recognition
@@ -122,7 +127,12 @@ class Evidence:
     @cached_property
     def columns(self) -> Array:
         """Stored values of the six channels, gyros first, shape (6, n)."""
-        return np.concatenate([self.recording.gyro.T, self.recording.accel.T])
+        return np.ascontiguousarray(np.hstack([self.recording.gyro, self.recording.accel]).T)
+
+    @cached_property
+    def extremes(self) -> tuple[Array, Array]:
+        """Smallest and largest stored value of each channel, shape (6,)."""
+        return self.columns.min(axis=1), self.columns.max(axis=1)
 
     @cached_property
     def some(self) -> tuple[Array, Array]:
@@ -268,7 +278,7 @@ class Evidence:
 
     quantization = _of(quantization, "data", "steps")
     """Quantization step of each channel in stored values, shape (6,)."""
-    window_averages = _of(window_averages, "data", "quantization")
+    window_averages = _of(window_averages, "data", "columns", "quantization")
     """Averages inside the windows."""
     stationary_rates = _of(stationary_rates, "data", "gyro_fit")
     """Stationary rates and the design matrix of their model."""
@@ -278,7 +288,7 @@ class Evidence:
     """Earth rate in the windows."""
     earth_rate_factor = _of(earth_rate_factor, "earth_rate")
     """Factor on the Earth rate at the stated latitude that fits the stationary rates."""
-    turning_windows = _of(turning_windows, "data", "raw_integrals")
+    turning_windows = _of(turning_windows, "data", "columns", "raw_integrals")
     """True for each window in which the unit rotates as in a manoeuvre, shape (W,): its label is wrong."""
 
     @cached_property
@@ -324,17 +334,19 @@ class Evidence:
             return None if self.data is None else labelled_manoeuvres(self.data, self.contiguous)
         return None if self.recognition is None else recognised_manoeuvres(self.recording, self.recognition)
 
-    @cached_property
-    def missed_rotations(self) -> tuple[Array, Array]:
-        """Angles that single gyros miss in each manoeuvre, and that they read, (K, 3) each, rad."""
-        turns = self.manoeuvres
-        return (np.zeros((0, 3)), np.zeros((0, 3))) if turns is None else missed_rotations(self.recording, turns)
-
-    gravity_relation = _of(gravity_relation, "recording", "manoeuvres")
+    block_means = _from(block_means, "recording")
+    """Mean rates and specific forces of blocks of a tenth of a second."""
+    turning_blocks = _of(turning_blocks, "recording", "manoeuvres", "block_means")
+    """Blocks inside of the manoeuvres."""
+    missed_rotations = _from(missed_rotations, "manoeuvres", "turning_blocks")
+    """Angles that single gyros miss in each manoeuvre, and that they read, (K, 3) each, rad."""
+    gravity_relation = _of(gravity_relation, "turning_blocks")
     """Matrix K of the rotation of gravity against the gyros, shape (3, 3)."""
     stabilised_force = _of(stabilised_force, "data", "block_averages", "raw_triads")
     """Gyro-stabilised specific force of all rotations."""
-    time_offset = _of(time_offset, "stabilised_force")
+    force_effects = _of(force_effects, "stabilised_force")
+    """Effects of accelerometer errors on the specific force in B."""
+    time_offset = _of(time_offset, "stabilised_force", "force_effects")
     """Time offset between the sensors."""
     lag = _of(lag, "time_offset", "dt")
     """Possible causes of a lag of a triad or of one channel, most likely first; None if there is no lag."""
@@ -342,11 +354,11 @@ class Evidence:
     @cached_property
     def attitude_step(self) -> AttitudeStep | None:
         """Largest step of the stabilised specific force on a fixture: the acceleration by hand has steps."""
-        path = self.stabilised_force
-        if path is None or self.recording.fixture is None:
+        path, effects = self.stabilised_force, self.force_effects
+        if path is None or effects is None or self.recording.fixture is None:
             return None
         void = [k for k, _ in self.clipped_parts if k is not None]
-        return attitude_step(path, self.time_offset, self.dt, void)
+        return attitude_step(path, effects, self.time_offset, self.dt, void)
 
     # --- single readings and scales ----------------------------------------------------------------------------------
 
@@ -366,7 +378,7 @@ class Evidence:
         parts = ((k, slice(int(windows[data.start[k], 0]), int(windows[data.end[k], 1]))) for k in range(data.K))
         return [(k, channels) for k, part in parts if (channels := clipped_samples(recording, part, levels))]
 
-    wrapped_readings = _from(wrapped_readings, "columns", "recording", "data")
+    wrapped_readings = _from(wrapped_readings, "columns", "extremes", "recording", "data")
     """First axis of a triad that wraps, and the numbers of the samples after its jumps, by sensor."""
 
     @cached_property
@@ -390,6 +402,11 @@ class Evidence:
 
     accel_scales = _from(accel_ratios, "recording", "manoeuvres", "accel_fit")
     """Ratios of the stationary specific force to gravity."""
+
+    @cached_property
+    def scale_cause(self) -> tuple[ScaleCause, RunnerUp | None]:
+        """Most likely cause of these ratios, and the second most likely if it is nearly as likely."""
+        return scale_cause(self, self.gyro_scales, self.accel_scales)
 
     # --- calibration -------------------------------------------------------------------------------------------------
 

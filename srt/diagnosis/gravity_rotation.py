@@ -17,20 +17,17 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from srt.diagnosis.false_alarms import limit
-from srt.diagnosis.rotation_readings import cross, rates_factor
+from srt.diagnosis.rotation_readings import AGREE, ROUNDING, cross, rates_factor
 from srt.sequences.rest_detection import BLOCK_S
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from srt.recording.recording import Recording
     from srt.sequences.preparation import PreparedRecording
     from srt.sequences.recognition import Recognition
     from srt.types import Array, Indices, Mask
 
-_LEAST_EIGENVALUE: Final = 1e-3
-"""Smallest ratio of the smallest to the largest eigenvalue of the normal equations: below it, the rotations hardly
-cover one axis."""
+SECOND: Final = round(1.0 / BLOCK_S)
+"""Number of blocks in a second: fewest of a reading that stays."""
 _UNEXPLAINED_BY_GYROS: Final = 0.65
 """Largest share of the power of df/dt that K may leave unexplained: the acceleration of a unit turned by hand changes f
 about as much as the rotation does."""
@@ -39,18 +36,13 @@ _ACROSS: Final = 0.25
 UNEXPLAINED: Final = 0.3
 """Largest share of a power that an explanation may leave: of that of df after the gyros, by a missing rotation about
 one axis; of that of the readings, by the fit to the labels. Noise and wrong labels leave half and more."""
-_FEWEST_BLOCKS: Final = 50
-"""Fewest blocks for a fit of K: with 50 blocks, its nine coefficients explain 6 % of pure noise."""
-
+SAME: Final = 0.02
+"""Largest difference of two readings of an axis that does not follow gravity, in units of gravity: noise and drift."""
 _UPRIGHT: Final = 0.2
 """Largest share of gravity on the other axes of an axis that is upright."""
-_SAME: Final = 0.01
-"""Largest difference of readings at one limit: noise."""
 _NEAR_TOP: Final = 0.05
 """Largest distance of a rate from the largest one where a limit acts, and smallest effect of a limit: time offsets and
 lever arms make less."""
-_FEWEST_HELD: Final = 10
-"""Fewest blocks at a limit, one second."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,6 +82,46 @@ def recognised_manoeuvres(recording: Recording, found: Recognition) -> Manoeuvre
     return ManoeuvreReadings(rate, force, spans, between)
 
 
+def block_size(recording: Recording) -> int:
+    """Number of samples of a block of a tenth of a second."""
+    return max(1, round(BLOCK_S / recording.nominal_interval_s))
+
+
+def block_means(recording: Recording) -> tuple[Array, Array]:
+    """Mean rates and specific forces of the blocks of a recording, rad/s and m/s², (n, 3) each."""
+    size, factor = block_size(recording), rates_factor(recording)
+    count = len(recording.time) // size
+    gyro, accel = (
+        np.einsum("bsc->bc", table[: count * size].reshape(count, size, 3)) * (factor / size)
+        for table in (recording.gyro, recording.accel)
+    )
+    return gyro, accel
+
+
+class TurningBlocks(NamedTuple):
+    """Readings of the manoeuvres from the middle of each of n blocks to the middle of the next one."""
+
+    step_s: float  # length of a block
+    turn: Indices  # number of the manoeuvre, (n,)
+    at: Indices  # first sample of the second block, (n,)
+    angle: Array  # raw angle, (n, 3), rad
+    force: Array  # mean specific force, (n, 3), m/s²
+    change: Array  # its change, (n, 3), m/s²
+
+
+def turning_blocks(recording: Recording, turns: ManoeuvreReadings, means: tuple[Array, Array]) -> TurningBlocks:
+    """Blocks that lie inside of the manoeuvres, of all manoeuvres one after the other."""
+    size, (rate, force) = block_size(recording), means
+    step_s = size * recording.nominal_interval_s
+    first, last = -(-turns.spans[:, 0] // size), turns.spans[:, 1] // size
+    count = np.maximum(last - first - 1, 0)
+    turn = np.repeat(np.arange(len(count)), count)
+    i = np.arange(len(turn)) + np.repeat(first - np.cumsum(count) + count, count)
+    offset = turns.rate[turns.between].mean(axis=1)
+    angle = (0.5 * (rate[i] + rate[i + 1]) - offset[turn]) * step_s
+    return TurningBlocks(step_s, turn, size * (i + 1), angle, 0.5 * (force[i] + force[i + 1]), force[i + 1] - force[i])
+
+
 class Limit(NamedTuple):
     """Limit below whose noise the readings of an axis stay, and the samples of blocks at the limit."""
 
@@ -98,116 +130,93 @@ class Limit(NamedTuple):
     at: Indices
 
 
-def force_limit(recording: Recording, turns: ManoeuvreReadings) -> Limit | None:
+def force_limit(turns: ManoeuvreReadings, blocks: TurningBlocks) -> Limit | None:
     """Limit of the specific force below gravity: an upright axis keeps its reading while the others show that it tilts.
 
-    Within 1 % of its largest reading, an axis that measures gravity is upright to 0.14 rad.
+    Within 2 % of its largest reading, an axis that measures gravity is upright to 0.2 rad.
     """
-    at, _, force, _ = _all_blocks(recording, turns)
     for axis, sign in product(range(3), (1.0, -1.0)):
         others = np.delete(np.arange(3), axis)
-        best = turns.force[np.argmax(sign * turns.force[:, axis])] / rates_factor(recording)
+        best = turns.force[np.argmax(sign * turns.force[:, axis])]
         top = sign * float(best[axis])
-        tilted = np.linalg.norm(force[:, others], axis=1) > 2.0 * _UPRIGHT * top
-        held = at[tilted & (np.abs(sign * force[:, axis] - top) < _SAME * top)]
-        if np.linalg.norm(best[others]) < _UPRIGHT * top and len(held) >= _FEWEST_HELD:
-            return Limit(axis, top * rates_factor(recording), held)
+        tilted = np.linalg.norm(blocks.force[:, others], axis=1) > 2.0 * _UPRIGHT * top
+        held = blocks.at[tilted & (np.abs(sign * blocks.force[:, axis] - top) < SAME * top)]
+        if np.linalg.norm(best[others]) < _UPRIGHT * top and len(held) >= SECOND:
+            return Limit(axis, top, held)
     return None
 
 
-def rate_limit(recording: Recording, turns: ManoeuvreReadings) -> Limit | None:
+def rate_limit(blocks: TurningBlocks) -> Limit | None:
     """Limit of the rate: near the largest readings gravity rotates faster than the gyros read, but not at lower ones.
 
     Statistic: difference of the two ratios over its standard deviation from the scatter. Distribution: normal.
     """
-    at, angle, force, change = _all_blocks(recording, turns)
-    size, expected = np.abs(angle).max(axis=1), cross(force, angle)
+    size, expected = np.abs(blocks.angle).max(axis=1), cross(blocks.force, blocks.angle)
     top = float(size.max(initial=0.0))
-    held, ratio, variance = at[size > (1.0 - _NEAR_TOP) * top], [], []
-    for part in (size > (1.0 - _NEAR_TOP) * top, (size > 2.0 * _UPRIGHT * top) & (size < 0.9 * top)):
+    near, ratio, variance = size > (1.0 - _NEAR_TOP) * top, [], []
+    for part in (near, (size > 2.0 * _UPRIGHT * top) & (size < (1.0 - 2.0 * _NEAR_TOP) * top)):
         power = float(np.sum(expected[part] ** 2))
-        if np.count_nonzero(part) < _FEWEST_HELD or power == 0.0:
+        if np.count_nonzero(part) < SECOND or power == 0.0:
             return None
-        ratio.append(float(np.sum(expected[part] * change[part])) / power)
-        left = change[part] - ratio[-1] * expected[part]
+        ratio.append(float(np.sum(expected[part] * blocks.change[part])) / power)
+        left = blocks.change[part] - ratio[-1] * expected[part]
         variance.append(float(np.mean(left**2)) / power)
     if ratio[0] - ratio[1] <= max(_NEAR_TOP * ratio[1], limit("normal") * math.sqrt(sum(variance))):
         return None
-    axis = int(np.argmax(np.abs(angle).max(axis=0)))
-    return Limit(axis, top / (block_size(recording) * recording.nominal_interval_s), held)
+    axis = int(np.argmax(np.abs(blocks.angle).max(axis=0)))
+    return Limit(axis, top / blocks.step_s, blocks.at[near])
 
 
-def block_size(recording: Recording) -> int:
-    """Number of samples of a block of a tenth of a second."""
-    return max(1, round(BLOCK_S / recording.nominal_interval_s))
-
-
-def _blocks(recording: Recording, turns: ManoeuvreReadings) -> Iterator[tuple[int, Indices, Array, Array, Array]]:
-    """Number of each manoeuvre; from block to block, sample, raw angle, mean specific force and its change, (n, 3)."""
-    size = block_size(recording)
-    seconds = recording.nominal_interval_s * size
-    for k, ((a, b), ends) in enumerate(zip(turns.spans.tolist(), turns.between, strict=True)):
-        count = (b - a) // size
-        if count < 2:
-            continue
-        stop = a + count * size
-        rate = recording.gyro[a:stop].reshape(count, size, 3).mean(axis=1) * rates_factor(recording)
-        angle = (rate - turns.rate[ends].mean(axis=0)) * seconds
-        force = recording.accel[a:stop].reshape(count, size, 3).mean(axis=1)
-        at = a + size * np.arange(1, count)
-        yield k, at, 0.5 * (angle[1:] + angle[:-1]), 0.5 * (force[1:] + force[:-1]), np.diff(force, axis=0)
-
-
-def _all_blocks(recording: Recording, turns: ManoeuvreReadings) -> tuple[Indices, Array, Array, Array]:
-    """Blocks of all manoeuvres one after the other; none where all manoeuvres are shorter than two blocks."""
-    rows = [(np.zeros(0, dtype=np.intp), *np.zeros((3, 0, 3))), *(row[1:] for row in _blocks(recording, turns))]
-    at, angle, force, change = (np.concatenate(values) for values in zip(*rows, strict=True))
-    return at, angle, force, change
-
-
-def missed_rotations(recording: Recording, turns: ManoeuvreReadings) -> tuple[Array, Array]:
-    """Angles that single gyros miss in each manoeuvre, and that they read, (K, 3) each, rad, with signs.
+def missed_rotations(turns: ManoeuvreReadings | None, blocks: TurningBlocks | None) -> tuple[Array, Array]:
+    """Angles that single gyros miss in each of K manoeuvres, and that they read, (K, 3) each, rad, with signs.
 
     The change of specific force that the gyros leave, ``df - f × dθ``, gives the angle about one axis that they miss.
     It is zero where an angle about that axis does not explain this change.
     """
-    missed, read = np.zeros((2, len(turns.spans), 3))
-    for k, _, turned, force, change in _blocks(recording, turns):
-        left = change - cross(force, turned)
-        about = cross(force[:, None], np.eye(3))
-        square = np.einsum("nij,nij->ni", about, about)
-        seen = square > _ACROSS * np.einsum("ni,ni->n", force, force)[:, None]
-        angle = np.where(seen, np.einsum("nj,nij->ni", left, about) / np.where(seen, square, 1.0), 0.0)
-        rest = np.sum((left[:, None] - angle[:, :, None] * about) ** 2, axis=(0, 2))
-        explained = rest < UNEXPLAINED * np.sum(left**2)
-        missed[k] = _extent(np.cumsum(angle, axis=0)) * explained
-        read[k] = _extent(np.cumsum(turned, axis=0))
+    missed, read = np.zeros((2, 0 if turns is None else len(turns.spans), 3))
+    if blocks is None or not len(blocks.turn):
+        return missed, read
+    force, left = blocks.force, blocks.change - cross(blocks.force, blocks.angle)
+    about = cross(force[:, None], np.eye(3))
+    square = np.einsum("nij,nij->ni", about, about)
+    seen = square > _ACROSS * np.einsum("ni,ni->n", force, force)[:, None]
+    angle = np.where(seen, np.einsum("nj,nij->ni", left, about) / np.where(seen, square, 1.0), 0.0)
+    first = np.flatnonzero(np.diff(blocks.turn, prepend=-1))
+    rest = np.add.reduceat(np.sum((left[:, None] - angle[:, :, None] * about) ** 2, axis=2), first)
+    explained = rest < UNEXPLAINED * np.add.reduceat(np.sum(left**2, axis=1), first)[:, None]
+    missed[blocks.turn[first]] = _extent(angle, first) * explained
+    read[blocks.turn[first]] = _extent(blocks.angle, first)
     return missed, read
 
 
-def _extent(course: Array) -> Array:
-    """Value of each column of the course (n, 3) that is farthest from zero, with its sign."""
-    return np.asarray(course[np.argmax(np.abs(course), axis=0), range(3)])
+def _extent(steps: Array, first: Indices) -> Array:
+    """Sum of the steps (n, 3) since the first one of each manoeuvre that is farthest from zero, with its sign."""
+    course = np.cumsum(steps, axis=0)
+    start = course[first] - steps[first]
+    low, high = (extreme.reduceat(course, first) - start for extreme in (np.minimum, np.maximum))
+    return np.asarray(np.where(high > -low, high, low))
 
 
-def gravity_relation(recording: Recording, turns: ManoeuvreReadings) -> Array | None:
+def gravity_relation(blocks: TurningBlocks) -> Array | None:
     """Matrix K of ``df/dt = f × (K ω̃)`` over all rotations, by least squares, shape (3, 3).
 
-    None if the rotations do not cover all axes, or no K explains the readings.
+    None if no K explains the readings, or if its elements are not determined to half of the length of their row, as
+    where the rotations do not cover all axes. Statistic: half a length over the standard deviation from the scatter.
+    Distribution: t, nine elements.
     """
-    normal, right, seen, blocks = np.zeros((3, 3, 3, 3)), np.zeros((3, 3)), 0.0, 0
-    for _, _, turned, mean, change in _blocks(recording, turns):
-        across = np.einsum("ni,ni->n", mean, mean)[:, None, None] * np.eye(3) - np.einsum("ni,nj->nij", mean, mean)
-        normal += np.einsum("nij,nk,nl->ikjl", across, turned, turned)
-        right += np.einsum("ni,nk->ik", np.cross(change, mean), turned)
-        seen += float(np.einsum("ni,ni->", change, change))
-        blocks += len(change)
-    matrix = normal.reshape(9, 9)
-    if blocks < _FEWEST_BLOCKS or seen == 0.0 or not np.all(np.isfinite(matrix)):
+    about = cross(blocks.force[:, None], np.eye(3))
+    design = np.einsum("nki,nl->nikl", about, blocks.angle).reshape(-1, 9)
+    freedom = blocks.change.size - design.shape[1]
+    if freedom <= 0 or not np.all(np.isfinite(design)):
         return None
-    values = np.linalg.eigvalsh(matrix)
-    if values[0] <= _LEAST_EIGENVALUE * values[-1]:
+    U, size, Vt = np.linalg.svd(design, full_matrices=False)
+    if size[-1] <= ROUNDING * size[0]:
         return None
-    relation = np.asarray(np.linalg.solve(matrix, right.ravel()), dtype=np.float64).reshape(3, 3)
-    # The power explained by least squares is the scalar product of the solution and the right-hand side.
-    return relation if seen - float(np.sum(relation * right)) <= _UNEXPLAINED_BY_GYROS * seen else None
+    root = Vt.T / size
+    relation = root @ (U.T @ blocks.change.ravel())
+    left = blocks.change.ravel() - design @ relation
+    if left @ left > _UNEXPLAINED_BY_GYROS * np.sum(blocks.change**2):
+        return None
+    sigma = np.linalg.norm(root, axis=1) * math.sqrt(float(left @ left) / freedom)
+    doubt, K = limit("t", freedom, tests=sigma.size, both_sides=True) * sigma.reshape(3, 3), relation.reshape(3, 3)
+    return K if np.all(doubt.max(axis=1) < AGREE * np.linalg.norm(K, axis=1)) else None

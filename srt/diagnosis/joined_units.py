@@ -16,6 +16,7 @@ from srt.diagnosis.false_alarms import FALSE_ALARM
 from srt.diagnosis.findings import Fault
 from srt.diagnosis.stationary_rates import whitened
 from srt.diagnosis.triad_fits import LEAST_FREEDOM
+from srt.noise.drift_forms import WARM_UP
 from srt.sequences.stationary_windows import MIN_TURN_RAD
 
 if TYPE_CHECKING:
@@ -29,8 +30,6 @@ if TYPE_CHECKING:
 
 _LEAST_SEQUENCES: Final = 3
 """Fewest sequences on each side of a step: a change of a single sequence is a disturbance."""
-_SLOWNESS: Final = (0.1, 0.3)
-"""Time constants of an exponential drift (warm-up), the alternative to a linear one, relative to the test duration."""
 
 
 def units_joined(evidence: Evidence) -> Iterator[Finding]:
@@ -75,9 +74,9 @@ UNITS_JOINED: Final = Fault(
 
 
 def _drifts(time: Array) -> list[Array]:
-    """Shapes of a drift over the times, from zero upwards: linear, and exponential."""
+    """Shapes of a drift over the times, from zero upwards: linear, and those of a warm-up."""
     share = (time - time.min()) / max(float(np.ptp(time)), 1e-300)
-    return [share, *(-np.expm1(-share / slow) for slow in _SLOWNESS)]
+    return [share, *(-np.expm1(-share / slow) for slow in WARM_UP.values())]
 
 
 def _probability(null: Explanation, step: Explanation) -> float:

@@ -13,28 +13,23 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from scipy.ndimage import maximum_filter1d
-from scipy.special import ndtri
 
-from srt.diagnosis.false_alarms import limit
-from srt.diagnosis.rotation_readings import MAD, ROUNDING, rates_factor
+from srt.diagnosis.false_alarms import limit, robust_freedom, robust_sigma
+from srt.diagnosis.rotation_readings import BESIDE, ROUNDING, rates_factor
 
 if TYPE_CHECKING:
     from srt.recording.recording import Recording
     from srt.sequences.preparation import PreparedRecording
     from srt.types import Array, Indices, Mask
 
-_SIGMAS: Final = 7.5
-"""Smallest deviation of a spike, in sigma. p = 6e-14 for a known sigma, and p = 2e-11 for a sigma from 500 readings
-(known to 10 %): the false-alarm probability is 5e-6 for 300 000 readings, 4e-4 for twenty million."""
 _JERK: Final = 3.0
 """Smallest deviation of a spike, in units of the range of the slopes of its neighbours; a step or a kink of the motion
 gives at most 1."""
 _QUANTILE: Final = 0.9
 """Quantile of the magnitudes of the deviations from which the noise is taken, as larger ones may be spikes."""
-_FOR_NOISE: Final = 500
-"""Number of readings from which the noise of a window or rotation is taken."""
-_SEEN: Final = 3.0
-"""Smallest change of gravity due to a bump, in sigma, that the accelerometers can confirm or disprove."""
+_FOR_NOISE: Final = 200
+"""Number of readings from which the noise of a window or rotation is taken: in 10 s at 100 Hz, their deviations have no
+reading in common."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,7 +55,9 @@ NO_SPIKES: Final = Spikes(_NONE, _NONE, np.array([]))
 def find_spikes(columns: Array, data: PreparedRecording, contiguous: Mask, step: Array) -> Spikes:
     """Spikes inside the sequences without a gap, which are the true ones of a mask; bumps are excluded.
 
-    ``columns`` are the readings of all channels, shape (6, N), and ``step`` are their quantization steps.
+    ``columns`` are the readings of all channels, shape (6, N), and ``step`` are their quantization steps. Statistic:
+    deviation over its standard deviation in the window or rotation. Distribution: t, with the degrees of freedom of a
+    quantile of 200 magnitudes.
     """
     x, windows, sequences = columns, data.windows.samples, np.flatnonzero(contiguous)
     # The deviation from the cubic is the fourth difference over 6, of the sample two later than its first one.
@@ -68,20 +65,20 @@ def find_spikes(columns: Array, data: PreparedRecording, contiguous: Mask, step:
     size = np.abs(off)
     start, end = windows[data.start[sequences]], windows[data.end[sequences]]
     spans = np.concatenate([start - np.array([0, 2]), end - np.array([2, 4]), data.rotation[sequences] - 2])
-    spans = spans[spans[:, 1] - spans[:, 0] >= 4]
-    if len(spans) == 0:
+    length = np.diff(spans, axis=1)
+    long = length[:, 0] >= 4
+    if not long.any():
         return NO_SPIKES
-    noise = np.empty((len(spans), 6))
-    for row, (a, b) in zip(noise, spans.tolist(), strict=True):
-        some = size[:, a : b : max(1, (b - a) // _FOR_NOISE)]
-        rank = int(_QUANTILE * (some.shape[1] - 1))
-        row[:] = np.partition(some, rank, axis=1)[:, rank] / ndtri(0.5 + 0.5 * _QUANTILE)
+    some = np.clip(spans[:, :1] + length * np.arange(_FOR_NOISE) // _FOR_NOISE, 0, off.shape[1] - 1)
+    noise = robust_sigma(off[:, some], axis=2, quantile=_QUANTILE).T.reshape(3, -1, 6)
     # In rotations, saturated readings or evenly spaced pulses hardly scatter. The median excludes disturbed windows.
-    least = np.maximum(np.median(noise[: 2 * len(sequences)], axis=0), step)
-    limits = _SIGMAS * np.maximum(noise, np.maximum(least, ROUNDING * np.abs(x).max(axis=1)))
+    least = np.maximum(np.median(noise[:2], axis=(0, 1)), step)
+    noise[2] = noise.max(axis=0)  # the noise of a window reaches into the rotation beside it
+    noise = np.maximum(noise, np.maximum(least, ROUNDING * np.abs(x).max(axis=1))).reshape(-1, 6)
+    limits = limit("t", robust_freedom(_FOR_NOISE, _QUANTILE), tests=x.size, both_sides=True) * noise
     found = [
         np.argwhere(size[:, a:b] > own[:, None]) + np.array([0, a + 2])
-        for (a, b), own in zip(spans.tolist(), limits, strict=True)
+        for (a, b), own in zip(spans[long].tolist(), limits[long], strict=True)
     ]
     channel, sample = np.concatenate(found).T
     alone = np.ones(len(sample), dtype=np.bool_)
@@ -117,7 +114,7 @@ def _is_bump(columns: Array, data: PreparedRecording, at: int, there: Spikes) ->
     angle[there.channel[own]] = there.jump[own] * rates_factor(data.recording) * data.recording.nominal_interval_s
     turned = np.cross(mean, angle)
     square = float(turned @ turned)
-    if square < _SEEN * float(np.linalg.norm(noise * turned)):
+    if square < limit("normal") * float(np.linalg.norm(noise * turned)):
         return several
     return bool(change @ turned > 0.5 * square)
 
@@ -127,32 +124,31 @@ _MOTION: Final = {"gyro": 10.0, "accel": 100.0}
 _EDGE: Final = 0.1
 """Largest deviation of a jump from the range, and of the range from symmetry, and width of the bands between which a
 misread sign makes readings jump, relative to the range: noise, and readings missing at a jump."""
-_BESIDE: Final = 20
-"""Number of samples on each side of a jump with which it is compared."""
 _FLIPS: Final = 5
 """Fewest jumps per window, as noise about zero makes them if the sign is misread."""
 
 
 def wrapped_readings(
-    columns: Array, recording: Recording, data: PreparedRecording | None
+    columns: Array, extremes: tuple[Array, Array], recording: Recording, data: PreparedRecording | None
 ) -> dict[str, tuple[int, Indices]]:
     """First axis of a triad that wraps, and the numbers of the samples after its jumps, by sensor."""
     found: dict[str, tuple[int, Indices]] = {}
-    for channel, column in enumerate(columns):
+    for channel, (column, low, high) in enumerate(zip(columns, *(x.tolist() for x in extremes), strict=True)):
         sensor = ("gyro", "accel")[channel // 3]
-        if sensor not in found and (jumps := _jumps(column, recording, data, sensor)).size:
+        if sensor not in found and (jumps := _jumps(column, (low, high), recording, data, sensor)).size:
             found[sensor] = channel % 3, jumps
     return found
 
 
-def _jumps(column: Array, recording: Recording, data: PreparedRecording | None, sensor: str) -> Indices:
+def _jumps(
+    column: Array, extremes: tuple[float, float], recording: Recording, data: PreparedRecording | None, sensor: str
+) -> Indices:
     """Samples after a jump by the whole range against the slope, or between zero and one of the extremes.
 
     Signed words that are read as unsigned ones, or words of sign and magnitude as two's complement, show small values
     of one sign at an extreme: noise about zero at rest makes them jump.
     """
-    low, high = float(column.min()), float(column.max())
-    step = np.diff(column)
+    (low, high), step = extremes, np.diff(column)
     large = np.flatnonzero(np.abs(step) > 0.5 * max(-low, high)) + 1
     fastest = _MOTION[sensor] * recording.nominal_interval_s / rates_factor(recording)
     for a, b in ((0.0, low), (0.0, high), (low, high)):
@@ -166,8 +162,8 @@ def _jumps(column: Array, recording: Recording, data: PreparedRecording | None, 
             inner = large[(large > 1) & (large < len(step))]
             inner = inner[np.abs(jump[inner - 2] - size) < _EDGE * size]
             # Vibration that reaches the extremes jumps everywhere.
-            beside = np.clip(inner[:, None] - 2 + np.arange(-_BESIDE, _BESIDE + 1), 0, len(jump) - 1)
-            usual: Array = limit("normal", tests=len(column), both_sides=True) * MAD * np.median(jump[beside], axis=1)
+            beside = np.clip(inner[:, None] - 2 + np.arange(-BESIDE, BESIDE + 1), 0, len(jump) - 1)
+            usual: Array = limit("normal", tests=len(column), both_sides=True) * robust_sigma(jump[beside], axis=1)
             jumps = inner[size > usual]
         else:
             apart = np.abs(column[large[:, None] + np.array([-1, 0])][:, :, None] - np.array([a, b]))

@@ -13,14 +13,15 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from srt.diagnosis.false_alarms import FALSE_ALARM
+from srt.diagnosis.rotation_readings import BESIDE
 
 if TYPE_CHECKING:
     from srt.diagnosis.evidence import Evidence
     from srt.types import Indices
 
-BY_CHANCE: Final = FALSE_ALARM / 11.0
-"""False-alarm probability for one recording, for each of nine kinds of run and two kinds of single repeats. It assumes
-independent repeats. The pulses of a steady input are evenly spaced, so that the true probability is smaller."""
+BY_CHANCE: Final = 0.5 * FALSE_ALARM
+"""False-alarm probability of all runs, and of all single repeats. It assumes independent repeats. The pulses of a
+steady input are evenly spaced, so that the true probability is smaller."""
 _LONGER: Final = 2.0
 """Smallest ratio of a run to the ordinary runs of the other windows (or rotations) for a finding. In noise-free
 readings a whole rotation is one run, and a rotation of 360° lasts twice as long as one of 180°."""
@@ -31,10 +32,6 @@ _CHUNK: Final = 50
 """Fewest samples over which the frequency of repeats is averaged: a pause between rotations is as short."""
 _SHORT: Final = 3
 """Largest number of repeats in a row for a sample that was written twice or a few times."""
-_MOVED: Final = 0.25
-"""Noise of a sample, in pulses, above which the readings of a steady input change: 50 equal readings have p = 1e-7."""
-_EDGE: Final = 10
-"""Number of samples on each side of a run from which the rate before and after it is taken."""
 _FROZEN: Final = 0.9
 """Share of repeated samples of the other sensor from which that sensor counts as frozen, too."""
 
@@ -72,7 +69,7 @@ def repeated_runs(evidence: Evidence) -> list[tuple[int, int] | None]:
         frequency = (np.count_nonzero(same[row, beside]) + 1) / (len(beside) + 1)
         if (
             (best is None or n > best[1])
-            and n * math.log(frequency) < math.log(BY_CHANCE / total)
+            and n * math.log(frequency) < math.log(BY_CHANCE / (len(same) * total))
             and n > PULSES * count[row, beside].max(initial=0)
             and (row == 0 or np.mean(same[other, first : first + n]) < _FROZEN)
             and not (row and np.all((own[:, first] == own.min(axis=1)) | (own[:, first] == own.max(axis=1))))
@@ -91,14 +88,18 @@ def _goes_on(evidence: Evidence, channel: int, bounds: tuple[int, int, int, int]
     """
     recording, data = evidence.recording, evidence.data
     sensor, axis = ("gyro", "accel")[channel // 3], channel % 3
-    pulse = getattr(recording.noise, f"{sensor}_quantization")
+    pulse, (a, first, last, b) = getattr(recording.noise, f"{sensor}_quantization"), bounds
     assert data is not None
-    if pulse is None or getattr(data.noise, f"{sensor}_white")[axis] * math.sqrt(evidence.dt) > _MOVED * pulse:
+    if pulse is None:
+        return False
+    # White noise makes a random walk of the counted angle, which stays within one pulse over n samples with
+    # p = exp(−n (π σ)² / 2), for a noise σ of a sample in pulses.
+    sigma = getattr(data.noise, f"{sensor}_white")[axis] * math.sqrt(evidence.dt) / pulse
+    if 0.5 * (last - first) * (math.pi * sigma) ** 2 > -math.log(BY_CHANCE):
         return False
     column = evidence.columns[channel]
-    a, first, last, b = bounds
     value, unit = float(column[first]), pulse / (evidence.dt * evidence.per_rate)
-    for beside in (column[max(a, first - _EDGE) : first][::-1], column[last + 1 : min(b, last + 1 + _EDGE)]):
+    for beside in (column[max(a, first - BESIDE) : first][::-1], column[last + 1 : min(b, last + 1 + BESIDE)]):
         changes = np.abs(np.diff(beside[:2], prepend=value))
         # Evenly spaced pulses differ by one. The median, because the edge of a window may lie within a sample.
         steady = len(beside) == 0 or round(abs(float(np.median(beside)) - value) / unit) <= 1

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from srt.diagnosis.false_alarms import limit
+from srt.diagnosis.false_alarms import limit, robust_sigma
 from srt.sequences.manoeuvres import MOVING, leg_borders
 from srt.sequences.rest_detection import BLOCK_S
 
@@ -25,10 +25,13 @@ _ROUNDS: Final = 12
 ROTATING: Final = 0.05
 """Smallest rate in a window, relative to that of the rotations, at which the unit is not at rest: bumps and creep are
 slower."""
+RANK: Final = 0.1
+"""Smallest singular value of unit vectors, relative to the square root of their number, at which they determine a
+matrix: below it they lie within 6° of a plane; and smallest over largest singular value of the matrix of a triad."""
+BESIDE: Final = 20
+"""Number of samples or blocks on each side of a place with which its readings are compared."""
 ROUNDING: Final = 1e-9
 """Largest rounding of readings, relative to the largest reading: a unit conversion makes 1e-16, a file 1e-10."""
-MAD: Final = 1.4826
-"""Ratio of the standard deviation to the median absolute deviation of a normal distribution."""
 AGREE: Final = 0.5
 """Largest relative difference between a rotation by gyros and by accelerometers, due to scale-factor errors and coarse
 blocks. Lost samples and asymmetric scale factors make a difference of the whole error."""
@@ -81,7 +84,7 @@ def _bias_per_force(data: PreparedRecording) -> Array:
     """
     force = data.windows.accel_mean
     design = np.hstack([force / data.gravity, np.ones((len(force), 1))])
-    if len(force) < 3 * design.shape[1] or np.linalg.matrix_rank(design, tol=0.1) < design.shape[1]:
+    if len(force) < 3 * design.shape[1] or np.linalg.matrix_rank(design, tol=RANK) < design.shape[1]:
         return np.zeros((3, 3))
     return robust_fit(design, data.windows.gyro_mean)[:3].T / data.gravity
 
@@ -123,18 +126,19 @@ def block_averages(data: PreparedRecording, contiguous: Mask) -> BlockAverages |
     return BlockAverages(sequence, starts, sample, size * dt, *np.concatenate(means, axis=1))
 
 
-def turning_windows(data: PreparedRecording, seen: RawIntegrals) -> Mask:
+def turning_windows(data: PreparedRecording, columns: Array, seen: RawIntegrals) -> Mask:
     """True for windows in which the unit rotates as in a manoeuvre, shape (W,): their labels are wrong.
 
     Slower motion has other causes, see :mod:`srt.diagnosis.window_disturbances`. Statistic: half the range of the rates
-    of a window over the noise of a block. Distribution: normal, six times as many tests as blocks.
+    of a window over the noise of a block. Distribution: normal, six times as many tests as blocks. ``columns`` are the
+    stored values of all channels, shape (6, N).
     """
     recording, samples = data.recording, data.windows.samples
     size, factor = max(1, round(BLOCK_S / recording.nominal_interval_s)), rates_factor(recording)
     # Without rotations (static poses only), the slowest rotation is the lower limit.
     slowest = 2.0 * ROTATING * max(float(np.median(seen.speed)), _SLOWEST_RAD_S)
     span, scatter = np.zeros((2, len(samples), 3))
-    if not any(np.ptp(recording.gyro[a:b], axis=0).max() * factor > slowest for a, b in samples.tolist()):
+    if not any(np.ptp(columns[:3, a:b], axis=1).max() * factor > slowest for a, b in samples.tolist()):
         return np.zeros(len(samples), dtype=np.bool_)
     for w, (a, b) in enumerate(samples.tolist()):
         count = (b - a) // size
@@ -143,7 +147,7 @@ def turning_windows(data: PreparedRecording, seen: RawIntegrals) -> Mask:
             # The median, so that a spike is not taken for a rotation.
             means = np.median(blocks, axis=1) * factor
             span[w] = np.ptp(means, axis=0)
-            scatter[w] = MAD * np.median(np.abs(means - np.median(means, axis=0)), axis=0)
+            scatter[w] = robust_sigma(means - np.median(means, axis=0), axis=0)
     tests = max(1, 6 * int(np.sum((samples[:, 1] - samples[:, 0]) // size)))
     noise = 2.0 * limit("normal", tests=tests) * np.median(scatter, axis=0)
     return np.asarray(np.any(span > np.maximum(slowest, noise), axis=1))

@@ -24,7 +24,7 @@ from scipy.special import log_softmax, voigt_profile
 
 from srt.constants import EARTH_RATE_RAD_S
 from srt.diagnosis.cause_comparison import CLOSE
-from srt.diagnosis.scale_ratios import UNKNOWN, stationary_force_scatter
+from srt.diagnosis.scale_ratios import RAW_SCALE, UNKNOWN, stationary_force_scatter
 from srt.model.table1 import AXES
 from srt.recording.schema import ACCEL_UNITS, GYRO_UNITS
 from srt.recording.schema import TIME_UNITS as SECONDS
@@ -41,8 +41,6 @@ if TYPE_CHECKING:
     from srt.sequences.wrong_units import WrongUnit
     from srt.types import Array, Mask, Sensor
 
-    Scales = tuple[ScaleRatios, ScaleRatios]
-
 FREQUENT: Final = 5e-3
 RARE: Final = 5e-4
 """Prior probabilities of causes, relative to no fault. A cause is a fault if its likelihood ratio to no fault exceeds
@@ -51,10 +49,9 @@ _ROUNDING: Final = 1e-4
 """Smallest standard deviation of the logarithm of a ratio: labels and windows are not more accurate."""
 _GRID: Final = np.geomspace(_ROUNDING, 1.0, 25)
 """Standard deviations of the scale-factor errors of a unit over which the likelihood is averaged."""
-_USUAL: Final = 0.02
-"""Standard deviation of scale-factor errors above which the prior weight falls with its fourth power (uncalibrated
-MEMS), and half-width of the Cauchy distribution of an unknown factor (H. Jeffreys, Theory of Probability, 5.2)."""
-_LOG_WEIGHT: Final = log_softmax(-2.0 * np.log1p(np.square(_GRID / _USUAL)))
+_LOG_WEIGHT: Final = log_softmax(-2.0 * np.log1p(np.square(_GRID / RAW_SCALE)))
+"""Prior weights of them: they fall with the fourth power above the errors of uncalibrated MEMS, which are also the
+half-width of the Cauchy distribution of an unknown factor (H. Jeffreys, Theory of Probability, 5.2)."""
 GRAVITY_SIGMA: Final = 0.0035
 """Relative standard deviation of the stated gravity: 0.4 of its variation over the Earth (9.76 to 9.84 m/s²)."""
 _MATCH: Final = math.log(LEGAL_RATIO["gyro"][1])
@@ -151,7 +148,7 @@ def _terms(scales: ScaleRatios, shift: Array, common: float, unknown: Mask) -> t
     square = np.sum((left - mean) ** 2, axis=1, keepdims=True)
     own = -0.5 * ((n - 1) * np.log(2.0 * np.pi * s2) + square / s2) + _LOG_WEIGHT
     known = -0.5 * (np.log(2.0 * np.pi * v) + mean**2 / v)
-    return own + np.where(unknown, np.log(voigt_profile(mean, np.sqrt(v), _USUAL)), known), mean, v
+    return own + np.where(unknown, np.log(voigt_profile(mean, np.sqrt(v), RAW_SCALE)), known), mean, v
 
 
 def _earth_term(clock: Array, doubt: Array, found: Array, sigma: Array, true: Array) -> Array:
@@ -171,12 +168,8 @@ def _earth_term(clock: Array, doubt: Array, found: Array, sigma: Array, true: Ar
 # --- possible causes -------------------------------------------------------------------------------------------------
 
 
-def scale_cause(evidence: Evidence, scales: Scales | None = None) -> tuple[ScaleCause, RunnerUp | None]:
-    """Most likely cause of the ratios of both triads, and the second most likely if it is nearly as likely.
-
-    ``scales`` are the ratios of gyros and accelerometers; by default those of the readings.
-    """
-    gyro, accel = scales or (evidence.gyro_scales, evidence.accel_scales)
+def scale_cause(evidence: Evidence, gyro: ScaleRatios, accel: ScaleRatios) -> tuple[ScaleCause, RunnerUp | None]:
+    """Most likely cause of the ratios of both triads, and the second most likely if it is nearly as likely."""
     if _without_gravity(evidence, accel):
         details = {"found": accel.typical * evidence.recording.site.gravity_m_s2}
         return ScaleCause(("gravity_absent",), details={"gravity_absent": details}), None

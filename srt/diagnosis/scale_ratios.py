@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.diagnosis.rotation_readings import MAD, rates_factor
+from srt.diagnosis.false_alarms import robust_sigma
+from srt.diagnosis.rotation_readings import RANK, rates_factor
 from srt.diagnosis.triad_fits import LEAST_FREEDOM
 from srt.model.table1 import AXES
 from srt.result.verdict import USABLE
@@ -66,11 +67,8 @@ class ScaleRatios:
         return math.hypot(self.spread, self.axis_scatter)
 
 
-_RELATION_SIGMA: Final = 0.02
-"""Standard deviation of the logarithm of a ratio from the rotation of gravity, due to acceleration and misalignment."""
-_LEAST_SPREAD: Final = 0.1
-"""Smallest permitted singular value of that fit, divided by the square root of the number of poses; for poses in all
-directions it is 0.37."""
+RAW_SCALE: Final = 0.02
+"""Standard deviation of the scale-factor errors and misalignments of uncalibrated MEMS."""
 _UNSEEN: Final = np.full(len(AXES), np.nan)
 UNKNOWN: Final = ScaleRatios(math.nan, _UNSEEN, math.nan)
 """Ratios of a triad that the data do not determine."""
@@ -81,7 +79,7 @@ def gyro_ratios_to_gravity(by_labels: ScaleRatios, relation: Array | None) -> Sc
     if relation is None:
         return by_labels
     axes = 1.0 / np.linalg.norm(relation, axis=0)
-    by_gravity = ScaleRatios(float(np.median(axes)), axes, _RELATION_SIGMA)
+    by_gravity = ScaleRatios(float(np.median(axes)), axes, RAW_SCALE)
     # Without labels, angles are recognised as multiples of 90° and may be wrong by a factor of two.
     nearer = by_labels.known and abs(math.log(by_labels.typical / by_gravity.typical)) < 0.5 * math.log(2.0)
     return by_labels if nearer else by_gravity
@@ -103,9 +101,7 @@ def gyro_ratios_to_labels(rotations: Rotations, fit: LinearFit, fixture: Fixture
     if not np.all(size * expected > 0.0):
         return ScaleRatios(typical, axes, math.inf)
     fixture_scatter = 0.0 if fixture is None else fixture.rotation_sigma_rad / math.pi
-    return ScaleRatios(
-        typical, axes, math.hypot(MAD * float(np.median(np.abs(np.log(size / expected)))), fixture_scatter)
-    )
+    return ScaleRatios(typical, axes, math.hypot(float(robust_sigma(np.log(size / expected))), fixture_scatter))
 
 
 def accel_ratios(recording: Recording, turns: ManoeuvreReadings | None, fit: LinearFit) -> ScaleRatios:
@@ -126,10 +122,10 @@ def accel_ratios(recording: Recording, turns: ManoeuvreReadings | None, fit: Lin
     if not np.all(ratio > 0.0):
         return ScaleRatios(typical, _UNSEEN, math.inf)
     if fit.rank == 3:
-        off = np.median(np.abs(fit.residual), axis=0) / (gravity * typical)
-        return ScaleRatios(typical, np.linalg.norm(fit.matrix, axis=1), MAD * float(off.max()))
+        off = robust_sigma(fit.residual, axis=0) / (gravity * typical)
+        return ScaleRatios(typical, np.linalg.norm(fit.matrix, axis=1), float(off.max()))
     return _by_magnitude(turns.force / gravity) or ScaleRatios(
-        typical, _UNSEEN, MAD * float(np.median(np.abs(np.log(ratio / typical))))
+        typical, _UNSEEN, float(robust_sigma(np.log(ratio / typical)))
     )
 
 
@@ -141,7 +137,7 @@ def _by_magnitude(force: Array) -> ScaleRatios | None:
     size = float(np.median(np.linalg.norm(force, axis=1)))
     design = np.hstack([(force / size) ** 2, force / size])
     count, weakest = len(force), np.linalg.svd(design, compute_uv=False)[-1]
-    if count < design.shape[1] + LEAST_FREEDOM or weakest < _LEAST_SPREAD * math.sqrt(count):
+    if count < design.shape[1] + LEAST_FREEDOM or weakest < RANK * math.sqrt(count):
         return None
     square, slope = np.split(np.linalg.lstsq(design, np.ones(count), rcond=None)[0], 2)
     if not np.all(square > 0.0):
@@ -150,7 +146,7 @@ def _by_magnitude(force: Array) -> ScaleRatios | None:
     level = 1.0 + 0.25 * float(np.sum(slope**2 / square))
     off = 0.5 * (design @ np.concatenate([square, slope]) - 1.0) / level
     axes = size * np.sqrt(level / square)
-    return ScaleRatios(float(np.median(axes)), axes, MAD * float(np.median(np.abs(off))))
+    return ScaleRatios(float(np.median(axes)), axes, float(robust_sigma(off)))
 
 
 def calibrated_ratios(result: Calibration, sensor: Sensor) -> ScaleRatios:

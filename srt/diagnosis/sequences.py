@@ -12,6 +12,7 @@ import numpy as np
 from srt.diagnosis.findings import Fault
 from srt.diagnosis.label_shift import lost_samples
 from srt.diagnosis.rotation_readings import AGREE, invert_readings
+from srt.diagnosis.scale_ratios import RAW_SCALE
 from srt.diagnosis.sensor_synchronisation import SAMPLES_LOST, samples_lost
 from srt.estimation.rotation_accuracy import SIGMAS, scatter_ratio
 from srt.model import closed_form
@@ -30,8 +31,6 @@ if TYPE_CHECKING:
 _FAR: Final = 1.0
 """Squared distance above which a manoeuvre is another sequence; rotation angles in units of 180°, verticals as unit
 vectors. The two most similar of the 17 sequences are 2 apart; a unit with errors of 10 % is within 0.1 of its own."""
-_RAW_SCALE: Final = 0.015
-"""Scale-factor error of uncalibrated MEMS gyros, 1-sigma."""
 _LOST: Final = (
     "Samples of about {duration:.2g} s are missing in or before {sequence} (at {time:.6g} s), but the time stamps have "
     "no gap: the labels after them are late by as much. Omit the labels to have the sequences recognised, and repeat "
@@ -168,7 +167,7 @@ def _wrong_angles(evidence: Evidence, known: Mask, excess: Array) -> Iterator[Fi
         return
     numbers, nominal, _ = evidence.rotations
     # If the rotations do not cover all axes, the angles include uncorrected scale factors.
-    scale = 0.0 if evidence.gyro_fit.rank == 3 else _RAW_SCALE * np.linalg.norm(nominal, axis=1)
+    scale = 0.0 if evidence.gyro_fit.rank == 3 else RAW_SCALE * np.linalg.norm(nominal, axis=1)
     sigma = np.hypot(math.hypot(fixture.rotation_sigma_rad, 2.0 * fixture.alignment_sigma_rad), scale)
     sigma = np.broadcast_to(sigma, excess.shape)
     # Where all rotations scatter alike, the fixture is less accurate than stated, and no angle is wrong.

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from srt.constants import DEG, DEG_PER_H, EARTH_RATE_RAD_S, normal_gravity_m_s2
+from srt.diagnosis.evidence import SAMPLES
 from srt.diagnosis.false_alarms import limit
 from srt.diagnosis.findings import Fault, Finding
 
@@ -18,12 +19,10 @@ if TYPE_CHECKING:
 
 HEIGHTS_M: Final = (5000.0, -500.0)
 """Highest and lowest plausible height of a test site, m."""
-_SITE_SIGMAS: Final = 3.0
-"""Tolerance of the stated gravity, and of the latitude from the gyros, in sigma."""
 ANOMALY_M_S2: Final = 1e-3
 """Largest plausible gravity anomaly, m/s²: 100 mGal, which is exceeded in few places on land."""
-_GRID_DEG: Final = 0.01
-"""Step of the latitudes that are tried, °: far below the resolution of gyros."""
+_LATITUDES: Final = np.radians(np.linspace(-90.0, 90.0, SAMPLES))
+"""Latitudes that are tried: their steps are far below the resolution of gyros."""
 
 
 def gravity(evidence: Evidence) -> Iterator[Finding]:
@@ -35,12 +34,12 @@ def gravity(evidence: Evidence) -> Iterator[Finding]:
     if site.latitude_rad is None:
         return
     low, high = _gravity_range(site.latitude_rad)
-    doubt = _SITE_SIGMAS * site.gravity_sigma_m_s2
+    doubt = limit("normal", both_sides=True) * site.gravity_sigma_m_s2
     if low - doubt <= site.gravity_m_s2 <= high + doubt:
         return
     wrong = next((found for found in earth_rate(evidence) if found.cause is LATITUDE), None)
     if wrong is not None:
-        seen, sigma = wrong.details["found"] * DEG, _SITE_SIGMAS * wrong.details["sigma"] * DEG
+        seen, sigma = wrong.details["found"] * DEG, limit("normal", both_sides=True) * wrong.details["sigma"] * DEG
         ranges = [_gravity_range(latitude) for latitude in np.linspace(seen - sigma, seen + sigma, 9).tolist()]
         if any(bottom <= site.gravity_m_s2 <= top for bottom, top in ranges):
             return
@@ -85,8 +84,7 @@ def earth_rate(evidence: Evidence) -> Iterator[Finding]:
         true = EARTH_RATE_RAD_S * np.stack([-np.sin(latitude_rad), np.cos(latitude_rad)], axis=-1)
         return np.asarray(np.sum(((earth.found - true) / earth.sigma) ** 2, axis=-1))
 
-    latitudes = np.arange(-90.0, 90.0 + 0.5 * _GRID_DEG, _GRID_DEG) * DEG
-    by_latitude = misfit(latitudes)
+    by_latitude = misfit(_LATITUDES)
     best = int(np.argmin(by_latitude))
     if float(by_latitude[best] - np.sum((earth.found / earth.sigma) ** 2)) > largest:
         yield EARTH_RATE_ABSENT.found(
@@ -98,13 +96,14 @@ def earth_rate(evidence: Evidence) -> Iterator[Finding]:
     latitude = site.latitude_rad
     by_clock = factor.misfit < by_latitude[best] - largest
     if not by_clock and float(misfit(np.array(latitude)) - by_latitude[best]) > largest:
-        near = latitudes[by_latitude <= by_latitude[best] + 1.0]
+        near = np.flatnonzero(by_latitude <= by_latitude[best] + 1.0)
+        step = float(_LATITUDES[1] - _LATITUDES[0])
         yield LATITUDE.found(
-            found=float(latitudes[best] / DEG),
-            sigma=float(max(0.5 * np.ptp(near) / DEG, _GRID_DEG)),
+            found=float(_LATITUDES[best] / DEG),
+            sigma=max(0.5 * float(np.ptp(near)), 1.0) * step / DEG,
             stated=float(latitude / DEG),
         )
-        latitude = float(latitudes[best])
+        latitude = float(_LATITUDES[best])
     if fixture.heading_rad is None or fit.horizontal is None:
         return
     # In base axes, the azimuth of north is minus the heading.

@@ -14,7 +14,7 @@ import numpy as np
 
 from srt.diagnosis.cause_comparison import Cause, compare
 from srt.diagnosis.false_alarms import limit
-from srt.diagnosis.rotation_readings import ROUNDING, cross, invert_readings
+from srt.diagnosis.rotation_readings import BESIDE, ROUNDING, cross, invert_readings
 from srt.model import rotations
 from srt.model.table1 import AXES
 
@@ -25,14 +25,10 @@ if TYPE_CHECKING:
     from srt.sequences.preparation import PreparedRecording
     from srt.types import Array, Indices, Mask
 
-_FEWEST_TURNS: Final = 4
-"""Fewest rotations for an estimate of the scatter of the offset."""
 _LEAST_OFFSET: Final = 0.02
 """Smallest offset for a finding, in sampling intervals: the effective time of a reading is not known better."""
 _COARSE: Final = 5
 """Number of blocks that are averaged for the estimate of the offset, which is constant during a rotation."""
-_SIDE: Final = 20
-"""Number of blocks used on each side of a step."""
 
 
 class StabilisedForce(NamedTuple):
@@ -71,15 +67,16 @@ class TimeOffset(NamedTuple):
     by_turn: Array  # lag of the accelerometers behind the gyros, (n,), s
     axes: Array  # axis of each rotation, unit vectors in B, (n, 3)
     by_accel: Array  # lag that is estimated if only accelerometer x, y or z lags, by one second, (n, 3)
-    errors: Array  # accelerometer errors, in the order of :func:`_columns`, (15,)
+    errors: Array  # accelerometer errors, in the order of :func:`force_effects`, (15,)
     spread: Array  # square root S of their covariance SᵀS, (r, 15)
 
 
-def time_offset(path: StabilisedForce) -> TimeOffset | None:
-    """Time offset between the sensors; None with fewer than four rotations about one horizontal axis.
+def time_offset(path: StabilisedForce, effects: Array) -> TimeOffset | None:
+    """Time offset between the sensors; None with fewer than two rotations about one horizontal axis.
 
     The accelerometer errors are common to all rotations. Each rotation has its own offset, initial angle and gyro
-    scale-factor error; the scatter of the offsets includes all unmodelled effects.
+    scale-factor error; the scatter of the offsets includes all unmodelled effects. ``effects`` are those of
+    :func:`force_effects`.
     """
     turns, first = path.blocks, path.blocks.starts[:-1]
     rate = np.einsum("mab,mb->ma", path.attitude, path.rate)
@@ -91,60 +88,60 @@ def time_offset(path: StabilisedForce) -> TimeOffset | None:
     one_axis = size > 0.9 * np.add.reduceat(np.linalg.norm(rate, axis=1), first) * turns.step_s
     chosen = np.flatnonzero((size > 1.0) & one_axis & (level > 0.9) & (np.diff(turns.starts) >= 2 * _COARSE))
     n = len(chosen)
-    if n < _FEWEST_TURNS:
+    if n < 2:  # the offsets have no scatter
         return None
-    step_s = _COARSE * turns.step_s
-    own, shared, projected = [], [], []
+    # By block: effects of the accelerometer errors on the angle, this angle, and the rate about the axis.
+    number = np.repeat(np.arange(len(first)), np.diff(turns.starts))
+    sideways = (across / np.maximum(level, 1e-300)[:, None])[number]
+    along = np.einsum("ma,mab->bm", sideways, path.attitude)
+    values = np.empty((len(effects) + 2, len(number)))
+    values[:-2] = np.einsum("eam,am->em", effects, along)
+    values[-2:] = [np.einsum("ma,ma->m", *pair) for pair in ((path.force, sideways), (rate, axis[number]))]
+    lags, projected = [], []
     for k in chosen.tolist():
         s = int(first[k])
         count = (int(turns.starts[k + 1]) - s) // _COARSE
-        blocks, middle = slice(s, s + count * _COARSE), slice(s + _COARSE // 2, s + count * _COARSE, _COARSE)
-        about, angle = (
-            x[blocks].reshape(count, _COARSE, 3).mean(axis=1) @ direction
-            for x, direction in ((rate, axis[k]), (path.force, across[k] / level[k]))
-        )
-        along = across[k] / level[k] @ path.attitude[middle]
-        late = along * cross(path.rate[middle], path.up_body[middle])
-        # Lag by 1 s, initial angle and gyro scale-factor error; accelerometer errors, the measured angle, and the angle
-        # if only accelerometer x, y or z lags by 1 s.
-        own.append(np.stack([about * level[k], np.ones(count), np.cumsum(about) * step_s], axis=1))
-        shared.append(np.column_stack([_columns(along, path.rate[middle], path.up_body[middle], step_s), angle, late]))
+        *shared, about = values[:, s : s + count * _COARSE].reshape(-1, count, _COARSE).mean(axis=2)
+        # Lag by 1 s, initial angle and gyro scale-factor error.
+        own = np.stack([about * level[k], np.ones(count), np.cumsum(about)], axis=1)
         # The unknowns of single rotations are projected out, so that the computing time grows only linearly.
-        Q, _ = np.linalg.qr(own[-1])
-        projected.append(shared[-1] - Q @ (Q.T @ shared[-1]))
-    stacked = np.concatenate(projected)
+        inverse, table = np.linalg.pinv(own), np.array(shared).T
+        lags.append(inverse[0] @ table)
+        projected.append(table - own @ (inverse @ table))
+    by_turn, stacked = np.array(lags), np.asarray(np.linalg.qr(np.concatenate(projected), mode="r"))
     U, sizes, Vt = np.linalg.svd(stacked[:, :-4], full_matrices=False)
     seen = sizes > ROUNDING * sizes[0]
     root = Vt[seen] / sizes[seen, None]
     # Lags of single accelerometers are put through the same estimation: the accelerometer errors absorb a part of them.
     every = root.T @ (U[:, seen].T @ stacked[:, -4:])
-    left = stacked[:, -4] - stacked[:, :-4] @ every[:, 0]
-    freedom = max(1, len(stacked) - 3 * n - int(seen.sum()))
-    rest = [common[:, -4:] - common[:, :-4] @ every for common in shared]
-    lags = np.array([(np.linalg.pinv(mine) @ angles)[0] for mine, angles in zip(own, rest, strict=True)])
+    left = stacked[:, -1] - stacked[:, :-4] @ every[:, -1]
+    freedom = max(1, sum(map(len, projected)) - 3 * n - int(seen.sum()))
+    by_turn = by_turn[:, -4:] - by_turn[:, :-4] @ every
     spread = np.asarray(root * math.sqrt(float(left @ left) / freedom))
-    return TimeOffset(lags[:, 0], axis[chosen], lags[:, 1:], every[:, 0], spread)
+    return TimeOffset(by_turn[:, -1], axis[chosen], by_turn[:, :-1], every[:, -1], spread)
 
 
-def _columns(along: Array, rate: Array, up: Array, step_s: float) -> Array:
-    """Effect of 15 accelerometer errors on the specific force along directions in B, in units of gravity, (n, 15).
+def force_effects(path: StabilisedForce) -> Array:
+    """Effects of 18 accelerometer errors on the specific force in B, in units of gravity, (18, 3, m).
 
-    The errors are a symmetric matrix (6), bias (3), asymmetry (3), and lever arm over gravity (3, in s²).
+    The errors are a symmetric matrix (6), bias (3), asymmetry (3), lever arm over gravity (3, in s²), and the lags of
+    accelerometers x, y and z (3, in s).
     """
-    ahead = [1, 2, 0]
-    mixed = along * up[:, ahead] + along[:, ahead] * up
-    lever = cross(along, np.gradient(rate, step_s, axis=0)) + cross(rate, cross(rate, along))
-    return np.concatenate([along * up, mixed, along, along * np.abs(up), lever], axis=1)
+    rate, up, late = (np.ascontiguousarray(x.T) for x in (path.rate, path.up_body, cross(path.rate, path.up_body)))
+    change = np.gradient(rate, path.blocks.step_s, axis=1)  # sequences begin and end at rest
+    out, square = np.zeros((18, 3, rate.shape[1])), np.sum(rate**2, axis=0)
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        out[[i, 6 + i, 9 + i, 15 + i], i] = up[i], np.ones_like(up[i]), np.abs(up[i]), late[i]
+        out[3 + i, [i, j]] = up[[j, i]]
+        # Lever arm r: dω/dt × r + ω × (ω × r)
+        out[12 + i] = rate * rate[i]
+        out[12 + i, [i, j, k]] += -square, change[k], -change[j]
+    return out
 
 
-def _expected(path: StabilisedForce, errors: Array, late_s: float) -> Array:
-    """Effect of accelerometer errors and a time offset on the specific force in B_Strt, in units of gravity, (m, 3)."""
-    e, lever, up, rate = errors, errors[12:], path.up_body, path.rate
-    symmetric = np.array([[e[0], e[3], e[5]], [e[3], e[1], e[4]], [e[5], e[4], e[2]]])
-    change = np.gradient(rate, path.blocks.step_s, axis=0)  # sequences begin and end at rest
-    out = late_s * cross(rate, up) + up @ symmetric + e[6:9] + e[9:12] * np.abs(up)
-    out = out + cross(change, lever) + cross(rate, cross(rate, lever))
-    return np.asarray(np.einsum("mab,mb->ma", path.attitude, out))
+def _expected(path: StabilisedForce, effects: Array, errors: Array) -> Array:
+    """Effect of 18 accelerometer errors on the specific force in B_Strt, in units of gravity, (m, 3)."""
+    return np.asarray(np.einsum("mab,bm->ma", path.attitude, np.tensordot(errors, effects, 1)))
 
 
 def lag(seen: TimeOffset, dt: float) -> list[Explanation] | None:
@@ -173,10 +170,12 @@ class AttitudeStep(NamedTuple):
     duration_s: float  # time in which the unit rotates by it; negative if the gyros measured too large an angle
 
 
-def attitude_step(path: StabilisedForce, seen: TimeOffset | None, dt: float, void: list[int]) -> AttitudeStep | None:
+def attitude_step(
+    path: StabilisedForce, effects: Array, seen: TimeOffset | None, dt: float, void: list[int]
+) -> AttitudeStep | None:
     """Largest significant step; None if there is none.
 
-    Statistic: height over its standard deviation. Distribution: Rayleigh, as a height has two components. ``void`` are
+    Statistic: squared height over its variance. Distribution: chi-square, with two components of a height. ``void`` are
     the sequences with clipped readings: clipping causes their missing angle, not lost samples.
     """
     turns, turning = path.blocks, cross(path.rate, path.up_body)
@@ -184,29 +183,30 @@ def attitude_step(path: StabilisedForce, seen: TimeOffset | None, dt: float, voi
     left = path.force - path.up
     if seen is not None:
         # Without this correction, a time offset makes a step at the beginning and at the end of a rotation.
-        left -= _expected(path, seen.errors, float(np.median(seen.by_turn)))
+        left -= _expected(path, effects, np.append(seen.errors, np.full(3, np.median(seen.by_turn))))
     left -= np.einsum("ma,ma->m", left, path.up)[:, None] * path.up
     steps, whole = _steps(left, turns.starts)
     places = np.flatnonzero((speed > 0.2 * speed.max()) & whole)
     if len(places) == 0:
         return None
-    height = np.linalg.norm(steps[places], axis=1)
-    # At most places there is no step: the median height gives the noise. A loss is at least one sample.
-    largest, half = limit("Rayleigh", tests=len(height)), 0.5 * speed[places] * dt
-    variance = np.full(len(height), (float(np.median(height)) / limit("Rayleigh", shared=0.5)) ** 2)
-    if seen is not None and np.any(height > np.maximum(largest * np.sqrt(variance), half)):
+    square = np.sum(steps[places] ** 2, axis=1)
+    # At most places there is no step: the median square gives the noise. A loss is at least one sample.
+    largest, half = limit("chi-square", 2.0, tests=len(square)), 0.5 * speed[places] * dt
+    variance = np.full(len(square), float(np.median(square)) / limit("chi-square", 2.0, shared=0.5))
+    if seen is not None and np.any(square > np.maximum(largest * variance, half**2)):
         # Few rotations hardly determine the accelerometer errors.
-        doubts = (_steps(_expected(path, own, 0.0), turns.starts)[0][places] for own in seen.spread)
-        variance += sum(np.einsum("ma,ma->m", step, step) for step in doubts)
-    excess = height / np.maximum(largest * np.sqrt(variance), half)
+        doubts = (_expected(path, effects, np.append(own, np.zeros(3))) for own in seen.spread)
+        variance += sum(np.sum(_steps(doubt, turns.starts)[0][places] ** 2, axis=1) for doubt in doubts)
+    excess = square / np.maximum(largest * variance, half**2)
     excess[np.isin(turns.sequence[places], void)] = 0.0
     best = int(np.argmax(excess))
     if excess[best] <= 1.0:
         return None
     block = int(places[best])
     surplus = steps[block] @ path.attitude[block] @ turning[block] > 0.0
-    duration_s = (-1.0 if surplus else 1.0) * float(height[best] / speed[block])
-    return AttitudeStep(int(turns.sequence[block]), int(turns.first_sample[block]), float(height[best]), duration_s)
+    height = math.sqrt(float(square[best]))
+    duration_s = (-1.0 if surplus else 1.0) * height / float(speed[block])
+    return AttitudeStep(int(turns.sequence[block]), int(turns.first_sample[block]), height, duration_s)
 
 
 def _steps(values: Array, starts: Indices) -> tuple[Array, Mask]:
@@ -215,7 +215,7 @@ def _steps(values: Array, starts: Indices) -> tuple[Array, Mask]:
     The mask, shape (m,), is true where these blocks belong to one sequence.
     """
     lengths = np.diff(starts)
-    side = min(_SIDE, int(lengths.min()) // 4)
+    side = min(BESIDE, int(lengths.min()) // 4)
     steps = np.zeros_like(values)
     if side < 2:
         return steps, np.zeros(len(values), dtype=np.bool_)

@@ -12,16 +12,13 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 from scipy.linalg import polar
 
-from srt.diagnosis.rotation_readings import robust_fit
+from srt.diagnosis.rotation_readings import RANK, robust_fit
 
 if TYPE_CHECKING:
     from srt.diagnosis.rotation_readings import Rotations
     from srt.types import Array, Indices
 
 
-_RANK: Final = 0.1
-"""Smallest singular value of the unit vectors for full rank: below it, they lie within 6° of a plane; and that of the
-matrix of a triad, relative to its largest: below it, the fit has failed."""
 OUTLIER: Final = 8.0
 """Ratio of a residual to the median residual, above which a rotation or a window is an outlier, as after a bump."""
 MOST_OUTLIERS: Final = 0.2
@@ -59,11 +56,11 @@ def _fit(nominal: Array, reading: Array, offsets: int) -> LinearFit:
         return LinearFit(np.eye(3), np.zeros(3), np.zeros((0, 3)), 0)
     size = np.linalg.norm(nominal, axis=1, keepdims=True)
     design = np.hstack([nominal / size, np.ones((len(nominal), offsets))])
-    rank = np.linalg.matrix_rank(design, tol=_RANK)
+    rank = np.linalg.matrix_rank(design, tol=RANK)
     solution = robust_fit(design, reading / size)
     left = np.linalg.norm(reading - size * (design @ solution), axis=1)
     kept = left <= OUTLIER * np.median(left)
-    if kept.mean() > 1.0 - MOST_OUTLIERS and np.linalg.matrix_rank(design[kept], tol=_RANK) == rank:
+    if kept.mean() > 1.0 - MOST_OUTLIERS and np.linalg.matrix_rank(design[kept], tol=RANK) == rank:
         solution = np.linalg.lstsq(size[kept] * design[kept], reading[kept], rcond=None)[0]
     residual = reading - size * (design @ solution)
     return LinearFit(solution[:3].T, size[0] * solution[3:].sum(axis=0), residual, int(rank) - offsets)
@@ -86,7 +83,7 @@ def raw_triads(gyro: LinearFit, accel: LinearFit) -> RawTriads:
     """
     seen = [fit.rank == 3 for fit in (gyro, accel)]
     matrices = [fit.matrix if own else np.eye(3) for fit, own in zip((gyro, accel), seen, strict=True)]
-    if not all(np.linalg.cond(matrix) * _RANK < 1.0 for matrix in matrices):
+    if not all(np.linalg.cond(matrix) * RANK < 1.0 for matrix in matrices):
         return RawTriads(np.eye(3), np.eye(3), np.zeros(3))
     if not all(seen):
         # At the beginning of a test: in the nominal frame, only one of the matrices would include the mounting.

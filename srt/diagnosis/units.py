@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
     from srt.diagnosis.evidence import Evidence
-    from srt.diagnosis.scale_causes import Scales
+    from srt.diagnosis.scale_causes import ScaleCause
+    from srt.result.diagnostics import RunnerUp
     from srt.types import Sensor
 
 
@@ -36,17 +37,19 @@ def scales_of_result(evidence: Evidence) -> Iterator[Finding]:
 
     The readings of rotations by hand show their ratios to some percent only.
     """
-    before, _ = scale_cause(evidence)
+    before, _ = evidence.scale_cause
     # Other causes stop the calibration and were found before it; these are warnings: the factor may be that of a unit.
     if _ONE_FACTOR.issuperset(before.faults) and evidence.result is not None:
-        ratios = (calibrated_ratios(evidence.result, "gyro"), calibrated_ratios(evidence.result, "accel"))
-        found = scale_findings(evidence, SCALES, ratios)
+        gyro, accel = (calibrated_ratios(evidence.result, "gyro"), calibrated_ratios(evidence.result, "accel"))
+        found = scale_findings(evidence, SCALES, scale_cause(evidence, gyro, accel))
         yield from (finding for finding in found if finding.fault not in before.faults)
 
 
-def scale_findings(evidence: Evidence, faults: Mapping[str, Fault], scales: Scales | None = None) -> Iterator[Finding]:
-    """Findings of those of the faults that best explain the ratios of both triads."""
-    best, runner_up = scale_cause(evidence, scales)
+def scale_findings(
+    evidence: Evidence, faults: Mapping[str, Fault], cause: tuple[ScaleCause, RunnerUp | None] | None = None
+) -> Iterator[Finding]:
+    """Findings of those of the faults that are the cause of the ratios, by default of those of the readings."""
+    best, runner_up = cause or evidence.scale_cause
     for place, name in enumerate(best.faults):
         if name not in faults:
             continue
@@ -56,10 +59,10 @@ def scale_findings(evidence: Evidence, faults: Mapping[str, Fault], scales: Scal
 
 def _limited(evidence: Evidence, sensor: Sensor) -> Finding | None:
     """Saturation of a triad below its noise, which has the effect of one factor on rotation angles or on gravity."""
-    recording, turns = evidence.recording, evidence.manoeuvres
-    if turns is None or not len(turns.spans):
+    recording, turns, blocks = evidence.recording, evidence.manoeuvres, evidence.turning_blocks
+    if turns is None or blocks is None or not len(turns.spans):
         return None
-    found = (rate_limit if sensor == "gyro" else force_limit)(recording, turns)
+    found = rate_limit(blocks) if sensor == "gyro" else force_limit(turns, blocks)
     if found is None:
         return None
     axis, value, at = found

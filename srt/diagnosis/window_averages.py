@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.diagnosis.false_alarms import limit
-from srt.diagnosis.rotation_readings import MAD, rates_factor
+from srt.diagnosis.false_alarms import limit, robust_sigma
+from srt.diagnosis.rotation_readings import rates_factor
 from srt.noise.noise_model import ACCEL_FLOOR, GYRO_FLOOR
 from srt.noise.quantization import quantization_step
 
@@ -71,10 +71,10 @@ class WindowAverages:
         return power, np.maximum(NOISY, limit("chi-square", freedom, tests=power.size) / freedom)
 
 
-def window_averages(data: PreparedRecording, quantum: Array) -> WindowAverages | None:
+def window_averages(data: PreparedRecording, columns: Array, quantum: Array) -> WindowAverages | None:
     """Averages of the windows; None if fewer than four are long enough to be compared.
 
-    ``quantum`` (6,) are the quantization steps of the stored values.
+    ``columns`` (6, N) are the stored values of all channels, and ``quantum`` (6,) their quantization steps.
     """
     recording, samples = data.recording, data.windows.samples
     dt, per_rate = recording.nominal_interval_s, rates_factor(recording)
@@ -93,9 +93,7 @@ def window_averages(data: PreparedRecording, quantum: Array) -> WindowAverages |
     sample, block, late, sigma = np.empty((4, V, 6))
     power = np.empty((V, len(heads), 6))
     for v, (a, b) in enumerate(samples[chosen].tolist()):
-        x = np.concatenate([recording.gyro[a:b], recording.accel[a:b]], axis=1)
-        x *= per_rate
-        blocks, sample[v], late[v], power[v] = _one_window(x, size, heads)
+        blocks, sample[v], late[v], power[v] = _one_window(columns[:, a:b] * per_rate, size, heads)
         means.append(blocks)
     number = np.array([len(m) for m in means])
     groups = tuple(
@@ -105,7 +103,7 @@ def window_averages(data: PreparedRecording, quantum: Array) -> WindowAverages |
         between = np.diff(table, axis=1)
         block[g] = 0.5 * np.mean(between**2, axis=1)
         # The median of the differences is hardly affected by a drift or by a single step.
-        sigma[g] = MAD / np.sqrt(2.0) * np.median(np.abs(between), axis=1)
+        sigma[g] = robust_sigma(between, axis=1) / np.sqrt(2.0)
     pulses = np.repeat([bool(data.noise.gyro_edge.any()), bool(data.noise.accel_edge.any())], 3)
     some = samples[chosen][:: max(1, V // _SOME_WINDOWS)]
     step = quantum * per_rate
@@ -135,16 +133,13 @@ def window_averages(data: PreparedRecording, quantum: Array) -> WindowAverages |
 
 
 def _one_window(x: Array, size: int, heads: Indices) -> tuple[Array, Array, Array, Array]:
-    """Block means of readings (n, 6), variance of samples, of the second half, and of the start parts (H, 6)."""
-    n = len(x)
-    means = np.einsum("bsc->bc", x[: n // size * size].reshape(-1, size, 6)) / size
-    change = x[1:] - x[:-1]
-    x = x - np.einsum("nc->c", x[n // 2 :]) / (n - n // 2)
-    power = np.empty((len(heads), 6))
-    for h, length in enumerate(np.minimum(heads, n // 2).tolist()):  # a start part is at most half a window
-        power[h] = x[:length].var(axis=0)
-    late = np.einsum("nc,nc->c", x[n // 2 :], x[n // 2 :]) / (n - n // 2)
-    return means, 0.5 * np.einsum("nc,nc->c", change, change) / (n - 1), late, power
+    """Block means of readings (6, n), variance of samples, of the second half, and of the start parts (H, 6)."""
+    n = x.shape[1]
+    means = x[:, : n // size * size].reshape(6, -1, size).mean(axis=2).T
+    change, second = np.diff(x), x[:, n // 2 :]
+    # A start part is at most half a window.
+    power = np.array([x[:, :length].var(axis=1) for length in np.minimum(heads, n // 2).tolist()])
+    return means, 0.5 * np.einsum("cn,cn->c", change, change) / (n - 1), second.var(axis=1), power
 
 
 def _freedom(recording: Recording, samples: Indices, heads: Indices) -> Array:

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from srt.constants import DEG_PER_H, MICRO_G
-from srt.diagnosis.false_alarms import FALSE_ALARM, limit
+from srt.diagnosis.false_alarms import FALSE_ALARM, limit, robust_freedom, robust_sigma
 from srt.diagnosis.findings import Fault
-from srt.diagnosis.rotation_readings import AGREE, MAD, cross, invert_readings
+from srt.diagnosis.rotation_readings import AGREE, cross, invert_readings
 from srt.diagnosis.window_averages import ACCEL, GYRO, NOISY
 from srt.model.sensor_model import Triad
 
@@ -28,8 +28,6 @@ _BUMP: Final = 3
 """Number of blocks over which a bump rotates the unit; a longer motion is not a bump."""
 _DOUBTED: Final = 1e-4
 """p-value below which the tilt by accelerometers alone shows a creep, or differs from that by gyros."""
-_MAD_EFFICIENCY: Final = 0.37
-"""Degrees of freedom of a median absolute deviation, per value."""
 
 
 def disturbed_windows(evidence: Evidence) -> Iterator[Finding]:
@@ -73,7 +71,7 @@ def disturbed_windows(evidence: Evidence) -> Iterator[Finding]:
     # The noise of windows held by hand scatters more than by chance.
     power, largest = averages.relative_noise()
     log = np.log(np.maximum(power, 1e-12))
-    scatter = limit("normal", tests=power.size) * MAD * np.median(np.abs(log), axis=2, keepdims=True)
+    scatter = limit("normal", tests=power.size) * robust_sigma(log, axis=2)[:, :, None]
     loud = (log > np.maximum(np.log(largest), scatter)) & ~done
     if loud.any():  # single samples first, then blocks
         kind = int(np.argmax(loud.any(axis=(1, 2))))
@@ -186,15 +184,15 @@ def _steps(evidence: Evidence, averages: WindowAverages) -> dict[int, tuple[int,
     moving = [sum(rate[:, i : rate.shape[1] - _BUMP + 1 + i] for i in range(_BUMP)) / _BUMP for rate in rates]
     # A filter correlates blocks of few samples: their sums then scatter more, and their differences less. The scatter
     # is taken from a quantile over all windows that a bump has too few blocks to affect.
-    relative = [np.abs(m / sigma[v, None]).reshape(-1, 3) for (v, _), m in zip(averages.groups, moving, strict=True)]
-    scatter = np.quantile(np.concatenate(relative), 0.95, axis=0) / limit("normal", both_sides=True, shared=0.05)
+    relative = [(m / sigma[v, None]).reshape(-1, 3) for (v, _), m in zip(averages.groups, moving, strict=True)]
+    scatter = robust_sigma(np.concatenate(relative), axis=0, quantile=0.95)
     sigma = sigma * np.maximum(1.0, scatter)
     own = np.maximum(1.0, (averages.sigma[:, ACCEL] / np.median(averages.sigma[:, ACCEL], axis=0)).max(axis=1))
     change = np.empty((len(sigma), 3))
     for v, means in averages.groups:
         halves = np.array_split(means[:, :, ACCEL], 2, axis=1)
         change[v] = halves[1].mean(axis=1) - halves[0].mean(axis=1)
-    noise = MAD * np.median(np.abs(invert_readings(accel, change)))
+    noise = robust_sigma(invert_readings(accel, change))
     out = {}
     for (windows, means), rate, mean in zip(averages.groups, rates, moving, strict=True):
         beyond = np.maximum(np.abs(mean) - averages.block_doubt[GYRO], 0.0) / sigma[windows, None]
@@ -259,7 +257,7 @@ def _creep(evidence: Evidence, averages: WindowAverages, done: Mask) -> tuple[in
     weight = 1.0 / variance
     square = np.sum((np.einsum("sv,svj->vj", weight, tilt) / weight.sum(axis=0)[:, None]) ** 2, axis=1)
     apart = np.sum((tilt[0] - tilt[1]) ** 2, axis=1)
-    freedom = max(4.0, _MAD_EFFICIENCY * 2.0 * len(seen) * share)
+    freedom = max(4.0, robust_freedom(2.0 * len(seen)) * share)
     least, doubted = (
         2.0 * limit("F", 2.0, freedom, tests=tests, shared=p) for tests, p in ((V, FALSE_ALARM), (1, _DOUBTED))
     )
@@ -282,5 +280,5 @@ def _variance(values: Array, information: Array, tell: Indices | slice = slice(N
     It is the larger of one that is equal in all windows, and one inversely proportional to the information of a window.
     """
     shares = np.stack([np.ones(len(values)), information / information.max()])
-    each = np.median(np.abs(np.sqrt(shares[:, tell, None]) * values[tell]), axis=(1, 2))[:, None] ** 2 / shares
-    return np.asarray(np.maximum(MAD**2 * each.max(axis=0), 1e-24))
+    each = robust_sigma(np.sqrt(shares[:, tell, None]) * values[tell], axis=(1, 2))[:, None] ** 2 / shares
+    return np.asarray(np.maximum(each.max(axis=0), 1e-24))

@@ -14,6 +14,7 @@ from srt.diagnosis.false_alarms import limit
 from srt.diagnosis.findings import Fault, by_sensor
 from srt.diagnosis.rotation_readings import ROUNDING
 from srt.model.table1 import AXES
+from srt.noise.allan import CHANNELS
 from srt.noise.noise_model import OFF_GRID
 
 if TYPE_CHECKING:
@@ -33,11 +34,12 @@ _WHOLE: Final = 1e-3
 def wrapped_words(evidence: Evidence) -> Iterator[Finding]:
     """Find channels that jump between their two extremes, or between zero and an extreme; report the first channel."""
     for sensor, (axis, jumps) in evidence.wrapped_readings.items():
-        column = (evidence.rate if sensor == "gyro" else evidence.force)[:, axis]
+        channel = f"{sensor}_{AXES[axis]}"
+        low, high = (float(x[CHANNELS.index(channel)]) * evidence.per_rate for x in evidence.extremes)
         yield WRAPPED[sensor].found(
-            channel=f"{sensor}_{AXES[axis]}",
-            low=float(column.min()),
-            high=float(column.max()),
+            channel=channel,
+            low=low,
+            high=high,
             count=len(jumps),
             time=float(evidence.recording.time[jumps[0]]),
         )

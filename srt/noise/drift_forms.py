@@ -42,7 +42,7 @@ MOST_WALK_TERMS: Final = 100
 """Most components of a random walk, which recordings of more windows have; others would have 0.2 % of its variance."""
 TESTED_TERMS: Final = 3
 """Components of the random walk in its test: they have 83 % of its variance about the mean."""
-_WARM_UP: Final = {"fast warm-up": 1.0 / 12.0, "warm-up": 1.0 / 6.0, "slow warm-up": 0.4}
+WARM_UP: Final = {"fast warm-up": 1.0 / 12.0, "warm-up": 1.0 / 6.0, "slow warm-up": 0.4}
 """Time constants of the warm-up by name, as a share of the recording."""
 _SCATTER_RANGE: Final = (-14.0, 3.0)
 """Range of the variance of independent errors, logarithm of the ratio to their estimate without a walk."""
@@ -126,7 +126,7 @@ class DriftShapes(Mapping[str, DriftShape]):
         self._intervals = intervals
         warm = None if intervals.temperature is None else np.ptp(intervals.temperature[: intervals.windows])
         temperature = () if warm is None or warm <= _LEAST_TEMPERATURE_RANGE else ("temperature",)
-        self._shapes: dict[str, DriftShape | None] = dict.fromkeys((LINEAR, *_WARM_UP, *temperature, WALK))
+        self._shapes: dict[str, DriftShape | None] = dict.fromkeys((LINEAR, *WARM_UP, *temperature, WALK))
 
     def __getitem__(self, form: str) -> DriftShape:
         found = self._shapes[form]
@@ -148,8 +148,8 @@ class DriftShapes(Mapping[str, DriftShape]):
         a, b = times = _shares(own)
         if form == WALK:
             return _walk(times, own)
-        if form in _WARM_UP:
-            share = _WARM_UP[form]
+        if form in WARM_UP:
+            share = WARM_UP[form]
             falls = [(-share * np.exp(-x / share), -(x + share) * np.exp(-x / share)) for x in (a, b)]
             return _scaled(np.column_stack([_mean(begin, end, b - a) for begin, end in zip(*falls, strict=True)]), own)
         values = 0.5 * (a + b) if own.temperature is None or form == LINEAR else own.temperature

@@ -11,6 +11,8 @@ from scipy.spatial.transform import Rotation
 from worse_recordings import unstated_unit
 
 import srt
+from srt.diagnosis.evidence import Evidence
+from srt.diagnosis.units import scales_of_result
 from srt.exceptions import DataError
 from srt.result.verdict import SOUND
 
@@ -166,7 +168,9 @@ def test_a_spike_in_a_turn_by_hand_is_named(channel):
 def test_half_a_count_value_is_refused_by_the_result():
     unit = turned_by_hand(0)
     half = replace(unit, gyro=0.5 * unit.gyro)
-    assert srt.inspect(half).diagnosis.refusal is None
+    evidence = Evidence(half)
+    evidence.gravity_relation = None  # as if accelerations hid the rotation of gravity
+    assert [finding.fault for finding in scales_of_result(evidence)] == ["gyro_lsb"]
     with pytest.raises(DataError, match=r"near a factor of 0\.5") as refused:
         srt.calibrate(half)
     assert refused.value.fault == "gyro_lsb"
