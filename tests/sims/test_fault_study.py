@@ -1,8 +1,4 @@
-"""The study of faults: what it runs, that it goes on where it stopped, and what its tables say.
-
-A stand-in for the trials, which names a fault down to a severity of its own, shows the study itself; one small study
-runs real injections.
-"""
+"""Study of faults, and the outcomes of its runs."""
 
 import importlib.util
 import json
@@ -10,8 +6,12 @@ import math
 import sys
 from pathlib import Path
 
+import fault_outcomes
 import fault_study
+import numpy as np
 import pytest
+from fault_outcomes import OUTCOMES, Outcome, Units, all_kinds, outcome_of, outcomes, page, write_section
+from fault_severities import LEAST_SHIFT, halvings, severities
 from fault_study import (
     ALL_OR_NOTHING,
     CLEAN,
@@ -27,7 +27,8 @@ from fault_study import (
 from faults import markdown, missed_targets
 from hypothesis import given
 from hypothesis import strategies as st
-from injected_faults.injection import GRADES, Injection
+from injected_faults.foreign_operators import PAIRS
+from injected_faults.injection import GRADES, INJECTIONS, VARIANTS, Injection
 
 from srt.diagnosis.faults import FAULTS
 from srt.exceptions import InputError
@@ -232,3 +233,89 @@ def test_the_benchmark(tmp_path, trials, monkeypatch, capsys):
     monkeypatch.setattr(sys, "argv", ["faults.py", "--faults", "gremlins", "--results", str(tmp_path / "results")])
     assert module.main() == 2
     assert "no fault 'gremlins'" in capsys.readouterr().out
+
+
+SEED = 20261400
+
+
+def test_kinds():
+    assert len(all_kinds()) >= 120
+    assert len(VARIANTS) * 3 >= len(all_kinds())
+    assert set(INJECTIONS) <= set(FAULTS)
+    for kind in all_kinds().values():
+        assert set(kind.causes) <= set(FAULTS), kind.fault
+    assert {f"{first} and {second}" for first, second in PAIRS} <= set(VARIANTS)
+
+
+@pytest.mark.parametrize("kind", ["bump", "labels_exchanged", "gyro_lsb", "left_handed", "window_short", "north"])
+def test_halvings_do_not_increase(kind):
+    for grade in GRADES:
+        steps = halvings(all_kinds()[kind], grade)
+        assert len(steps) == 3
+        away = [abs(np.log(step)) if kind == "gyro_lsb" else step for step in steps]
+        assert away == sorted(away, reverse=kind != "window_short")
+
+
+@pytest.mark.parametrize(
+    ("kind", "grade"),
+    [
+        ("gyro_axis_delayed", "tactical-fog"),
+        pytest.param("gravity", "industrial-mems", marks=pytest.mark.slow),
+        pytest.param("gyro bias steps", "industrial-mems", marks=pytest.mark.slow),
+        pytest.param("labels_shifted", "consumer-mems", marks=pytest.mark.slow),
+    ],
+)
+def test_least_severity_shifts_one_parameter_by_3_to_5_sigma(kind, grade):
+    units, injection = Units(SEED), all_kinds()[kind]
+    harmful, (most, middle, least) = severities(injection, units, grade)
+    assert harmful
+    assert most > middle > least > 0.0
+    assert LEAST_SHIFT[0] <= units.shift_at(injection, grade, least) <= LEAST_SHIFT[1]
+
+
+def test_harmless_kinds_have_the_stated_severity():
+    """A misread temperature moves no parameter of a unit without temperature coefficients."""
+    injection = all_kinds()["temperature_unit"]
+    harmful, steps = severities(injection, Units(SEED), "industrial-mems")
+    assert not harmful
+    assert steps == halvings(injection, "industrial-mems")
+
+
+def test_outcomes_of_some_kinds():
+    """One fault that is named, one that the calibration finds as an error of the sensors, one with the wrong cause."""
+    units, kinds = Units(SEED), all_kinds()
+    named = outcome_of(kinds["gyro_degrees"], units, "consumer-mems", 0, 1.0)
+    assert (named.outcome, named.named) == (OUTCOMES[0], "gyro_degrees")
+    found = outcome_of(kinds["offset subtracted twice"], units, "consumer-mems", 0, 0.01)
+    assert found.outcome == OUTCOMES[4]
+    assert 0.0 < found.shift < 3.0
+    # Gyros that do not sense the Earth rate cannot tell a wrong latitude from wrong gravity.
+    wrong = outcome_of(kinds["longitude for latitude"], units, "consumer-mems", 0, 1.0)
+    assert (wrong.outcome, wrong.named) == (OUTCOMES[1], "gravity")
+
+
+@pytest.mark.slow
+def test_a_twentieth_of_the_study():
+    rows = list(outcomes(list(all_kinds())[::20], GRADES, SEED))
+    assert len(rows) == 12 * len(list(all_kinds())[::20])
+    assert not [row for row in rows if row.outcome == OUTCOMES[5] and not fault_outcomes.unseen(row)]
+
+
+def test_page(tmp_path):
+    rows = [
+        Outcome("bump", "consumer-mems", 1, 0.5, OUTCOMES[5], "", 4.2, "gyro_scale_x"),
+        Outcome("bump", "consumer-mems", 0, 1.0, OUTCOMES[0], "bump"),
+        Outcome("north", "consumer-mems", 0, 1.0, OUTCOMES[5], "", 9.0, "gyro_bias_x"),
+        Outcome("clock fast", "navigation-rlg", 0, 1.05, OUTCOMES[1], "latitude"),
+    ]
+    path = tmp_path / "page.md"
+    path.write_text("# Page\n\ntext\n", encoding="utf-8")
+    for _ in range(2):
+        write_section(path, page(rows, SEED))
+    text = path.read_text(encoding="utf-8")
+    assert text.count("## Outcomes") == 1
+    assert text.startswith("# Page\n\ntext\n\n<!--")
+    assert "| consumer-mems | largest | 1 | 0 | 0 | 0 | 0 | 1 |" in text
+    assert "- bump: silent, beyond 3σ: consumer-mems 1 (4.2σ)" in text
+    assert "- north: silent, beyond 3σ: consumer-mems 0 (9σ)*" in text
+    assert "- clock fast: latitude: navigation-rlg 0" in text
