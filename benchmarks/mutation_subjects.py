@@ -255,7 +255,7 @@ SUBJECTS = (
     Subject(
         "one faulty group",
         "srt/estimation/goodness_of_fit.py",
-        ("tests/estimation/test_accuracy.py",),
+        ("tests/estimation/test_goodness_of_fit.py",),
         (),
         (
             ("chi_square, degrees_of_freedom) - 2.0 *", "chi_square, degrees_of_freedom) + 2.0 *"),
@@ -268,7 +268,7 @@ SUBJECTS = (
     Subject(
         "residuals in units of their noise",
         "srt/estimation/white_residuals.py",
-        ("tests/estimation/test_sigma_inflation.py",),
+        ("tests/estimation/test_goodness_of_fit.py",),
         (),
         (
             ("<= _DEPENDENT", "<= -1.0"),
@@ -280,7 +280,7 @@ SUBJECTS = (
     Subject(
         "accuracy of the rotations",
         "srt/estimation/rotation_accuracy.py",
-        ("tests/estimation/test_srt_measurements.py",),
+        ("tests/estimation/test_goodness_of_fit.py",),
         (),
         (
             ("    if n < _FEWEST:", "    if n < 2:"),
