@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scipy.io
-from table_files import ACCEL, COLUMNS, EUROC, GYRO, SI_TIME, TIME, N, write_rows
+from table_files import ACCEL, COLUMNS, EUROC, GYRO, SI_TIME, TIME, N, assert_readings, write_rows
 
 import srt
 from srt.exceptions import InputError
@@ -225,9 +225,7 @@ def euroc(path):
 def test_recording_of_foreign_samples(tmp_path):
     euroc(tmp_path / "imu.txt")
     loaded = srt.load_recording(recording(tmp_path, "imu.txt", 'serial = "S1"\ntemperature_c = 21.0', units=False))
-    np.testing.assert_array_equal(loaded.gyro, GYRO)
-    np.testing.assert_array_equal(loaded.accel, ACCEL)
-    np.testing.assert_array_equal(loaded.time, np.arange(N) / 64.0)
+    assert_readings(loaded, GYRO, ACCEL, np.arange(N) / 64.0)
     assert (loaded.serial, loaded.temperature[0]) == ("S1", 21.0)
     assert len(loaded.data_sha256) == 64
 
