@@ -179,7 +179,7 @@ SUBJECTS = (
     Subject(
         "moves",
         "srt/sequences/moves.py",
-        ("tests/sequences/test_recorded_moves.py",),
+        ("tests/sequences/test_recognition.py",),
         ("_is_move",),
         (
             ("before.id is not None and after.id is not None", "(before.id is not None or after.id is not None)"),
@@ -244,7 +244,7 @@ SUBJECTS = (
     Subject(
         "accuracy of the fixture",
         "srt/closed_form/fixture_accuracy.py",
-        ("tests/closed_form/test_fixture_accuracy.py",),
+        ("tests/closed_form/test_units.py",),
         (),
         (
             ("parts = _squared(wobble), _squared(angles)", "parts = _squared(wobble), 0.25 * _squared(angles)"),
@@ -268,7 +268,7 @@ SUBJECTS = (
     Subject(
         "residuals in units of their noise",
         "srt/estimation/white_residuals.py",
-        ("tests/estimation/test_white_residuals.py",),
+        ("tests/estimation/test_goodness_of_fit.py",),
         (),
         (
             ("<= _DEPENDENT", "<= -1.0"),
@@ -280,7 +280,7 @@ SUBJECTS = (
     Subject(
         "accuracy of the rotations",
         "srt/estimation/rotation_accuracy.py",
-        ("tests/estimation/test_rotation_accuracy.py",),
+        ("tests/estimation/test_goodness_of_fit.py",),
         (),
         (
             ("    if n < _FEWEST:", "    if n < 2:"),
@@ -328,7 +328,7 @@ SUBJECTS = (
     Subject(
         "digest",
         "srt/result/json_file.py",
-        ("tests/result/test_calibration.py", "tests/reports/test_certificate_edits.py"),
+        ("tests/result/test_calibration.py", "tests/reports/test_certificate.py"),
         (),
         (
             ("document[_DIGEST] != _digest(document)", "False"),

@@ -1,12 +1,15 @@
 """Parts that the tests of the diagnosis share: the checks of some stages alone, on what is labelled."""
 
-from functools import cached_property
+from functools import cache, cached_property
 
 import pytest
-from injected_faults.injection import GRADES
+from injected_faults.injection import GRADES, Case
 
 from srt.diagnosis.evidence import Evidence
 from srt.diagnosis.faults import STAGES, sort_by_cause
+
+case_of = cache(Case)
+"""Unit of a grade and a seed, simulated once."""
 
 
 class WithoutRecognition(Evidence):
@@ -25,9 +28,9 @@ def findings_of_stage(evidence, stage, *, calibrating=True):
     return [finding for check in checks for finding in check(evidence)]
 
 
-def examine_stages(recording, stages, *, calibrating=True):
+def examine_stages(recording, stages, *, options=None, calibrating=True):
     """Findings of some stages, the first cause first."""
-    evidence, out = WithoutRecognition(recording), []
+    evidence, out = WithoutRecognition(recording, options), []
     for stage in stages:
         out += findings_of_stage(evidence, stage, calibrating=calibrating)
         if any(finding.effect.startswith("exit") for finding in out):

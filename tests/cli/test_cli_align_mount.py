@@ -9,8 +9,6 @@ from mount_motion import simulate_mount
 
 import srt
 from sims.physics.imu import ImuModel, read_out
-from srt.cli import main
-from srt.cli.app import COMMANDS
 from srt.model.rotations import rotation_matrix
 from srt.mount.alignment import load_mount_alignment, mount_from_calibration
 from srt.mount.poses import mount_from_recording
@@ -22,11 +20,6 @@ ANGLES = np.array([0.004, -0.003, 0.006])
 U = rotation_matrix(np.array([0.01, -0.02, 0.03]))
 SITE = srt.Site(9.80665, latitude_rad=0.8)
 ERRORS = np.random.default_rng(3).uniform(-0.02, 0.02, N_PARAMETERS)
-
-
-@pytest.fixture(autouse=True)
-def _command(monkeypatch):
-    monkeypatch.setitem(COMMANDS, "align-mount", ("srt.cli.align_mount:align_mount", "Find the mount angles."))
 
 
 def calibrated(path, **changes):
@@ -55,15 +48,10 @@ def folder(tmp_path_factory):
     return place
 
 
-def run(folder, *arguments):
-    return main(["align-mount", *(str(folder / a) if a in ("raw", "flat", "other") else str(a) for a in arguments)])
-
-
-def test_a_recording_gives_the_librarys_angles(folder, tmp_path, capfd):
+def test_a_recording_gives_the_librarys_angles(folder, tmp_path, shell):
     unit, output = folder / "unit.json", tmp_path / "mount.json"
     options = ["--level-sigma-mrad", "0.05", "--axis-sigma-mrad", "0.1"]
-    assert run(folder, "raw", "--calibration", unit, "-o", output, *options) == 0
-    out, err = capfd.readouterr()
+    out, err = shell("align-mount", folder / "raw", "--calibration", unit, "-o", output, *options)
     assert err == ""
     recording, calibration = srt.load_recording(folder / "raw"), srt.load_calibration(unit)
     expected = mount_from_recording(recording, calibration, level_sigma_rad=5e-5, axis_sigma_rad=1e-4)
@@ -86,18 +74,16 @@ def test_a_recording_gives_the_librarys_angles(folder, tmp_path, capfd):
     assert provenance["level_sigma_rad"] == pytest.approx(5e-5)
 
 
-def test_default_stand_error_is_1_mrad(folder, capfd):
-    assert run(folder, "raw", "--calibration", folder / "unit.json") == 0
-    out, err = capfd.readouterr()
+def test_default_stand_error_is_1_mrad(folder, shell):
+    out, err = shell("align-mount", folder / "raw", "--calibration", folder / "unit.json")
     assert err == ""
     assert "Nothing was written" in out
     roll = next(line for line in out.splitlines() if line.split()[:1] == ["roll"])
     assert roll.split()[2] == "1.0"
 
 
-def test_mount_alignment_without_a_recording_is_that_of_the_calibration(folder, tmp_path, capfd):
-    assert run(folder, "--calibration", folder / "unit.json", "-o", tmp_path / "mount.json") == 0
-    out, _ = capfd.readouterr()
+def test_mount_alignment_without_a_recording_is_that_of_the_calibration(folder, tmp_path, shell):
+    out, _ = shell("align-mount", "--calibration", folder / "unit.json", "-o", tmp_path / "mount.json")
     assert "From the rotation U" in out
     found = load_mount_alignment(tmp_path / "mount.json")
     expected = mount_from_calibration(srt.load_calibration(folder / "unit.json"))
@@ -105,15 +91,14 @@ def test_mount_alignment_without_a_recording_is_that_of_the_calibration(folder, 
     assert found.method == "play-back"
 
 
-def test_quiet_says_nothing(folder, tmp_path, capfd):
-    assert run(folder, "raw", "--calibration", folder / "unit.json", "-o", tmp_path / "mount.json", "-q") == 0
-    assert capfd.readouterr() == ("", "")
+def test_quiet_says_nothing(folder, tmp_path, shell):
+    files = ["--calibration", folder / "unit.json", "-o", tmp_path / "mount.json"]
+    assert shell("align-mount", folder / "raw", *files, "-q") == ("", "")
 
 
-def test_warnings_go_to_standard_error(folder, tmp_path, capfd):
+def test_warnings_go_to_standard_error(folder, tmp_path, shell):
     recorded(tmp_path / "more", (0.0, -0.5 * math.pi, -2.4))
-    assert run(folder, tmp_path / "more", "--calibration", folder / "unit.json", "-q") == 0
-    out, err = capfd.readouterr()
+    out, err = shell("align-mount", tmp_path / "more", "--calibration", folder / "unit.json", "-q")
     assert out == ""
     assert err.startswith("srt: warning: 1 stationary windows are neither")
 
@@ -135,25 +120,18 @@ def test_warnings_go_to_standard_error(folder, tmp_path, capfd):
         (["raw", "--calibration", "FAILED"], 2, "not_converged"),
     ],
 )
-def test_refusals_are_one_sentence_and_write_nothing(folder, tmp_path, capfd, arguments, code, fragment):
+def test_refusals_are_one_sentence_and_write_nothing(folder, tmp_path, arguments, code, fragment, refused):
     calibrated(tmp_path / "free.json", U=None, U_sigma_rad=None)
     calibrated(tmp_path / "failed.json", status="not_converged")
     places = {"UNIT": folder / "unit.json", "FREE": tmp_path / "free.json", "FAILED": tmp_path / "failed.json"}
     before = (folder / "unit.json").read_bytes()
-    words = [places.get(word, word) for word in arguments]
-    if "-o" not in words:
-        words += ["-o", tmp_path / "mount.json"]
-    assert run(folder, *words) == code
-    out, err = capfd.readouterr()
-    assert out == ""
-    assert err.startswith("srt: ")
-    assert err.count("\n") == 1
-    assert fragment in err
+    places |= {name: folder / name for name in ("raw", "flat", "other")}
+    output = [] if "-o" in arguments else ["-o", tmp_path / "mount.json"]
+    assert fragment in refused("align-mount", *(places.get(word, word) for word in arguments), *output, code=code)
     assert not (tmp_path / "mount.json").exists()
     assert (folder / "unit.json").read_bytes() == before
 
 
-def test_force_takes_another_serial_and_any_status(folder, tmp_path, capfd):
+def test_force_takes_another_serial_and_any_status(folder, tmp_path, shell):
     unit = calibrated(tmp_path / "failed.json", status="not_converged")
-    assert run(folder, "other", "--calibration", unit, "--force", "-q") == 0
-    assert capfd.readouterr() == ("", "")
+    assert shell("align-mount", folder / "other", "--calibration", unit, "--force", "-q") == ("", "")

@@ -1,12 +1,14 @@
-"""The border of the command line: what is imported when, exit codes, and what reaches the user."""
+"""Command line: imports, help, exit codes, tables, and random command lines."""
 
 import json
+import math
 import os
 import subprocess
 import sys
 from typing import get_args
 
 import click
+import fuzz_arguments
 import pytest
 
 import srt.estimation.options
@@ -17,8 +19,11 @@ from srt.cli.calibrate import CHOICES
 from srt.cli.output_paths import SAMPLES_FORMATS as FORMATS
 from srt.cli.path_type import NamedPath
 from srt.recording.samples import SAMPLES_FORMATS
+from srt.reports.tables import decimals_for, fixed, text_table
 
-HEAVY = ("numpy", "scipy", "matplotlib", "rich", "pydantic", "pandas", "gtsam", "filterpy", "h5py", "pyarrow", "numba")
+HEAVY = ("numpy", "scipy", "matplotlib", "rich", "pydantic", "pandas", "gtsam", "filterpy", "h5py", "pyarrow", "numba",
+         "allantools")  # fmt: skip
+LIGHT = ("calibrate", "simulate", "demo", "inspect", "compare")
 
 
 def python(code: str, **options: object) -> subprocess.CompletedProcess[str]:
@@ -33,9 +38,9 @@ def imported_by(code: str) -> set[str]:
     return {name.partition(".")[0] for name in json.loads(done.stderr)}
 
 
-def test_a_calibration_loads_what_it_runs(tmp_path):
+def test_a_calibration_loads_what_it_runs(tmp_path, shell):
     """Labelled sequences need neither extras nor the heavy parts of scipy, which take a third of the time."""
-    assert main(["simulate", "demo", "-o", str(tmp_path / "unit"), "-q"]) == 0
+    shell("simulate", "demo", "-o", tmp_path / "unit", "-q")
     command = f"from srt.cli import main\nassert main(['calibrate', {str(tmp_path / 'unit')!r}, '-q']) == 0"
     done = python(f"import json, sys\n{command}\nprint(json.dumps(sorted(sys.modules)), file=sys.stderr)")
     assert done.returncode == 0, done.stderr
@@ -48,16 +53,13 @@ def test_the_library_imports_neither_extras_nor_the_command_line():
     assert not loaded & {"gtsam", "filterpy", "pandas", "matplotlib", "click", "rich", "pydantic", "h5py", "pyarrow"}
 
 
-@pytest.mark.parametrize(
-    "arguments", [["--help"], ["--version"], ["calibrate", "--help"], ["simulate", "--help"], ["demo", "--help"]]
-)
+@pytest.mark.parametrize("arguments", ["--help", "--version", *(f"{name} --help" for name in LIGHT)])
 def test_help_imports_nothing_heavy(arguments):
-    assert not imported_by(f"from srt.cli import main\nassert main({arguments!r}) == 0") & set(HEAVY)
+    assert not imported_by(f"from srt.cli import main\nassert main({arguments.split()!r}) == 0") & set(HEAVY)
 
 
-def test_help_lists_every_command_with_its_line(capfd):
-    assert main(["--help"]) == 0
-    out, err = capfd.readouterr()
+def test_help_lists_every_command_with_its_line(shell):
+    out, err = shell("--help")
     assert err == ""
     for name, (_, line) in COMMANDS.items():
         assert f"  {name} " in out
@@ -65,14 +67,12 @@ def test_help_lists_every_command_with_its_line(capfd):
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_every_command_of_the_table_can_be_loaded(name, capfd):
-    assert main([name, "--help"]) == 0
-    assert f"Usage: srt {name}" in capfd.readouterr().out
+def test_every_command_of_the_table_can_be_loaded(name, shell):
+    assert f"Usage: srt {name}" in shell(name, "--help").out
 
 
-def test_version(capfd):
-    assert main(["--version"]) == 0
-    assert capfd.readouterr().out.startswith("srt, strapdown-rotation-test ")
+def test_version(shell):
+    assert shell("--version").out.startswith("srt, strapdown-rotation-test ")
 
 
 @pytest.mark.parametrize(
@@ -117,14 +117,12 @@ def test_wrong_usage_is_one_sentence_and_2(arguments, fragments, tmp_path, monke
 
 
 @pytest.mark.parametrize("command", ["convert", "calibrate", "apply", "export"])
-def test_the_help_has_the_usual_options_and_another_all(command, capfd):
+def test_the_help_has_the_usual_options_and_another_all(command, shell):
     found = application.app.get_command(click.Context(application.app), command)
     options = {p.name: max(p.opts, key=len) for p in found.params if isinstance(p, click.Option)}
     assert set(found.usual) <= set(options)
-    assert main([command, "--help"]) == 0
-    short = capfd.readouterr().out.partition("Options:")[2]
-    assert main([command, "--help-all"]) == 0
-    whole = capfd.readouterr().out
+    short = shell(command, "--help").out.partition("Options:")[2]
+    whole = shell(command, "--help-all").out
     assert all(f"{name} " in whole for name in options.values())
     shown = [name for name in options.values() if f"  {name} " in short or f", {name} " in short]
     assert {options[name] for name in found.usual} == set(shown)
@@ -139,9 +137,8 @@ def test_every_path_of_every_command_is_of_the_type_that_refuses_an_empty_one():
         assert all(isinstance(each.type, NamedPath) for each in paths), name
 
 
-def test_no_command_shows_the_help_and_is_wrong_usage(capfd):
-    assert main([]) == 2
-    assert "Commands:" in capfd.readouterr().err
+def test_no_command_shows_the_help_and_is_wrong_usage(shell):
+    assert "Commands:" in shell(code=2).err
 
 
 def test_choices_are_those_of_the_library():
@@ -180,10 +177,11 @@ def test_an_absent_click_is_one_sentence():
     assert done.stderr.count("\n") == 1
 
 
-def test_an_absent_matplotlib_is_noticed_before_the_work():
+@pytest.mark.parametrize("command", ["calibrate", "inspect"])
+def test_an_absent_matplotlib_is_noticed_before_the_work(command):
     done = python(
         "import sys\nsys.modules['matplotlib'] = None\n"
-        "from srt.cli import main\nsys.exit(main(['calibrate', 'absent', '--plot', 'x.png']))"
+        f"from srt.cli import main\nsys.exit(main([{command!r}, 'absent', '--plot', 'x.png']))"
     )
     assert done.returncode == 2
     assert done.stderr.startswith("srt: A plot needs the package 'matplotlib'")
@@ -213,23 +211,21 @@ def test_an_unexpected_error_keeps_its_traceback(broken):
         main(["demo"])
 
 
-def test_interrupted_is_130_and_quiet(broken, capfd):
+def test_interrupted_is_130_and_quiet(broken, shell):
     def act():
         raise KeyboardInterrupt
 
     broken(act)
-    assert main(["demo"]) == 130
-    assert capfd.readouterr() == ("", "\n")
+    assert shell("demo", code=130) == ("", "\n")
 
 
 @pytest.mark.parametrize(("error", "code"), [(srt.DataError("No."), 1), (srt.InputError("No."), 2)])
-def test_known_errors_have_their_codes(broken, capfd, error, code):
+def test_known_errors_have_their_codes(broken, error, code, shell):
     def act():
         raise error
 
     broken(act)
-    assert main(["demo"]) == code
-    assert capfd.readouterr() == ("", "srt: No.\n")
+    assert shell("demo", code=code) == ("", "srt: No.\n")
 
 
 @pytest.mark.skipif(os.name == "nt", reason="pipes of POSIX")
@@ -244,7 +240,7 @@ def test_a_reader_that_leaves_is_no_error():
 
 
 @pytest.mark.parametrize("whole_files", range(3))
-def test_an_interrupt_leaves_nothing_half_written(tmp_path, monkeypatch, capfd, whole_files):
+def test_an_interrupt_leaves_nothing_half_written(tmp_path, monkeypatch, whole_files, shell):
     """Ctrl-C comes when all of a file is written, but it is yet to get its name."""
     sync, done = os.fsync, []
 
@@ -256,8 +252,7 @@ def test_an_interrupt_leaves_nothing_half_written(tmp_path, monkeypatch, capfd, 
 
     monkeypatch.setattr("srt.recording.atomic_file.os.fsync", interrupted)
     folder = tmp_path / "x"
-    assert main(["simulate", "noise-free", "-o", str(folder)]) == 130
-    assert capfd.readouterr() == ("", "\n")
+    assert shell("simulate", "noise-free", "-o", folder, code=130) == ("", "\n")
     left = {path.name for path in folder.iterdir()} if folder.exists() else set()
     # Whole files only, and recording.toml, without which there is no recording, after its samples.
     order = ["samples.npz", "recording.toml", "truth.json"]
@@ -271,14 +266,92 @@ def test_an_interrupt_leaves_nothing_half_written(tmp_path, monkeypatch, capfd, 
         ("convert", "--samples-format", "--to"), ("simulate", "--samples-format", "--format"),
     ],
 )  # fmt: skip
-def test_earlier_names_of_options_are_accepted_and_not_shown(command, present, earlier, capfd):
+def test_earlier_names_of_options_are_accepted_and_not_shown(command, present, earlier, shell, refused):
     found = application.app.get_command(click.Context(application.app), command)
     (option,) = [p for p in found.params if present in p.opts]
     assert earlier in option.opts
-    assert main([command, "--help-all" if command == "convert" else "--help"]) == 0
-    lines = capfd.readouterr().out.splitlines()
+    lines = shell(command, "--help-all" if command == "convert" else "--help").out.splitlines()
     assert any(f"{present} " in line for line in lines)
     assert not any(earlier in line.replace(",", " ").split()[:2] for line in lines)
     extra = ["-o", "out"] if command in ("convert", "simulate") else []
-    assert main([command, "absent", earlier, "x" if command in ("inspect", "noise") else "npz", *extra]) == 2
-    assert "No such option" not in capfd.readouterr().err
+    err = refused(command, "absent", earlier, "x" if command in ("inspect", "noise") else "npz", *extra)
+    assert "No such option" not in err
+
+
+@pytest.fixture(scope="module")
+def laboratory(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("arguments")
+    fuzz_arguments.laboratory(folder)
+    return folder
+
+
+@pytest.mark.parametrize("indices", [range(12, 25), pytest.param(range(1000), marks=pytest.mark.slow)])
+def test_random_command_lines_have_no_defect(laboratory, tmp_path, monkeypatch, indices):
+    monkeypatch.chdir(tmp_path)
+    runs = fuzz_arguments.runs(laboratory, tmp_path / "runs", 20261123, indices, 10.0)
+    assert [(words, defect) for words, defect, _ in runs if defect] == []
+
+
+@pytest.mark.parametrize("instruction", ["bash_complete", "nonsense_source"])
+def test_a_request_of_completion_without_its_words_is_a_sentence(monkeypatch, capfd, instruction):
+    monkeypatch.setenv("_SRT_COMPLETE", instruction)
+    for name in ("COMP_WORDS", "COMP_CWORD"):
+        monkeypatch.delenv(name, raising=False)
+    code = main([])
+    out, err = capfd.readouterr()
+    assert (code, out) in ((1, ""), (2, ""))
+    assert err.count("\n") == (1 if code == 2 else 0)
+
+
+def test_no_standard_error_stops_no_command(monkeypatch, tmp_path, shell):
+    monkeypatch.setattr("sys.stderr", None)
+    shell("simulate", "noise-free", "-o", tmp_path / "unit", "-q")
+    shell("demo", "-o", tmp_path / "unit" / "recording.toml", code=2)
+
+
+@pytest.mark.parametrize(
+    ("sigma", "decimals"),
+    [
+        (1234.0, 0),
+        (12.0, 0),
+        (10.0, 0),
+        (9.9, 1),
+        (1.0, 1),
+        (0.36, 2),
+        (0.0081, 4),
+        (1e-9, 6),
+        (0.0, 6),
+        (math.nan, 6),
+        (math.inf, 6),
+    ],
+)
+def test_decimals_show_two_digits_of_sigma(sigma, decimals):
+    assert decimals_for(sigma) == decimals
+
+
+@pytest.mark.parametrize(
+    ("value", "decimals", "text"),
+    [
+        (132.414, 2, "132.41"),
+        (-0.004, 2, "0.00"),  # no minus before nothing
+        (-0.0, 6, "0.000000"),
+        (1.2e-9, 6, "1.2e-09"),
+        (-1.2e-9, 6, "-1.2e-09"),
+        (2.5e8, 1, "2.500e+08"),
+        (math.nan, 3, "-"),
+    ],
+)
+def test_numbers(value, decimals, text):
+    assert fixed(value, decimals) == text
+
+
+def test_columns_line_up_and_nothing_trails():
+    table = text_table(["name", "two\nlines"], [["a", "1.5"], None, ["long name", "-10.25"]], "lr")
+    assert table.splitlines() == [
+        "               two",
+        " name        lines",
+        " -----------------",
+        " a             1.5",
+        "",
+        " long name  -10.25",
+    ]

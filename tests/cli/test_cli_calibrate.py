@@ -22,29 +22,6 @@ from srt.sensor_errors import NAMES, SYMBOLS
 
 pytestmark = pytest.mark.usefixtures("plain_layout")
 
-SCENARIO = """
-seed = 3
-imu = { from = "navigation-rlg" }
-fixture = { from = "lab-1mrad" }
-site = { from = "latitude-45" }
-schedule = { dwell_s = 4.0, rate_rad_s = 3.0, acceleration_rad_s2 = 30.0, settle_s = 0.1, leg_dwell_s = 0.2 }
-recording = { sample_rate_hz = 100.0, format = "npz", serial = "SN-7" }
-"""
-
-
-@pytest.fixture(scope="session")
-def recording(tmp_path_factory):
-    """Make a noisy recording with its truth."""
-    folder = tmp_path_factory.mktemp("noisy")
-    (folder / "scenario.toml").write_text(SCENARIO)
-    assert main(["simulate", str(folder / "scenario.toml"), "-o", str(folder / "unit-7"), "-q"]) == 0
-    return folder / "unit-7"
-
-
-@pytest.fixture(scope="session")
-def calibration(recording):
-    return srt.calibrate(srt.load_recording(recording))
-
 
 @pytest.fixture
 def result(monkeypatch):
@@ -79,20 +56,18 @@ def test_progress_counts_the_iterations_of_the_result(recording, tmp_path, capfd
     assert f"Converged after {len(shown)} iterations." in out
 
 
-def test_progress_says_where_an_iteration_starts_again(recording, tmp_path, capfd):
+def test_progress_says_where_an_iteration_starts_again(recording, tmp_path, shell):
     """Without some sequences, what they alone determine is fixed, and the rest is estimated anew."""
     loaded = srt.read(recording)
     srt.write_recording(loaded.with_sequences(loaded.sequences[:9]), tmp_path / "part")
-    assert main(["calibrate", str(tmp_path / "part"), "--estimator", "least-squares", "--ignore-moves"]) == 0
-    out, err = capfd.readouterr()
+    out, err = shell("calibrate", tmp_path / "part", "--estimator", "least-squares", "--ignore-moves")
     assert re.findall(r"iteration 1( .*)?,", err) == ["", " (starts again with another model)"]
     last = re.findall(r"iteration (\d+)", err)[-1]
     assert f"Converged after {last} iterations" in out
 
 
-def test_table_holds_every_parameter_as_the_library_finds_it(recording, calibration, capfd):
-    assert main(["calibrate", str(recording), "--details"]) == 0
-    out, err = capfd.readouterr()
+def test_table_holds_every_parameter_as_the_library_finds_it(recording, calibration, shell):
+    out, err = shell("calibrate", recording, "--details")
     rows = rows_of(out)
     assert list(rows) == list(NAMES)
     assert [row[0] for row in rows.values()] == list(SYMBOLS)
@@ -111,9 +86,8 @@ def test_table_holds_every_parameter_as_the_library_finds_it(recording, calibrat
     assert re.fullmatch(r"(unit-7: iteration \d+, largest correction \d\.\de-\d\d\n)+", err)
 
 
-def test_summary_has_status_and_verdict_first_and_at_most_45_lines(recording, capfd):
-    assert main(["calibrate", str(recording)]) == 0
-    lines = capfd.readouterr().out.splitlines()
+def test_summary_has_status_and_verdict_first_and_at_most_45_lines(recording, shell):
+    lines = shell("calibrate", recording).out.splitlines()
     assert len(lines) <= 45
     first = lines.index("")
     assert first <= 10
@@ -157,37 +131,33 @@ def test_summary_says_what_to_do(calibration):
 @pytest.mark.parametrize(
     "more", [[], ["--details"], ["--budget"], ["--hold", "gyro_bias_z"], ["--estimator", "least-squares"], ["--truth"]]
 )
-def test_report_fits_80_columns_without_escape_codes(recording, capfd, more):
+def test_report_fits_80_columns_without_escape_codes(recording, more, shell):
     more = [*more, str(recording / "truth.json")] if more == ["--truth"] else more
-    assert main(["calibrate", str(recording), *more]) == 0
-    out = capfd.readouterr().out
+    out = shell("calibrate", recording, *more).out
     assert "\x1b" not in out
     # Paths are not broken: a line that holds one may be longer.
     assert max(len(line) for line in out.splitlines() if str(recording) not in line) <= 80
 
 
-def test_contributions_are_the_largest_of_the_library(recording, calibration, capfd):
-    assert main(["calibrate", str(recording), "--details"]) == 0
-    out = capfd.readouterr().out
+def test_contributions_are_the_largest_of_the_library(recording, calibration, shell):
+    out = shell("calibrate", recording, "--details").out
     line = next(line for line in out.split("Largest sources of sigma")[1].splitlines() if line.startswith(" κxx "))
     sizes = sorted((float(v[0]) * 1e6 for v in calibration.contributions.values()), reverse=True)
     shown = [float(number) for number in re.findall(r"\d\.\d+", line)]
     assert shown == pytest.approx(sizes[: len(shown)], abs=0.006)
 
 
-def test_budget_adds_up_to_sigma(recording, capfd):
-    assert main(["calibrate", str(recording), "--budget"]) == 0
-    table = capfd.readouterr().out.split("Sources of sigma")[1].split("Residuals")[0]
+def test_budget_adds_up_to_sigma(recording, shell):
+    table = shell("calibrate", recording, "--budget").out.split("Sources of sigma")[1].split("Residuals")[0]
     row = next(line.split() for line in table.splitlines() if line.startswith(" κxx "))
     sigma, *sizes = map(float, row[2:])
     assert len(sizes) >= 6
     assert np.hypot.reduce(sizes) == pytest.approx(sigma, abs=0.01)
 
 
-def test_truth_adds_error_and_error_over_sigma(recording, calibration, capfd):
+def test_truth_adds_error_and_error_over_sigma(recording, calibration, shell):
     truth = json.loads((recording / "truth.json").read_text())["parameters"]
-    assert main(["calibrate", str(recording), "--truth", str(recording / "truth.json")]) == 0
-    for name, row in rows_of(capfd.readouterr().out).items():
+    for name, row in rows_of(shell("calibrate", recording, "--truth", recording / "truth.json").out).items():
         error, ratio = map(float, row[-2:])
         i = NAMES.index(name)
         expected = (calibration.errors[name] - truth[name]) / calibration.sigma[i]
@@ -195,17 +165,17 @@ def test_truth_adds_error_and_error_over_sigma(recording, calibration, capfd):
         assert error * ratio >= 0.0
 
 
-def test_result_file_is_the_librarys(recording, calibration, tmp_path, capfd):
+def test_result_file_is_the_librarys(recording, calibration, tmp_path, shell):
     path = tmp_path / "result.json"
-    assert main(["calibrate", str(recording), "-o", str(path), "--plot", str(tmp_path / "x.svg")]) == 0
+    out, _ = shell("calibrate", recording, "-o", path, "--plot", tmp_path / "x.svg")
     # The command looks for faults too, and found none.
     expected = replace(calibration, diagnostics=replace(calibration.diagnostics, faults=())).to_dict()
     assert srt.load_calibration(path).to_dict() == expected
     assert sorted(p.name for p in tmp_path.iterdir()) == ["result.json", "x.svg"]
-    assert str(path) in capfd.readouterr().out
+    assert str(path) in out
 
 
-def test_options_reach_the_estimator(recording, tmp_path):
+def test_options_reach_the_estimator(recording, tmp_path, shell):
     path = tmp_path / "result.json"
     chosen = {
         "average": "overlapping",
@@ -219,7 +189,7 @@ def test_options_reach_the_estimator(recording, tmp_path):
     flags = [text for name, value in chosen.items() for text in (f"--{name.replace('_', '-')}", str(value))]
     flags += ["--no-asymmetry", "--hold", "accel_bias", "--hold", "gyro_scale_x"]
     # This unit has asymmetries, and the residuals of a calibration without contradict it.
-    assert main(["calibrate", str(recording), "-q", "-o", str(path), *flags]) == 1
+    shell("calibrate", recording, "-q", "-o", path, *flags, code=1)
     assert srt.load_calibration(path).status == "inconsistent"
     kept = srt.load_calibration(path).provenance.options
     assert chosen.items() <= kept.items()
@@ -227,9 +197,8 @@ def test_options_reach_the_estimator(recording, tmp_path):
     assert kept["hold"] == ["gyro_scale_x", "accel_bias_x", "accel_bias_y", "accel_bias_z"]
 
 
-def test_held_parameters_are_marked_with_the_reason(recording, capfd):
-    assert main(["calibrate", str(recording), "--hold", "accel_bias_y"]) == 0
-    out, err = capfd.readouterr()
+def test_held_parameters_are_marked_with_the_reason(recording, shell):
+    out, err = shell("calibrate", recording, "--hold", "accel_bias_y")
     assert rows_of(out)["accel_bias_y"][3] == "fixed"
     assert "accel_bias_y: fixed on request" in out
     assert "Status partial" in out
@@ -238,33 +207,30 @@ def test_held_parameters_are_marked_with_the_reason(recording, capfd):
 
 
 @pytest.mark.parametrize("status", ["not_converged", "outside_model"])
-def test_no_convergence_is_1_and_the_file_says_so(recording, calibration, result, tmp_path, capfd, status):
+def test_no_convergence_is_1_and_the_file_says_so(recording, calibration, result, tmp_path, status, shell):
     result(replace(calibration, status=status, message="It is not done."))
     path = tmp_path / "result.json"
-    assert main(["calibrate", str(recording), "-o", str(path)]) == 1
+    out, err = shell("calibrate", recording, "-o", path, code=1)
     assert srt.load_calibration(path).status == status
-    out, err = capfd.readouterr()
     assert f"Status {status.replace('_', ' ')}: It is not done." in out
     assert err == f"srt: {recording}: It is not done; {path} holds it with that status.\n"
 
 
-def test_one_playback_is_not_enough(recording, tmp_path, capfd):
-    assert main(["calibrate", str(recording), "-q", "--max-playbacks", "1"]) == 1
-    out, err = capfd.readouterr()
+def test_one_playback_is_not_enough(recording, tmp_path, shell):
+    out, err = shell("calibrate", recording, "-q", "--max-playbacks", "1", code=1)
     assert out == ""
     assert "Not converged after 1 iteration" in err
     assert err.count("\n") == 1
 
 
-def test_several_recordings_are_kept_apart_and_a_failed_one_stops_none(recording, tmp_path, capfd):
+def test_several_recordings_are_kept_apart_and_a_failed_one_stops_none(recording, tmp_path, shell):
     for name in ("a", "b", "c"):
         shutil.copytree(recording, tmp_path / name)
     (tmp_path / "b" / "samples.npz").write_bytes(b"no samples")
     paths = [str(tmp_path / name) for name in ("a", "b", "c")]
     output = tmp_path / "results"
     figure = tmp_path / "plot.png"
-    assert main(["calibrate", *paths, "-o", str(output), "--plot", str(figure)]) == 2
-    out, err = capfd.readouterr()
+    out, err = shell("calibrate", *paths, "-o", output, "--plot", figure, code=2)
     assert sorted(p.name for p in output.iterdir()) == ["a.json", "c.json"]
     assert sorted(p.name for p in tmp_path.glob("*.png")) == ["plot-a.png", "plot-c.png"]
     failures = [line for line in err.splitlines() if line.startswith("srt: ")]
@@ -275,30 +241,27 @@ def test_several_recordings_are_kept_apart_and_a_failed_one_stops_none(recording
     assert "c: iteration 1" in err
 
 
-def test_the_worst_code_wins_and_the_recording_is_named(recording, result, tmp_path, capfd):
+def test_the_worst_code_wins_and_the_recording_is_named(recording, result, tmp_path, shell):
     shutil.copytree(recording, tmp_path / "a")
     result(srt.DataError("It cannot be."))
-    assert main(["calibrate", str(tmp_path / "a"), str(tmp_path / "absent")]) == 2
-    assert main(["calibrate", str(tmp_path / "a"), str(recording)]) == 1
-    err = capfd.readouterr().err.splitlines()
+    err = shell("calibrate", tmp_path / "a", tmp_path / "absent", code=2).err.splitlines()
     assert err[0] == f"srt: {tmp_path / 'a'}: It cannot be."
     assert err[1].startswith(f"srt: There is no recording {tmp_path / 'absent'}")
+    shell("calibrate", tmp_path / "a", recording, code=1)
 
 
-def test_two_recordings_of_one_name_would_replace_each_other(recording, tmp_path, capfd):
-    assert main(["calibrate", str(recording), str(recording), "-o", str(tmp_path)]) == 2
-    assert "Two recordings are named unit-7" in capfd.readouterr().err
+def test_two_recordings_of_one_name_would_replace_each_other(recording, tmp_path, refused):
+    assert "Two recordings are named unit-7" in refused("calibrate", recording, recording, "-o", tmp_path)
 
 
-def test_a_folder_takes_the_result_under_the_recordings_name(recording, tmp_path):
-    assert main(["calibrate", str(recording / "recording.toml"), "-q", "-o", str(tmp_path)]) == 0
+def test_a_folder_takes_the_result_under_the_recordings_name(recording, tmp_path, shell):
+    shell("calibrate", recording / "recording.toml", "-q", "-o", tmp_path)
     assert [p.name for p in tmp_path.iterdir()] == ["unit-7.json"]
 
 
-def test_truth_of_one_recording_only(recording, capfd):
+def test_truth_of_one_recording_only(recording, refused):
     truth = str(recording / "truth.json")
-    assert main(["calibrate", str(recording), str(recording), "--truth", truth]) == 2
-    assert "--truth belongs to one recording" in capfd.readouterr().err
+    assert "--truth belongs to one recording" in refused("calibrate", recording, recording, "--truth", truth)
 
 
 @pytest.mark.parametrize(
@@ -312,15 +275,14 @@ def test_truth_of_one_recording_only(recording, capfd):
         (json.dumps({"format": "srt-truth", "version": 1, "parameters": dict.fromkeys(NAMES, float("nan"))}), "finite"),
     ],
 )
-def test_a_wrong_truth_is_refused_first(tmp_path, capfd, text, fragment):
+def test_a_wrong_truth_is_refused_first(tmp_path, text, fragment, shell):
     (tmp_path / "truth.json").write_text(text)
-    assert main(["calibrate", "absent", "--truth", str(tmp_path / "truth.json")]) == 2
-    err = capfd.readouterr().err
+    err = shell("calibrate", "absent", "--truth", tmp_path / "truth.json", code=2).err
     assert fragment in err
     assert err.count("\n") == 1
 
 
-def test_an_estimator_of_others_is_found_by_its_name(recording, calibration, monkeypatch, capfd):
+def test_an_estimator_of_others_is_found_by_its_name(recording, calibration, monkeypatch, shell):
     from importlib.metadata import EntryPoint
 
     class Module:
@@ -331,8 +293,7 @@ def test_an_estimator_of_others_is_found_by_its_name(recording, calibration, mon
     monkeypatch.setitem(sys.modules, "their_module", Module)
     entry = EntryPoint("theirs", "their_module:estimate", "srt.estimators")
     monkeypatch.setattr(srt.estimation.registry, "entry_points", lambda group: [entry])
-    assert main(["calibrate", str(recording), "--estimator", "theirs"]) == 0
-    out = capfd.readouterr().out
+    out = shell("calibrate", recording, "--estimator", "theirs").out
     assert "theirs" in out
     assert "Largest sources of sigma" not in out
 
@@ -348,7 +309,7 @@ def test_an_estimator_of_others_is_found_by_its_name(recording, calibration, mon
         ("def estimate(recording, options, progress): return 3", "gave an object of type int, but a Calibration"),
     ],
 )
-def test_a_defective_estimator_of_others_is_one_sentence(recording, monkeypatch, tmp_path, capfd, source, sentence):
+def test_a_defective_estimator_of_others_is_one_sentence(recording, monkeypatch, tmp_path, source, sentence, shell):
     from importlib.metadata import EntryPoint
 
     (tmp_path / "their_defect.py").write_text(source + "\n")
@@ -357,35 +318,31 @@ def test_a_defective_estimator_of_others_is_one_sentence(recording, monkeypatch,
     entry = EntryPoint("theirs", "their_defect:estimate", "srt.estimators")
     monkeypatch.setattr(srt.estimation.registry, "entry_points", lambda group: [entry])
     srt.estimators()
-    assert main(["calibrate", str(recording), "--estimator", "theirs"]) == 2
-    err = capfd.readouterr().err
+    err = shell("calibrate", recording, "--estimator", "theirs", code=2).err
     assert sentence in err
     assert "pip install" not in err
     assert err.count("\n") == 1
 
 
-def test_an_estimator_without_its_package_names_the_extra(recording, monkeypatch, capfd):
+def test_an_estimator_without_its_package_names_the_extra(recording, monkeypatch, refused):
     for name in [each for each in sys.modules if each.partition(".")[0] in ("estimators", "filterpy")]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "filterpy", None)
-    assert main(["calibrate", str(recording), "--estimator", "ekf"]) == 2
-    assert "pip install 'strapdown-rotation-test[ekf]'" in capfd.readouterr().err
+    assert "pip install 'strapdown-rotation-test[ekf]'" in refused("calibrate", recording, "--estimator", "ekf")
 
 
-def test_progress_on_a_terminal_is_one_moving_line(recording, monkeypatch, capfd):
+def test_progress_on_a_terminal_is_one_moving_line(recording, monkeypatch, shell):
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
-    assert main(["calibrate", str(recording)]) == 0
-    out, err = capfd.readouterr()
+    out, err = shell("calibrate", recording)
     assert "iteration 1, largest" not in out
     assert "\x1b" not in out
     assert err.count("\n") <= 1
 
 
-def test_progress_without_rich_is_plain(recording, monkeypatch, capfd):
+def test_progress_without_rich_is_plain(recording, monkeypatch, shell):
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     monkeypatch.setitem(sys.modules, "rich.console", None)
-    assert main(["calibrate", str(recording)]) == 0
-    assert "iteration 1, largest correction" in capfd.readouterr().err
+    assert "iteration 1, largest correction" in shell("calibrate", recording).err
 
 
 def turned_by_hand(folder):
@@ -407,7 +364,7 @@ def turned_by_hand(folder):
     return np.array([errors.get(name, 0.0) for name in NAMES])
 
 
-def test_advice_on_a_turn_that_contradicts_is_a_command_that_works(tmp_path, capfd):
+def test_advice_on_a_turn_that_contradicts_is_a_command_that_works(tmp_path, capfd, shell):
     errors = turned_by_hand(tmp_path)
     file = tmp_path / "without.json"
     for name in ("labelled", "free"):
@@ -426,7 +383,7 @@ def test_advice_on_a_turn_that_contradicts_is_a_command_that_works(tmp_path, cap
     advised = re.search("'(--estimator .*?)'", err)[1].split()
     pytest.importorskip("gtsam")
     file = tmp_path / "unit.json"
-    assert main(["calibrate", str(tmp_path / "free"), "-q", "-o", str(file), *advised]) == 0
+    shell("calibrate", tmp_path / "free", "-q", "-o", file, *advised)
     found = srt.load_calibration(file)
     seen = found.observed
     # 27 errors of one unit: the largest of them, family-wise 1 %.

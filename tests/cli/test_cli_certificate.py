@@ -6,6 +6,7 @@ import shutil
 import sys
 
 import pytest
+from small_units import simulated
 
 import srt
 import srt.reports.certificate.html_page
@@ -15,23 +16,13 @@ from srt.result.json_file import json_text
 
 pytestmark = pytest.mark.usefixtures("plain_layout")
 
-SCENARIO = """
-seed = 3
-imu = { from = "navigation-rlg" }
-fixture = { from = "lab-1mrad" }
-site = { from = "latitude-45" }
-schedule = { dwell_s = 3.0, rate_rad_s = 3.0, acceleration_rad_s2 = 30.0, settle_s = 0.1, leg_dwell_s = 0.2 }
-recording = { sample_rate_hz = 50.0, format = "npz", serial = "SN-7" }
-"""
-
 
 @pytest.fixture(scope="module")
 def lab(tmp_path_factory):
     """Make two recordings, taken for one unit's, and their calibrations."""
     folder = tmp_path_factory.mktemp("lab")
     for name, seed in (("new", 3), ("old", 4)):
-        (folder / f"{name}.toml").write_text(SCENARIO.replace("seed = 3", f"seed = {seed}"))
-        assert main(["simulate", str(folder / f"{name}.toml"), "-o", str(folder / name), "-q"]) == 0
+        simulated(folder / name, seed=seed, dwell_s=3.0, sample_rate_hz=50.0)
         assert main(["calibrate", str(folder / name), "-o", str(folder / f"{name}.json"), "-q"]) == 0
     return folder
 
@@ -41,13 +32,6 @@ def no_pictures(monkeypatch):
     """Leave out what takes long: the pictures, and the PDF with its fonts."""
     monkeypatch.setattr(srt.reports.certificate.html_page, "certificate_figures", lambda certificate: ())
     monkeypatch.setattr(srt.reports.certificate.pdf, "write_pdf", lambda certificate, path: path.write_bytes(b"%PDF"))
-
-
-def one_sentence(err):
-    assert err.startswith("srt: ")
-    assert err.count("\n") == 1
-    assert not re.search(r"[.?!] [A-Z]", err), err
-    return err
 
 
 def edited(lab, tmp_path, name="edited.json", **changes):
@@ -84,15 +68,14 @@ def test_page_and_pdf_with_everything(lab, tmp_path, capfd):
 
 
 @pytest.mark.usefixtures("no_pictures")
-def test_places(lab, tmp_path, monkeypatch, capfd):
+def test_places(lab, tmp_path, monkeypatch, shell):
     monkeypatch.chdir(tmp_path)
-    assert main(["certificate", str(lab / "new.json")]) == 0
-    assert main(["certificate", str(lab / "new.json"), "-o", "x.html", "-q"]) == 0
+    out, err = shell("certificate", lab / "new.json")
+    assert shell("certificate", lab / "new.json", "-o", "x.html", "-q") == ("", "")
     assert {path.name for path in tmp_path.iterdir()} == {
         f"{stem}.{suffix}" for stem in ("new-certificate", "x") for suffix in ("html", "pdf")
     }
     assert (tmp_path / "x.html").read_bytes() == (tmp_path / "new-certificate.html").read_bytes()
-    out, err = capfd.readouterr()
     assert out.count("Written: ") == 1
     assert err == ""
 
@@ -102,11 +85,10 @@ def test_places(lab, tmp_path, monkeypatch, capfd):
     ("place", "message"),
     [("x.pdf", "ends in .html"), ("x.json", "ends in .html"), ("file", "is a file"), ("absent/x.html", "Cannot write")],
 )
-def test_places_that_are_none(lab, tmp_path, monkeypatch, capfd, place, message):
+def test_places_that_are_none(lab, tmp_path, monkeypatch, place, message, refused):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "file").write_text("")
-    assert main(["certificate", str(lab / "new.json"), "-o", place]) == 2
-    assert message in one_sentence(capfd.readouterr().err)
+    assert message in refused("certificate", lab / "new.json", "-o", place)
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
@@ -129,71 +111,65 @@ def test_places_that_are_none(lab, tmp_path, monkeypatch, capfd, place, message)
         ({}, ("absent",), 2, "absent"),
     ],
 )
-def test_input_that_is_refused(lab, tmp_path, capfd, changes, others, code, message):
+def test_input_that_is_refused(lab, tmp_path, changes, others, code, message, refused):
     path = edited(lab, tmp_path, **changes)
     more = [other if other.startswith("--") else str(lab / other) for other in others]
-    assert main(["certificate", str(path), *more, "-o", str(tmp_path / "out")]) == code
-    assert message in one_sentence(capfd.readouterr().err)
+    assert message in refused("certificate", path, *more, "-o", tmp_path / "out", code=code)
     assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.usefixtures("no_pictures")
-def test_an_edited_value_and_a_truncated_file_are_refused(lab, tmp_path, capfd):
+def test_an_edited_value_and_a_truncated_file_are_refused(lab, tmp_path, refused):
     document = json.loads((lab / "new.json").read_text())
     document["parameters"][9]["value"] *= 0.5
     path = tmp_path / "edited.json"
     for digest, message in ((document["digest"], "does not match its digest"), (None, "has no digest")):
         path.write_text(json.dumps({k: v for k, v in document.items() if k != "digest" or digest}))
-        assert main(["certificate", str(path), str(lab / "new"), "-o", str(tmp_path / "x.html")]) == 2
-        assert message in one_sentence(capfd.readouterr().err)
+        assert message in refused("certificate", path, lab / "new", "-o", tmp_path / "x.html")
     path.write_bytes((lab / "new.json").read_bytes()[:9999])
-    assert main(["certificate", str(path), "-o", str(tmp_path / "x.html")]) == 2
-    assert "truncated" in one_sentence(capfd.readouterr().err)
+    assert "truncated" in refused("certificate", path, "-o", tmp_path / "x.html")
     assert not list(tmp_path.glob("x.*"))
 
 
 @pytest.mark.usefixtures("no_pictures")
-def test_a_recording_with_edited_surroundings_is_refused(lab, tmp_path, capfd):
+def test_a_recording_with_edited_surroundings_is_refused(lab, tmp_path, refused):
     """The samples are the same, but gravity is not: the sentence names both files and both values."""
     shutil.copytree(lab / "new", tmp_path / "new")
     toml = tmp_path / "new" / "recording.toml"
     text = re.sub(r"(?m)^gravity_m_s2 = .*$", "gravity_m_s2 = 9.81", toml.read_text())
     assert text != toml.read_text()
     toml.write_text(text)
-    assert main(["certificate", str(lab / "new.json"), str(tmp_path / "new"), "-o", str(tmp_path / "x.html")]) == 2
-    sentence = one_sentence(capfd.readouterr().err)
+    sentence = refused("certificate", lab / "new.json", tmp_path / "new", "-o", tmp_path / "x.html")
     assert f"{tmp_path / 'new'} states gravity_m_s2 = 9.81, but new.json was made with 9.8" in sentence
 
 
-def test_nothing_is_left_of_a_certificate_that_fails(lab, tmp_path, monkeypatch, capfd):
+def test_nothing_is_left_of_a_certificate_that_fails(lab, tmp_path, monkeypatch, refused):
     def fail(certificate, path):
         path.write_bytes(b"%PDF half")
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(srt.reports.certificate.html_page, "certificate_figures", lambda certificate: ())
     monkeypatch.setattr(srt.reports.certificate.pdf, "write_pdf", fail)
-    assert main(["certificate", str(lab / "new.json"), "-o", str(tmp_path / "x.html")]) == 2
-    assert "No space left" in one_sentence(capfd.readouterr().err)
+    assert "No space left" in refused("certificate", lab / "new.json", "-o", tmp_path / "x.html")
     assert list(tmp_path.iterdir()) == []
 
 
-def test_an_absent_jinja2_says_what_to_install(lab, tmp_path, monkeypatch, capfd):
+def test_an_absent_jinja2_says_what_to_install(lab, tmp_path, monkeypatch, refused):
     monkeypatch.setitem(sys.modules, "jinja2", None)
-    assert main(["certificate", str(lab / "new.json"), "-o", str(tmp_path / "x.html")]) == 2
-    assert "pip install 'strapdown-rotation-test[report]'" in one_sentence(capfd.readouterr().err)
+    err = refused("certificate", lab / "new.json", "-o", tmp_path / "x.html")
+    assert "pip install 'strapdown-rotation-test[report]'" in err
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.usefixtures("no_pictures")
-def test_an_edited_calibration_needs_trust(lab, tmp_path, capfd):
+def test_an_edited_calibration_needs_trust(lab, tmp_path, shell, refused):
     """A scale factor that the sensor model allows, and a covariance that fits: the digest alone tells."""
     document = json.loads((lab / "new.json").read_text())
     document["parameters"][0]["value"] = 0.5
     (tmp_path / "edited.json").write_text(json.dumps(document))
-    line = [str(tmp_path / "edited.json"), "-o", str(tmp_path / "out")]
-    for command in (["export", line[0], "--to", "imucal"], ["apply", line[0], "--c-header", str(tmp_path / "x.h")]):
-        assert main(command) == 2
-        assert "changed after it was written" in capfd.readouterr().err
-        assert main([*command, "--trust"]) == 0
-    assert main(["certificate", *line]) == 2
-    assert "changed after it was written" in capfd.readouterr().err
+    unit = tmp_path / "edited.json"
+    lines = (["export", unit, "--to", "imucal"], ["apply", unit, "--c-header", tmp_path / "x.h"], ["certificate", unit])
+    for line in lines:
+        assert "changed after it was written" in refused(*line)
+        if line[0] != "certificate":
+            shell(*line, "--trust")

@@ -7,7 +7,6 @@ import pytest
 import recorded_sets
 
 import srt
-from srt.cli import main
 from srt.constants import DEG, STANDARD_GRAVITY_M_S2, normal_gravity_m_s2
 
 N = 200
@@ -27,27 +26,24 @@ def log(tmp_path):
     return path
 
 
-def convert(*arguments):
-    return main(["convert", *map(str, arguments)])
+@pytest.fixture
+def refused(refused):
+    """Run a conversion to a folder that leaves nothing behind: its sentence."""
 
+    def run(folder, *arguments, code=2):
+        there = folder.exists()
+        sentence = refused("convert", *arguments, "-o", folder, code=code, sentences=3)
+        assert folder.exists() == there
+        return sentence
 
-def refused(capsys, folder, *arguments, code=2):
-    """The one sentence of a refusal that leaves nothing behind."""
-    there = folder.exists()
-    assert convert(*arguments, "-o", folder) == code
-    assert folder.exists() == there
-    out, err = capsys.readouterr()
-    assert out == ""
-    assert err.startswith("srt: ")
-    assert err.count("\n") == 1
-    return err
+    return run
 
 
 @pytest.mark.parametrize("kind", ["csv", "npz", "parquet", "h5"])
-def test_the_recording_holds_what_the_log_held(log, tmp_path, kind, capsys):
+def test_the_recording_holds_what_the_log_held(log, tmp_path, kind, shell):
     if kind in ("parquet", "h5"):
         pytest.importorskip({"parquet": "pyarrow", "h5": "h5py"}[kind])
-    assert convert(log, "-o", tmp_path / "new" / "rec", "--to", kind, *SI, *SITE) == 0
+    out, err = shell("convert", log, "-o", tmp_path / "new" / "rec", "--to", kind, *SI, *SITE)
     assert sorted(path.name for path in (tmp_path / "new" / "rec").iterdir()) == ["recording.toml", f"samples.{kind}"]
     loaded = srt.load_recording(tmp_path / "new" / "rec")
     # Written with 18 digits and read back: the same bits.
@@ -55,7 +51,6 @@ def test_the_recording_holds_what_the_log_held(log, tmp_path, kind, capsys):
     np.testing.assert_array_equal(loaded.gyro, GYRO)
     np.testing.assert_array_equal(loaded.accel, ACCEL)
     assert loaded.fixture is None
-    out, err = capsys.readouterr()
     assert "No fixture is stated, so that attitudes and heading are unknown (a free recording)." in " ".join(
         out.split()
     )
@@ -66,14 +61,14 @@ def test_the_recording_holds_what_the_log_held(log, tmp_path, kind, capsys):
     assert f"Written to {tmp_path / 'new' / 'rec'}: recording.toml, samples.{kind}" in out
 
 
-def test_all_that_may_be_said_is_written(log, tmp_path, capsys):
+def test_all_that_may_be_said_is_written(log, tmp_path, shell):
     said = [
         *("--latitude-deg", "45.5", "--height-m", "100", "--heading-deg", "-30", "--alignment-sigma-mrad", "2"),
         *("--rotation-sigma-mrad", "0.5", "--serial", "SN-9", "--date", "2024-05-06", "--temperature-c", "21.5"),
         *("--sample-rate-hz", "64", "--map-gyro", "y,x,-z", "--map-accel", "y,x,-z"),
     ]
-    assert convert(log, "-o", tmp_path / "rec", "-q", *SI, *said) == 0
-    assert capsys.readouterr().out == ""
+    out, _ = shell("convert", log, "-o", tmp_path / "rec", "-q", *SI, *said)
+    assert out == ""
     written = tomllib.loads((tmp_path / "rec" / "recording.toml").read_text())
     assert written["fixture"] == {"heading_deg": -30.0, "alignment_sigma_mrad": 2.0, "rotation_sigma_mrad": 0.5}
     main_section = written["recording"]
@@ -85,7 +80,7 @@ def test_all_that_may_be_said_is_written(log, tmp_path, capsys):
     np.testing.assert_array_equal(loaded.accel, ACCEL[:, [1, 0, 2]] * [1, 1, -1])
 
 
-def test_like_another_recording(log, tmp_path, capsys):
+def test_like_another_recording(log, tmp_path, shell):
     model = srt.Recording(
         TIME,
         GYRO,
@@ -97,10 +92,10 @@ def test_like_another_recording(log, tmp_path, capsys):
         serial="another unit",
     )
     srt.write_recording(model, tmp_path / "model")
-    assert convert(log, "-o", tmp_path / "a", "--like", tmp_path / "model", *SI) == 0
-    assert convert(log, "-o", tmp_path / "b", "--like", tmp_path / "model" / "recording.toml", *SI, *SITE) == 0
+    said = shell("convert", log, "-o", tmp_path / "a", "--like", tmp_path / "model", *SI).out
+    said += shell("convert", log, "-o", tmp_path / "b", "--like", tmp_path / "model/recording.toml", *SI, *SITE).out
     first, second = (srt.load_recording(tmp_path / name) for name in "ab")
-    assert "No fixture" not in capsys.readouterr().out
+    assert "No fixture" not in said
     for loaded in (first, second):
         assert loaded.fixture == model.fixture
         assert loaded.noise == model.noise
@@ -112,11 +107,11 @@ def test_like_another_recording(log, tmp_path, capsys):
     assert (second.site.gravity_m_s2, second.site.gravity_sigma_m_s2) == (9.81, 5e-6)
 
 
-def test_units_in_the_spellings_of_files(log, tmp_path, capsys):
+def test_units_in_the_spellings_of_files(log, tmp_path, refused, shell):
     units = ["--gyro-unit", "rad s^-1", "--accel-unit", "m/s²", "--time-unit", "sec"]
-    assert convert(log, "-o", tmp_path / "rec", "-q", *units, *SITE) == 0
+    shell("convert", log, "-o", tmp_path / "rec", "-q", *units, *SITE)
     np.testing.assert_array_equal(srt.load_recording(tmp_path / "rec").accel, ACCEL)
-    message = refused(capsys, tmp_path / "bad", log, *SITE, "--accel-unit", "ft/s^2")
+    message = refused(tmp_path / "bad", log, *SITE, "--accel-unit", "ft/s^2")
     assert "'ft/s^2' is not one of 'm/s^2', 'g', 'mg', 'm/s', 'g*s', 'counts'" in message
 
 
@@ -149,8 +144,8 @@ def test_units_in_the_spellings_of_files(log, tmp_path, capsys):
         ([*SI, *SITE, "--like", "nowhere"], ["no recording nowhere"]),
     ],
 )
-def test_refusals(log, tmp_path, capsys, arguments, fragments):
-    message = refused(capsys, tmp_path / "rec", log, *arguments)
+def test_refusals(log, tmp_path, refused, arguments, fragments):
+    message = refused(tmp_path / "rec", log, *arguments)
     assert all(fragment in message for fragment in fragments), message
 
 
@@ -161,74 +156,71 @@ def test_refusals(log, tmp_path, capsys, arguments, fragments):
         (["--accel-unit", "m/s", "--gyro-unit", "rad", "--kind", "increment"], "accelerometers read"),
     ],
 )
-def test_a_wrong_unit_shows_in_gravity(log, tmp_path, capsys, arguments, fragment):
-    message = refused(capsys, tmp_path / "rec", log, *SI, *SITE, *arguments, code=1)
+def test_a_wrong_unit_shows_in_gravity(log, tmp_path, refused, arguments, fragment, shell):
+    message = refused(tmp_path / "rec", log, *SI, *SITE, *arguments, code=1)
     assert str(log) in message
     assert fragment in message
-    assert convert(log, "-o", tmp_path / "rec", *SI, *SITE, *arguments, "--force") == 0
+    shell("convert", log, "-o", tmp_path / "rec", *SI, *SITE, *arguments, "--force")
     factor = STANDARD_GRAVITY_M_S2 if "g" in arguments else 1.0
     np.testing.assert_array_equal(srt.load_recording(tmp_path / "rec").accel, ACCEL * factor)
 
 
-def test_a_wrong_value_of_a_count_is_named(log, tmp_path, capsys):
+def test_a_wrong_value_of_a_count_is_named(log, tmp_path, refused):
     units = ["--gyro-unit", "rad/s", "--time-unit", "s", "--accel-lsb", "0.1"]
-    message = refused(capsys, tmp_path / "rec", log, *units, *SITE, code=1)
+    message = refused(tmp_path / "rec", log, *units, *SITE, code=1)
     assert "With the stated value of a count, 0.1, the accelerometers read 0.0997 times gravity" in message
     assert "correct --accel-lsb, or add --force" in message
 
 
-def test_stamps_in_another_unit_are_told(log, tmp_path, capsys):
+def test_stamps_in_another_unit_are_told(log, tmp_path, shell):
     np.savetxt(log, np.column_stack([1e3 * TIME, GYRO, ACCEL]), header=HEADER, delimiter=",", comments="")
-    assert convert(log, "-o", tmp_path / "rec", *SI, *SITE) == 0
-    assert "a rate of 0.064 Hz, which no IMU has: check --time-unit" in " ".join(capsys.readouterr().out.split())
+    out, _ = shell("convert", log, "-o", tmp_path / "rec", *SI, *SITE)
+    assert "a rate of 0.064 Hz, which no IMU has: check --time-unit" in " ".join(out.split())
 
 
-def test_gyros_faster_than_any(log, tmp_path, capsys):
+def test_gyros_faster_than_any(log, tmp_path, shell):
     """rad/s taken for deg/s the other way round: said, not refused, as nothing rules it out."""
     np.savetxt(log, np.column_stack([TIME, GYRO / DEG, ACCEL]), header=HEADER, delimiter=",", comments="")
-    assert convert(log, "-o", tmp_path / "rec", *SI, *SITE) == 0
-    assert "more than any IMU measures: check --gyro-unit" in " ".join(capsys.readouterr().out.split())
+    out, _ = shell("convert", log, "-o", tmp_path / "rec", *SI, *SITE)
+    assert "more than any IMU measures: check --gyro-unit" in " ".join(out.split())
 
 
-def test_counts_are_told_with_their_value_and_zero(log, tmp_path, capsys):
+def test_counts_are_told_with_their_value_and_zero(log, tmp_path, shell):
     """Readings of 0.25 °/s and 1 mm/s² a count, with offsets, after a gap of 2 s; then the same in rad/s by mistake."""
     counts = np.column_stack([np.round(GYRO / (0.25 * DEG)) + 12, np.round(ACCEL / 1e-3) - 30])
     time = TIME + np.where(np.arange(TIME.size) < TIME.size // 2, 0.0, 2.0)
     np.savetxt(log, np.column_stack([time, counts]), header=HEADER, delimiter=",", comments="")
     given = ["--time-unit", "s", "--gyro-offset", "12", "--accel-lsb", "1e-3", "--accel-offset", "-30", *SITE]
-    assert convert(log, "-o", tmp_path / "rec", "--gyro-lsb", "1/4 deg/s", *given) == 0
-    out = " ".join(capsys.readouterr().out.split())
+    out, _ = shell("convert", log, "-o", tmp_path / "rec", "--gyro-lsb", "1/4 deg/s", *given)
+    out = " ".join(out.split())
     assert "counts (as given) of 0.00436332 rad/s (0.25 °/s), zero at 12" in out
     assert "counts (as given) of 0.001 m/s², zero at -30" in out
     assert "s of samples, 2.0 s of gaps" in out
     assert "Note: The gyros" not in out
     gyro = srt.load_recording(tmp_path / "rec").gyro
     np.testing.assert_allclose(gyro, GYRO, atol=0.125 * DEG * (1.0 + 1e-9))  # rounding to a count
-    assert convert(log, "-o", tmp_path / "other", "--gyro-lsb", "250", *given) == 0
-    assert "more than any IMU measures: check --gyro-lsb" in " ".join(capsys.readouterr().out.split())
+    out, _ = shell("convert", log, "-o", tmp_path / "other", "--gyro-lsb", "250", *given)
+    assert "more than any IMU measures: check --gyro-lsb" in " ".join(out.split())
 
 
-def test_places(log, tmp_path, capsys):
+def test_places(log, tmp_path, refused, shell):
     arguments = [*SI, *SITE]
-    assert convert(log, "-o", tmp_path / "rec", *arguments) == 0
-    capsys.readouterr()
-    assert "holds files already" in refused(capsys, tmp_path / "rec", log, *arguments)
-    assert convert(log, "-o", tmp_path / "rec", *arguments, "--overwrite", "--to", "npz") == 0
-    capsys.readouterr()
-    assert "is a file" in refused(capsys, log, log, *arguments)
+    shell("convert", log, "-o", tmp_path / "rec", *arguments)
+    assert "holds files already" in refused(tmp_path / "rec", log, *arguments)
+    shell("convert", log, "-o", tmp_path / "rec", *arguments, "--overwrite", "--to", "npz")
+    assert "is a file" in refused(log, log, *arguments)
     samples = tmp_path / "rec" / "samples.csv"
-    message = refused(capsys, tmp_path / "rec", samples, *arguments, "--overwrite")
+    message = refused(tmp_path / "rec", samples, *arguments, "--overwrite")
     assert "replaced by its own conversion" in message
-    assert "is a recording already" in refused(capsys, tmp_path / "other", tmp_path / "rec", *arguments)
-    assert "There is no file" in refused(capsys, tmp_path / "other", tmp_path / "absent.bag", *arguments)
-    assert "is no recording" in refused(capsys, tmp_path / "other", log, *arguments, "--like", log)
+    assert "is a recording already" in refused(tmp_path / "other", tmp_path / "rec", *arguments)
+    assert "There is no file" in refused(tmp_path / "other", tmp_path / "absent.bag", *arguments)
+    assert "is no recording" in refused(tmp_path / "other", log, *arguments, "--like", log)
 
 
-def test_formats_are_listed(capsys):
+def test_formats_are_listed(shell):
     from srt.recording.importer_registry import IMPORTERS
 
-    assert convert("--list") == 0
-    out = capsys.readouterr().out
+    out, _ = shell("convert", "--list")
     assert all(f"\n {name} " in out for name in IMPORTERS)
 
 
@@ -249,7 +241,7 @@ def assert_same(loaded, expected, rtol=0.0):
 
 
 @needs_sets
-def test_xsens_set(tmp_path):
+def test_xsens_set(tmp_path, shell):
     folder = FOLDER / "xsens_mti"
     arguments = [
         *(folder / "xsens_acc.mat", folder / "xsens_gyro.mat", "-o", tmp_path / "rec", "--to", "npz", "-q"),
@@ -257,20 +249,20 @@ def test_xsens_set(tmp_path):
         *("--accel-lsb", "1/415", "--accel-offset", "33000"),
         *("--gravity-m-s2", "9.81744", "--gravity-sigma-m-s2", "5e-4", "--latitude-deg", "45.4"),
     ]
-    assert convert(*arguments) == 0
+    shell("convert", *arguments)
     # A product with a rounded 1/x differs from the quotient by the roundings of both, half an ulp each.
     assert_same(srt.load_recording(tmp_path / "rec"), recorded_sets.xsens_mti(FOLDER), rtol=2.0 * np.finfo(float).eps)
 
 
 @needs_sets
 @pytest.mark.parametrize("unit", [0, 1])
-def test_mpu9150_set(tmp_path, unit):
+def test_mpu9150_set(tmp_path, unit, shell):
     arguments = [
         *(FOLDER / "mpu9150" / f"imu{unit}.log", "-o", tmp_path / "rec", "--columns", "accel,gyro", "-q"),
         *("--gyro-unit", "rad/s", "--accel-unit", "m/s^2", "--sample-rate-hz", "100"),
         *("--gravity-m-s2", "9.81", "--gravity-sigma-m-s2", "5e-3"),
     ]
-    assert convert(*arguments) == 0
+    shell("convert", *arguments)
     expected = recorded_sets.mpu9150(FOLDER, unit)
     loaded = srt.load_recording(tmp_path / "rec")
     # k/100 and k times 0.01 differ by the roundings of both, half an ulp each and one of 0.01.
@@ -281,23 +273,23 @@ def test_mpu9150_set(tmp_path, unit):
 
 
 @needs_sets
-def test_ferraris_set(tmp_path):
+def test_ferraris_set(tmp_path, shell):
     arguments = [
         *(FOLDER / "ferraris" / "example_ferraris_session.csv", "-o", tmp_path / "rec", "-q"),
         *("--gyro-unit", "deg/s", "--accel-unit", "m/s^2", "--sample-rate-hz", "102.4"),
         *("--gravity-m-s2", "9.81", "--gravity-sigma-m-s2", "5e-3"),
     ]
-    assert convert(*arguments) == 0
+    shell("convert", *arguments)
     assert_same(srt.load_recording(tmp_path / "rec"), recorded_sets.ferraris(FOLDER))
 
 
 @needs_sets
-def test_ferraris_set_of_counts(tmp_path, capsys):
+def test_ferraris_set_of_counts(tmp_path, shell):
     """Raw counts beside a column of text; the full scales make gravity come out."""
     arguments = [
         *(FOLDER / "ferraris" / "annotated_session.csv", "-o", tmp_path / "rec"),
         *("--sample-rate-hz", "204.8", "--gyro-lsb", "1/16.384 deg/s", "--accel-lsb", "1/2048 g"),
         *("--gravity-m-s2", "9.81"),
     ]
-    assert convert(*arguments) == 0
-    assert "9414 (rate)" in capsys.readouterr().out
+    out, _ = shell("convert", *arguments)
+    assert "9414 (rate)" in out

@@ -43,35 +43,31 @@ def test_its_errors_are_those_that_its_sigmas_promise(demo):
     assert 7.0 < ratio @ ratio < 70.0
 
 
-def test_calibrate_finds_the_same(demo, tmp_path):
+def test_calibrate_finds_the_same(demo, tmp_path, shell):
     again = tmp_path / "again.json"
-    assert main(["calibrate", str(demo / "recording"), "-q", "-o", str(again)]) == 0
+    shell("calibrate", demo / "recording", "-q", "-o", again)
     assert again.read_text() == (demo / "calibration.json").read_text()
 
 
-def test_it_replaces_its_own_recording_and_no_other(demo, capfd):
-    assert main(["demo", "-o", str(demo), "--seed", "7", "-q"]) == 0
+def test_it_replaces_its_own_recording_and_no_other(demo, shell, refused):
+    out, _ = shell("demo", "-o", demo, "--seed", "7", "-q")
     truth = demo / "recording" / "truth.json"
     assert '"seed": 7' in truth.read_text()
-    out, _ = capfd.readouterr()
     assert out.startswith("The largest error is ")
     truth.rename(demo / "truth.json")
-    assert main(["demo", "-o", str(demo)]) == 2
-    assert "holds files already" in capfd.readouterr().err
+    assert "holds files already" in refused("demo", "-o", demo)
     (demo / "truth.json").rename(truth)
 
 
-def test_without_matplotlib_there_is_no_plot_and_a_warning(tmp_path, capfd, monkeypatch):
+def test_without_matplotlib_there_is_no_plot_and_a_warning(tmp_path, monkeypatch, shell):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     for name in ("plots", "figure_style"):
         monkeypatch.delitem(sys.modules, f"srt.{name}", raising=False)
         if hasattr(srt, name):
             monkeypatch.delattr(srt, name)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("srt.cli.demo.SCENARIO", "noise-free")
-        assert main(["demo", "-o", str(tmp_path), "-q"]) == 0
+    monkeypatch.setattr("srt.cli.demo.SCENARIO", "noise-free")
+    assert "No plot will be made" in shell("demo", "-o", tmp_path, "-q").err
     assert sorted(p.name for p in tmp_path.iterdir()) == ["calibration.json", "recording"]
-    assert "No plot will be made" in capfd.readouterr().err
 
 
 def test_verdict_names_the_worst_and_the_bound():

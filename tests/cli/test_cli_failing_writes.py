@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from failing_calls import FailingCalls
 from mount_motion import simulate_mount
+from small_units import simulated
 
 import srt
 from sims.physics.imu import ImuModel, read_out
@@ -19,14 +20,6 @@ from srt.sensor_errors import SensorErrors
 
 pytestmark = pytest.mark.usefixtures("plain_layout")
 
-SCENARIO = """
-seed = {seed}
-imu = {{ from = "navigation-rlg" }}
-fixture = {{ from = "lab-1mrad" }}
-site = {{ from = "latitude-45" }}
-schedule = {{ dwell_s = 2.0, rate_rad_s = 3.0, acceleration_rad_s2 = 30.0, settle_s = 0.1, leg_dwell_s = 0.2 }}
-recording = {{ sample_rate_hz = 50.0, format = "{samples}" }}
-"""
 PLAN = """
 imu = { from = "tactical-fog" }
 fixture = { from = "lab-1mrad" }
@@ -88,8 +81,7 @@ def lab(tmp_path_factory):
     """Hold recordings and calibrations that no row changes."""
     folder = tmp_path_factory.mktemp("disk")
     for seed in (3, 4, 5):
-        (folder / f"{seed}.toml").write_text(SCENARIO.format(seed=seed, samples="csv"))
-        assert main(["simulate", str(folder / f"{seed}.toml"), "-o", str(folder / str(seed)), "-q"]) == 0
+        simulated(folder / str(seed), seed=seed, dwell_s=2.0, sample_rate_hz=50.0, recording='format = "csv"')
         srt.calibrate(srt.load_recording(folder / str(seed))).save(folder / f"{seed}.json")
     noise = np.random.default_rng(1).normal([0.0, 0.0, 0.0, 0.0, 0.0, 9.81], 1e-4, (2000, 6))
     at_rest = srt.Recording(0.02 * np.arange(1, 2001), noise[:, :3], noise[:, 3:], srt.Site(9.81))

@@ -11,13 +11,12 @@ from pathlib import Path
 import accuracy_trials
 import numpy as np
 import pytest
+from small_units import on_fixture
 
 import srt
 from sims.physics.imu import read_out
-from sims.physics.table_motion import table1_motion
 from srt.cli import main
 from srt.cli.recording_arguments import find_recordings, unit_names
-from srt.recording.recording import Fixture
 from srt.result.provenance import Provenance
 from srt.sensor_errors import INDEX, NAMES, SYMBOLS, SensorErrors
 
@@ -34,13 +33,7 @@ def lot(tmp_path_factory):
     """Make the recordings of eight units of one kind on one fixture, one with broken samples."""
     folder = tmp_path_factory.mktemp("lot")
     rng = np.random.default_rng(12)
-    motion = table1_motion(
-        site=accuracy_trials.SITE,
-        sample_rate_hz=50.0,
-        dwell_s=4.0,
-        fixture_draw=accuracy_trials.fixture_errors(rng, 1e-3),
-        stated_fixture=Fixture(0.0, 1e-3, 1e-3),
-    )
+    motion = on_fixture(rng, dwell_s=4.0)
     for number, name in enumerate(UNITS):
         truth = accuracy_trials.normal_errors(rng, 1e-4)
         if name == ODD:
@@ -162,24 +155,23 @@ def test_progress_tells_what_is_done_and_the_time_left(made):
     assert lines[-1] == f"{BROKEN}: failed (8 of 8)"
 
 
-def test_two_workers_write_the_same_files(lot, made, tmp_path, monkeypatch, capfd):
+def test_two_workers_write_the_same_files(lot, made, tmp_path, monkeypatch, shell):
     pytest.importorskip("joblib")
     monkeypatch.chdir(lot.parent)
-    assert main(["calibrate", lot.name, "-o", str(tmp_path), "--workers", "2", "-q"]) == 2
-    assert capfd.readouterr().out == ""
+    assert shell("calibrate", lot.name, "-o", tmp_path, "--workers", "2", "-q", code=2).out == ""
     first = {p.name: p.read_bytes() for p in made[-1].iterdir()}
     assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == first
 
 
 @pytest.mark.parametrize("pattern", ["{lot}/unit-[1-7]", "{lot}/unit-[1-7]/recording.toml", "{lot}/**/unit-[1-7]"])
-def test_a_pattern_stands_for_what_it_matches(lot, quick, tmp_path, pattern, capfd):
-    assert main(["calibrate", pattern.format(lot=lot), "-q", "-o", str(tmp_path / "new" / "results")]) == 0
-    names = [unit["name"] for unit in json.loads((tmp_path / "new" / "results" / "fleet.json").read_text())["units"]]
+def test_a_pattern_stands_for_what_it_matches(lot, quick, tmp_path, pattern, shell):
+    output = tmp_path / "new" / "results"
+    assert shell("calibrate", pattern.format(lot=lot), "-q", "-o", output) == ("", "")
+    names = [unit["name"] for unit in json.loads((output / "fleet.json").read_text())["units"]]
     assert names == list(UNITS[:-1])
-    assert capfd.readouterr() == ("", "")
 
 
-def test_folders_are_searched_however_deep(lot, tmp_path, quick, capfd):
+def test_folders_are_searched_however_deep(lot, tmp_path, quick, shell):
     for name in ("b/unit-1", "a/deep/unit-2", ".hidden/unit-3", "b/unit-1/inside/unit-4"):
         shutil.copytree(lot / "unit-1", tmp_path / "tree" / name)
     (tmp_path / "tree" / "b" / "notes.txt").write_text("no recording")
@@ -189,8 +181,7 @@ def test_folders_are_searched_however_deep(lot, tmp_path, quick, capfd):
     assert list(found.paths) == expected
     assert find_recordings([expected[1], tmp_path / "tree"]).paths == (expected[1], expected[0])  # a unit counts once
     assert not find_recordings([expected[0], tmp_path / "absent"]).searched
-    assert main(["calibrate", str(tmp_path / "tree" / "b")]) == 0
-    out = capfd.readouterr().out
+    out = shell("calibrate", tmp_path / "tree" / "b").out
     assert "Fleet of 1 unit\n" in out
     assert "needs 6 converged units with a parameter in common, and there is 1: no unit is tested." in " ".join(
         out.split()
@@ -221,80 +212,72 @@ def test_units_of_one_name_are_told_apart_by_the_folders_above():
             unit_names(paths)
 
 
-def test_six_recordings_are_a_fleet_and_five_are_not(lot, quick, capfd):
+def test_six_recordings_are_a_fleet_and_five_are_not(lot, quick, shell):
     paths = [str(lot / name) for name in UNITS[:6]]
-    assert main(["calibrate", *paths]) == 0
-    out = capfd.readouterr().out
+    out = shell("calibrate", *paths).out
     assert "Fleet of 6 units" in out
     assert "a z beyond 26.7 is outlying" in " ".join(out.split())
     assert "Nothing was written: -o FOLDER keeps" in out
 
 
-def test_statuses_count_and_are_said(lot, quick, tmp_path, capfd):
+def test_statuses_count_and_are_said(lot, quick, tmp_path, shell):
     quick |= {"status": "not_converged", "message": "It is not done."}
-    assert main(["calibrate", str(lot / "unit-[1-7]"), "-o", str(tmp_path)]) == 1
-    out, err = capfd.readouterr()
+    out, err = shell("calibrate", lot / "unit-[1-7]", "-o", tmp_path, code=1)
     assert srt.load_calibration(tmp_path / "unit-3.json").status == "not_converged"
     assert f"srt: {lot / 'unit-3'}: It is not done; {tmp_path / 'unit-3.json'} holds it with that status." in err
     assert re.search(r"^ unit-3 +SN-2 +not conv\. .* not tested$", out, re.MULTILINE)
     assert "there are 0: no unit is tested." in " ".join(out.split())
     quick |= {"status": "partial", "held": {"gyro_bias_x": "not shown"}}
-    assert main(["calibrate", str(lot / "unit-[1-7]"), "-q"]) == 0
-    err = capfd.readouterr().err
+    err = shell("calibrate", lot / "unit-[1-7]", "-q").err
     assert err.startswith("srt: warning: some parameters are fixed, not observed, in 7 of 7: unit-1, unit-2, ")
     assert err.count("\n") == 1
 
 
-def test_recordings_of_one_serial_are_named(lot, quick, tmp_path, capfd):
+def test_recordings_of_one_serial_are_named(lot, quick, tmp_path, shell):
     for name in ("a", "b"):
         shutil.copytree(lot / "unit-3", tmp_path / name)
-    assert main(["calibrate", str(tmp_path), "-q"]) == 0
-    assert "2 recordings have the serial SN-2" in capfd.readouterr().err
+    assert "2 recordings have the serial SN-2" in shell("calibrate", tmp_path, "-q").err
 
 
-def test_a_result_that_cannot_be_written_stops_no_other(lot, quick, tmp_path, capfd):
+def test_a_result_that_cannot_be_written_stops_no_other(lot, quick, tmp_path, refused):
     (tmp_path / "unit-3.json").mkdir()
-    assert main(["calibrate", str(lot / "unit-[1-4]"), "-q", "-o", str(tmp_path)]) == 2
-    assert f"Cannot write {tmp_path / 'unit-3.json'}" in capfd.readouterr().err
+    err = refused("calibrate", lot / "unit-[1-4]", "-q", "-o", tmp_path)
+    assert f"Cannot write {tmp_path / 'unit-3.json'}" in err
     assert (tmp_path / "unit-4.json").is_file()
     assert (tmp_path / "fleet.csv").is_file()
     assert not list(tmp_path.glob(".*"))
 
 
-def test_plots_are_named_by_unit(lot, quick, tmp_path):
+def test_plots_are_named_by_unit(lot, quick, tmp_path, shell):
     pytest.importorskip("matplotlib")
-    assert main(["calibrate", str(lot / "unit-[1]"), "-q", "--plot", str(tmp_path / "fig.svg")]) == 0
+    shell("calibrate", lot / "unit-[1]", "-q", "--plot", tmp_path / "fig.svg")
     assert [p.name for p in tmp_path.iterdir()] == ["fig-unit-1.svg"]
 
 
-def test_one_process_needs_no_extra(lot, quick, monkeypatch, capfd):
+def test_one_process_needs_no_extra(lot, quick, monkeypatch, shell, refused):
     monkeypatch.setitem(sys.modules, "threadpoolctl", None)
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    assert main(["calibrate", str(lot / "unit-[12]"), "-q"]) == 0
+    shell("calibrate", lot / "unit-[12]", "-q")
     monkeypatch.undo()
     monkeypatch.setitem(sys.modules, "joblib", None)
-    assert main(["calibrate", str(lot / "unit-[12]"), "-q", "--workers", "2"]) == 2
-    assert "'joblib', which is not installed" in capfd.readouterr().err
+    assert "'joblib', which is not installed" in refused("calibrate", lot / "unit-[12]", "-q", "--workers", "2")
 
 
-def test_progress_on_a_terminal_is_a_bar(lot, quick, monkeypatch, capfd):
+def test_progress_on_a_terminal_is_a_bar(lot, quick, monkeypatch, shell):
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
-    assert main(["calibrate", str(lot / "unit-[12]")]) == 0
-    out, err = capfd.readouterr()
+    out, err = shell("calibrate", lot / "unit-[12]")
     assert "\x1b" not in out
     assert "1 of 2" not in err
     monkeypatch.setitem(sys.modules, "rich.console", None)
-    assert main(["calibrate", str(lot / "unit-[12]")]) == 0
-    assert "unit-1: converged (1 of 2" in capfd.readouterr().err
+    assert "unit-1: converged (1 of 2" in shell("calibrate", lot / "unit-[12]").err
 
 
-def test_merge_takes_patterns_too(lot, calibration, tmp_path, capfd):
+def test_merge_takes_patterns_too(lot, calibration, tmp_path, shell, refused):
     for name in ("a", "b"):
         replace(calibration, provenance=Provenance(data_sha256=name)).save(tmp_path / f"{name}.json")
-    assert main(["calibrate", "--merge", str(tmp_path / "*.json"), "-o", str(tmp_path / "unit.json")]) == 0
-    assert "Merged from 2 recordings" in capfd.readouterr().out
-    assert main(["calibrate", "--merge", str(lot / "unit-[1]")]) == 2
-    assert "at least two recordings of a unit" in capfd.readouterr().err
+    out = shell("calibrate", "--merge", tmp_path / "*.json", "-o", tmp_path / "unit.json").out
+    assert "Merged from 2 recordings" in out
+    assert "at least two recordings of a unit" in refused("calibrate", "--merge", lot / "unit-[1]")
 
 
 @pytest.mark.parametrize(
@@ -314,11 +297,10 @@ def test_merge_takes_patterns_too(lot, calibration, tmp_path, capfd):
         (["{lot}/unit-1", "{lot}/unit-1", "--workers", "2"], "is named twice"),
     ],
 )
-def test_wrong_usage_is_one_sentence(lot, tmp_path, arguments, fragment, capfd):
+def test_wrong_usage_is_one_sentence(lot, tmp_path, arguments, fragment, shell):
     names = {"lot": str(lot), "empty": str(tmp_path)}
     before = sorted(lot.rglob("*"))
-    assert main(["calibrate", "-q", *(a.format(**names) for a in arguments)]) == 2
-    err = capfd.readouterr().err
+    err = shell("calibrate", "-q", *(a.format(**names) for a in arguments), code=2).err
     assert fragment.format(**names) in err
     assert err.count("\n") == 1
     assert sorted(lot.rglob("*")) == before

@@ -2,8 +2,6 @@
 
 import json
 import shutil
-import subprocess
-import sys
 from dataclasses import replace
 
 import accuracy_trials
@@ -48,9 +46,8 @@ def shelf(tmp_path_factory):
     return path
 
 
-def test_the_table_says_what_the_recording_is(folder, capfd):
-    assert main(["inspect", str(folder)]) == 0
-    out, err = capfd.readouterr()
+def test_the_table_says_what_the_recording_is(folder, shell):
+    out, err = shell("inspect", folder)
     assert err == ""
     lines = out.splitlines()
     assert max(map(len, lines)) <= 80
@@ -73,10 +70,9 @@ def test_a_rest_alone_is_shown_with_its_allan_deviation(shelf, capfd):
     assert "95 % intervals" in out.replace("\n  ", " ")
 
 
-def test_json_and_picture(folder, tmp_path, capfd):
+def test_json_and_picture(folder, tmp_path, shell):
     document, picture = tmp_path / "x.json", tmp_path / "x.png"
-    assert main(["inspect", str(folder), "--json", str(document), "--plot", str(picture), "-q"]) == 0
-    assert capfd.readouterr() == ("", "")
+    assert shell("inspect", folder, "--json", document, "--plot", picture, "-q") == ("", "")
     read = json.loads(document.read_text(encoding="utf-8"))
     assert read["units"] == {"gyro": "deg/s", "accel": "g", "time": "s"}
     assert [turn["sequence"] for turn in read["turns"]] == [turn["labelled"] for turn in read["turns"]]
@@ -91,15 +87,14 @@ def test_written_files_are_named(shelf, tmp_path, capfd):
     assert picture.read_bytes().startswith(b"<?xml")
 
 
-def test_fatal_faults_are_named_and_exit_with_1(folder, tmp_path, capfd):
+def test_fatal_faults_are_named_and_exit_with_1(folder, tmp_path, shell):
     """Degrees declared as radians: the turns are 57 times too large."""
     wrong = tmp_path / "wrong"
     shutil.copytree(folder, wrong)
     toml = wrong / "recording.toml"
     toml.write_text(toml.read_text(encoding="utf-8").replace('"deg/s"', '"rad/s"'), encoding="utf-8")
     document = tmp_path / "x.json"
-    assert main(["inspect", str(wrong), "--json", str(document)]) == 1
-    out, err = capfd.readouterr()
+    out, err = shell("inspect", wrong, "--json", document, code=1)
     assert err.startswith("srt: ")
     assert err.count("\n") == 1
     assert "deg" in err
@@ -117,34 +112,12 @@ def test_fatal_faults_are_named_and_exit_with_1(folder, tmp_path, capfd):
         ([], ["RECORDING"]),
     ],
 )
-def test_unreadable_input_and_unwritable_output_exit_with_2(arguments, fragments, tmp_path, monkeypatch, capfd):
+def test_unreadable_input_and_unwritable_output_exit_with_2(arguments, fragments, tmp_path, monkeypatch, refused):
     monkeypatch.chdir(tmp_path)
-    assert main(["inspect", *arguments]) == 2
-    out, err = capfd.readouterr()
-    assert out == ""
-    assert err.startswith("srt: ")
-    assert err.count("\n") == 1
+    err = refused("inspect", *arguments)
     for fragment in fragments:
         assert fragment in err
     assert list(tmp_path.iterdir()) == []
-
-
-def test_help_imports_nothing_heavy():
-    code = (
-        "import sys\nfrom srt.cli import main\nassert main(['inspect', '--help']) == 0\n"
-        "sys.exit(any(m in sys.modules for m in ('numpy', 'scipy', 'matplotlib', 'allantools')))"
-    )
-    assert subprocess.run([sys.executable, "-c", code], check=False, capture_output=True).returncode == 0
-
-
-def test_an_absent_matplotlib_is_noticed_before_the_work():
-    code = (
-        "import sys\nsys.modules['matplotlib'] = None\n"
-        "from srt.cli import main\nsys.exit(main(['inspect', 'absent', '--plot', 'x.png']))"
-    )
-    done = subprocess.run([sys.executable, "-c", code], check=False, capture_output=True, text=True)
-    assert done.returncode == 2
-    assert done.stderr.startswith("srt: A plot needs the package 'matplotlib'")
 
 
 @pytest.mark.parametrize(

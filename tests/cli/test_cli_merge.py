@@ -6,14 +6,12 @@ from dataclasses import replace
 import accuracy_trials
 import numpy as np
 import pytest
+from small_units import on_fixture
 
 import srt
 import srt.estimation.registry
 from sims.physics.imu import read_out
-from sims.physics.table_motion import table1_motion
-from srt.cli import main
 from srt.comparison.merge import merge_calibrations
-from srt.recording.recording import Fixture
 from srt.result.provenance import Provenance
 from srt.sensor_errors import NAMES
 
@@ -28,13 +26,7 @@ def folders(tmp_path_factory):
     truth = accuracy_trials.normal_errors(rng, 1e-3)
     paths = []
     for n, name in enumerate(("monday", "tuesday", "friday")):
-        motion = table1_motion(
-            site=accuracy_trials.SITE,
-            sample_rate_hz=50.0,
-            dwell_s=4.0,
-            fixture_draw=accuracy_trials.fixture_errors(rng, 1e-3),
-            stated_fixture=Fixture(0.0, 1e-3, 1e-3),
-        )
+        motion = on_fixture(rng, dwell_s=4.0)
         recording = read_out(motion, truth, accuracy_trials.GRADES["navigation"], rng)
         recording = replace(
             recording, serial="SN-9", date=f"2026-03-0{n + 1}", temperature=np.full(len(recording.time), 20.0 + n)
@@ -49,10 +41,9 @@ def calibrations(folders):
     return [srt.calibrate(srt.load_recording(folder)) for folder in folders]
 
 
-def test_result_is_the_librarys(folders, calibrations, tmp_path, capfd):
+def test_result_is_the_librarys(folders, calibrations, tmp_path, shell):
     path = tmp_path / "unit.json"
-    assert main(["calibrate", "--merge", *folders, "-o", str(path)]) == 0
-    out, err = capfd.readouterr()
+    out, err = shell("calibrate", "--merge", *folders, "-o", path)
     expected = merge_calibrations(calibrations, ["monday", "tuesday", "friday"])
     assert srt.load_calibration(path).to_dict() == expected.to_dict()
     assert [p.name for p in tmp_path.iterdir()] == ["unit.json"]
@@ -67,35 +58,32 @@ def test_result_is_the_librarys(folders, calibrations, tmp_path, capfd):
     assert [row[1] for row in rows] == list(NAMES)
 
 
-def test_calibrations_stand_for_their_recordings(folders, calibrations, tmp_path, capfd):
+def test_calibrations_stand_for_their_recordings(folders, calibrations, tmp_path, shell):
     """Files of before, or of other estimators, beside a recording; nothing is calibrated twice."""
     files = []
     for calibration, name in zip(calibrations[:2], ("monday", "tuesday"), strict=True):
         calibration.save(tmp_path / f"{name}.json")
         files.append(str(tmp_path / f"{name}.json"))
-    assert main(["calibrate", "--merge", *files, folders[2], "-o", str(tmp_path / "unit.json"), "--verdict"]) == 0
-    out, err = capfd.readouterr()
+    out, err = shell("calibrate", "--merge", *files, folders[2], "-o", tmp_path / "unit.json", "--verdict")
     assert "monday: iteration" not in err
     assert "inde-" in out
     expected = merge_calibrations(calibrations, ["monday", "tuesday", "friday"])
     assert srt.load_calibration(tmp_path / "unit.json").to_dict() == expected.to_dict()
 
 
-def test_plot_truth_and_quiet(folders, tmp_path, capfd):
+def test_plot_truth_and_quiet(folders, tmp_path, shell):
     pytest.importorskip("matplotlib")
     merged, figure = tmp_path / "unit.json", tmp_path / "unit.svg"
     truth = {"format": "srt-truth", "version": 1, "parameters": dict.fromkeys(NAMES, 0.0)}
     (tmp_path / "truth.json").write_text(json.dumps(truth))
     arguments = ["-o", str(merged), "--plot", str(figure), "--truth", str(tmp_path / "truth.json")]
-    assert main(["calibrate", "--merge", *folders[:2], *arguments]) == 0
-    assert "error" in capfd.readouterr().out
+    assert "error" in shell("calibrate", "--merge", *folders[:2], *arguments).out
     assert figure.stat().st_size > 0
-    assert main(["calibrate", "--merge", *folders[:2], "-q"]) == 0
-    out, err = capfd.readouterr()
+    out, err = shell("calibrate", "--merge", *folders[:2], "-q")
     assert out == err == ""
 
 
-def test_recordings_that_cannot_be_calibrated_are_left_out(folders, tmp_path, monkeypatch, capfd):
+def test_recordings_that_cannot_be_calibrated_are_left_out(folders, tmp_path, monkeypatch, shell):
     found = srt.estimation.registry.find_estimator
 
     def estimator(name):
@@ -109,23 +97,20 @@ def test_recordings_that_cannot_be_calibrated_are_left_out(folders, tmp_path, mo
 
     failing = False
     monkeypatch.setattr(srt.estimation.registry, "find_estimator", estimator)
-    assert main(["calibrate", "--merge", *folders, "-q", "-o", str(tmp_path / "unit.json")]) == 0
-    err = capfd.readouterr().err
+    err = shell("calibrate", "--merge", *folders, "-q", "-o", tmp_path / "unit.json").err
     assert err.splitlines() == [f"srt: warning: {folders[0]} is left out: It cannot be."]
     assert len(srt.load_calibration(tmp_path / "unit.json").provenance.recordings) == 2
-    assert main(["calibrate", "--merge", *folders[:2], "-q"]) == 1
-    assert "Only tuesday can be calibrated" in capfd.readouterr().err
+    assert "Only tuesday can be calibrated" in shell("calibrate", "--merge", *folders[:2], "-q", code=1).err
     failing = True
-    assert main(["calibrate", "--merge", *folders, "-q", "-o", str(tmp_path / "none.json")]) == 1
-    assert "tuesday is not converged, friday is not converged" in capfd.readouterr().err
+    err = shell("calibrate", "--merge", *folders, "-q", "-o", tmp_path / "none.json", code=1).err
+    assert "tuesday is not converged, friday is not converged" in err
     assert not (tmp_path / "none.json").exists()
 
 
-def test_different_units_are_refused(folders, calibrations, tmp_path, capfd):
+def test_different_units_are_refused(folders, calibrations, tmp_path, shell):
     other = replace(calibrations[0], provenance=Provenance(serial="SN-10"))
     other.save(tmp_path / "other.json")
-    assert main(["calibrate", "--merge", folders[1], str(tmp_path / "other.json"), "-q"]) == 2
-    err = capfd.readouterr().err
+    err = shell("calibrate", "--merge", folders[1], tmp_path / "other.json", "-q", code=2).err
     assert err == "srt: These are different units: tuesday has the serial SN-9, other has SN-10.\n"
 
 
@@ -142,15 +127,14 @@ def test_different_units_are_refused(folders, calibrations, tmp_path, capfd):
         (["{0}", "{0}/absent.json"], "cannot be read"),
     ],
 )
-def test_wrong_usage_is_one_sentence(folders, arguments, fragment, capfd):
-    assert main(["calibrate", "--merge", "-q", *(a.format(*folders) for a in arguments)]) == 2
-    err = capfd.readouterr().err
+def test_wrong_usage_is_one_sentence(folders, arguments, fragment, shell):
+    err = shell("calibrate", "--merge", "-q", *(a.format(*folders) for a in arguments), code=2).err
     assert fragment in err
     assert err.count("\n") == 1
     assert "Traceback" not in err
 
 
-def test_different_units_without_serials_are_not_merged_in_silence(calibrations, tmp_path, capfd):
+def test_different_units_without_serials_are_not_merged_in_silence(calibrations, tmp_path, shell):
     rng = np.random.default_rng(3)
     files = []
     for n, calibration in enumerate(calibrations):
@@ -159,7 +143,6 @@ def test_different_units_without_serials_are_not_merged_in_silence(calibrations,
         file = tmp_path / f"unit-{n}.json"
         replace(calibration, errors=errors, provenance=provenance).save(file)
         files.append(str(file))
-    assert main(["calibrate", "--merge", *files, "-q"]) == 1
-    err = capfd.readouterr().err
+    err = shell("calibrate", "--merge", *files, "-q", code=1).err
     assert "times their sigmas (RMS over all parameters): are they of one unit?" in err
-    assert main(["calibrate", "--merge", *files, "-q", "--force"]) == 0
+    shell("calibrate", "--merge", *files, "-q", "--force")

@@ -78,30 +78,27 @@ def test_sheet_and_plot(made):
     assert (made / "s.png").read_bytes()[:4] == b"\x89PNG"
 
 
-def test_the_plan_is_simulated_and_calibrated(made, tmp_path, capsys):
-    assert main(["simulate", str(made / "s.toml"), "-o", str(tmp_path / "run"), "-q"]) == 0
+def test_the_plan_is_simulated_and_calibrated(made, tmp_path, shell):
+    shell("simulate", made / "s.toml", "-o", tmp_path / "run", "-q")
     unit = tmp_path / "unit.json"
-    assert main(["calibrate", str(tmp_path / "run"), "-o", str(unit), "-q"]) == 0
-    capsys.readouterr()
-    assert main(["plan", str(made / "lab.toml"), "--after", str(unit)]) == 0
-    out = capsys.readouterr().out
+    shell("calibrate", tmp_path / "run", "-o", unit, "-q")
+    out = shell("plan", made / "lab.toml", "--after", unit).out
     assert out.startswith("Sequences on which the optimal continuation")
     assert max(map(len, out.splitlines())) <= 100
 
 
-def test_the_table_fits_a_terminal(tmp_path, capsys):
+def test_the_table_fits_a_terminal(tmp_path, shell):
     file = write(tmp_path / "lab.toml", targets="gyro_scale_ppm = 100.0", plan="total_time_s = 150.0")
-    assert main(["plan", file, "--table-1"]) == 0
-    out = capsys.readouterr().out
+    out = shell("plan", file, "--table-1").out
     assert max(map(len, out.splitlines())) <= 80
     assert "no plan of this length" in " ".join(out.split())
     assert "150 s are too short for 17 sequences" in " ".join(out.split())
 
 
-def test_missed_targets_exit_with_one_and_leave_a_plan(tmp_path, capsys):
+def test_missed_targets_exit_with_one_and_leave_a_plan(tmp_path, shell):
     file = write(tmp_path / "lab.toml", targets="gyro_scale_ppm = 1.0", plan="total_time_s = 150.0")
-    assert main(["plan", file, "-o", str(tmp_path / "s.toml"), "-q"]) == 1
-    assert "The plan misses 3 of the targets: gyro_scale_" in capsys.readouterr().err
+    err = shell("plan", file, "-o", tmp_path / "s.toml", "-q", code=1).err
+    assert "The plan misses 3 of the targets: gyro_scale_" in err
     assert (tmp_path / "s.toml").is_file()
 
 
@@ -139,10 +136,9 @@ def test_missed_targets_exit_with_one_and_leave_a_plan(tmp_path, capsys):
         ),
     ],
 )
-def test_mistakes(tmp_path, monkeypatch, capsys, changes, arguments, code, said):
+def test_mistakes(tmp_path, monkeypatch, changes, arguments, code, said, shell):
     monkeypatch.chdir(tmp_path)
-    assert main(["plan", write(tmp_path / "lab.toml", **changes), *arguments]) == code
-    captured = capsys.readouterr()
+    captured = shell("plan", write(tmp_path / "lab.toml", **changes), *arguments, code=code)
     assert said in captured.err
     assert len(captured.err.strip().splitlines()) == 1
     assert captured.out == ""
@@ -171,9 +167,8 @@ def test_measured_parameters_of_each_sequence_are_table_2(tmp_path, sequence, co
     assert found == pytest.approx(terms, abs=1e-9)
 
 
-def test_a_sequence_is_shown(capsys):
-    assert main(["plan", "navigation-equal", "--sequence", "1"]) == 0
-    out = capsys.readouterr().out
+def test_a_sequence_is_shown(shell):
+    out = shell("plan", "navigation-equal", "--sequence", "1").out
     assert "horizontal x   -6.283 κyy -6.283 κyyy" in out
     assert max(map(len, out.splitlines())) <= 80
 
@@ -187,14 +182,12 @@ def test_shipped_plans_are_read():
         load_plan_file(name).conditions()
 
 
-def test_a_plan_is_compared_with_protocols(tmp_path, capsys):
+def test_a_plan_is_compared_with_protocols(tmp_path, shell, refused):
     file = write(tmp_path / "lab.toml", targets="gyro_scale_ppm = 100.0", plan="total_time_s = 300.0")
     names = ("table-1", "19-positions", "24-face-tumble")
-    assert main(["plan", file, *(word for name in names for word in ("--compare", name))]) == 0
-    out = " ".join(capsys.readouterr().out.split())
+    out = " ".join(shell("plan", file, *(word for name in names for word in ("--compare", name))).out.split())
     assert "Protocol table-1 in the same time: gyro_scale_" in out
     assert "Protocol 19-positions in the same time: gyro_scale_" in out
     where = "without the fixture, which cannot run it"
     assert f"Protocol 24-face-tumble in the same time, {where}: not observed: gyro_scale_x, gyro_scale_y, " in out
-    assert main(["plan", file, "--compare", "20-positions"]) == 2
-    assert "There is no shipped protocol '20-positions'" in capsys.readouterr().err
+    assert "There is no shipped protocol '20-positions'" in refused("plan", file, "--compare", "20-positions")

@@ -6,7 +6,6 @@ import pytest
 
 import sims
 import srt
-from srt.cli import main
 from srt.cli.truth import load_truth
 from srt.sensor_errors import NAMES
 
@@ -29,10 +28,9 @@ def scenario(tmp_path):
 
 
 @pytest.mark.parametrize("samples_format", ["csv", "npz", "parquet", "h5"])
-def test_recording_and_truth_are_the_simulators(scenario, tmp_path, capfd, samples_format):
+def test_recording_and_truth_are_the_simulators(scenario, tmp_path, samples_format, shell):
     folder = tmp_path / "out"
-    assert main(["simulate", str(scenario), "-o", str(folder), "--format", samples_format]) == 0
-    out, err = capfd.readouterr()
+    out, err = shell("simulate", scenario, "-o", folder, "--format", samples_format)
     assert err == ""
     assert sorted(p.name for p in folder.iterdir()) == ["recording.toml", f"samples.{samples_format}", "truth.json"]
     expected = sims.simulate(sims.load_scenario(scenario))
@@ -51,9 +49,9 @@ def test_recording_and_truth_are_the_simulators(scenario, tmp_path, capfd, sampl
         assert text in out
 
 
-def test_truth_holds_what_the_library_of_truths_says(scenario, tmp_path):
+def test_truth_holds_what_the_library_of_truths_says(scenario, tmp_path, shell):
     folder = tmp_path / "out"
-    assert main(["simulate", str(scenario), "-o", str(folder), "-q"]) == 0
+    shell("simulate", scenario, "-o", folder, "-q")
     truth = json.loads((folder / "truth.json").read_text())
     assert list(truth["parameters"]) == list(NAMES)
     assert len(truth["frame"]["U"]) == 3
@@ -61,58 +59,54 @@ def test_truth_holds_what_the_library_of_truths_says(scenario, tmp_path):
     assert truth["seed"] == 5
 
 
-def test_seed_makes_another_unit(scenario, tmp_path):
+def test_seed_makes_another_unit(scenario, tmp_path, shell):
     for name, more in {"a": [], "b": ["--seed", "5"], "c": ["--seed", "6"]}.items():
-        assert main(["simulate", str(scenario), "-o", str(tmp_path / name), "-q", *more]) == 0
+        shell("simulate", scenario, "-o", tmp_path / name, "-q", *more)
     a, b, c = (load_truth(tmp_path / name / "truth.json") for name in "abc")
     assert a == b
     assert a != c
     assert json.loads((tmp_path / "c" / "truth.json").read_text())["seed"] == 6
 
 
-def test_files_are_not_written_over_unless_asked(scenario, tmp_path, capfd):
+def test_files_are_not_written_over_unless_asked(scenario, tmp_path, shell, refused):
     folder = tmp_path / "out"
     folder.mkdir()
     (folder / "notes.txt").write_text("mine")
-    assert main(["simulate", str(scenario), "-o", str(folder)]) == 2
-    assert "holds files already" in capfd.readouterr().err
+    assert "holds files already" in refused("simulate", scenario, "-o", folder)
     assert [p.name for p in folder.iterdir()] == ["notes.txt"]
-    assert main(["simulate", str(scenario), "-o", str(folder), "--overwrite"]) == 0
+    shell("simulate", scenario, "-o", folder, "--overwrite")
     assert (folder / "notes.txt").read_text() == "mine"
     assert (folder / "truth.json").exists()
 
 
 @pytest.mark.parametrize(("writer", "kept"), [("srt.write_recording", True), ("srt.cli.truth.write_truth", False)])
 def test_a_failure_on_overwriting_keeps_the_old_pair_or_leaves_no_old_truth(
-    scenario, tmp_path, capfd, monkeypatch, writer, kept
+    scenario, tmp_path, monkeypatch, writer, kept, shell, refused
 ):
     folder = tmp_path / "out"
-    assert main(["simulate", str(scenario), "-o", str(folder), "-q"]) == 0
+    shell("simulate", scenario, "-o", folder, "-q")
 
     def fail(*args, **options):
         raise srt.InputError("The disk is full.")
 
     monkeypatch.setattr(writer, fail)
-    assert main(["simulate", str(scenario), "-o", str(folder), "--overwrite"]) == 2
-    assert capfd.readouterr().err == "srt: The disk is full.\n"
+    assert refused("simulate", scenario, "-o", folder, "--overwrite") == "srt: The disk is full.\n"
     assert (folder / "truth.json").exists() == kept
 
 
 @pytest.mark.parametrize("place", ["file", "file/below"])
-def test_a_place_that_cannot_be_a_folder_is_noticed_first(scenario, tmp_path, capfd, monkeypatch, place):
+def test_a_place_that_cannot_be_a_folder_is_noticed_first(scenario, tmp_path, monkeypatch, place, shell):
     (tmp_path / "file").touch()
     monkeypatch.setattr(sims, "simulate", lambda *_: pytest.fail("it was simulated first"))
-    assert main(["simulate", str(scenario), "-o", str(tmp_path / place)]) == 2
-    err = capfd.readouterr().err
+    err = shell("simulate", scenario, "-o", tmp_path / place, code=2).err
     assert str(tmp_path / place) in err
     assert err.count("\n") == 1
 
 
-def test_a_scenario_that_is_wrong_is_one_sentence(tmp_path, capfd):
+def test_a_scenario_that_is_wrong_is_one_sentence(tmp_path, shell):
     path = tmp_path / "bad.toml"
     path.write_text(SCENARIO.replace("dwell_s", "dwel_s"))
-    assert main(["simulate", str(path), "-o", str(tmp_path / "out")]) == 2
-    err = capfd.readouterr().err
+    err = shell("simulate", path, "-o", tmp_path / "out", code=2).err
     assert "dwel_s" in err
     assert err.count("\n") == 1
     assert not (tmp_path / "out").exists()

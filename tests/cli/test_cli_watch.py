@@ -43,7 +43,7 @@ def grow(source, target, pieces, pause_s):
             time.sleep(pause_s)
 
 
-def test_a_growing_recording_is_followed_and_its_result_is_that_of_calibrate(finished, tmp_path, capfd):
+def test_a_growing_recording_is_followed_and_its_result_is_that_of_calibrate(finished, tmp_path, capfd, shell):
     growing = tmp_path / "rec"
     growing.mkdir()
     shutil.copy(finished / "good" / "recording.toml", growing)
@@ -62,7 +62,7 @@ def test_a_growing_recording_is_followed_and_its_result_is_that_of_calibrate(fin
     assert "All targets are met" in out
     assert "Converged after" in out
     assert (tmp_path / "w.png").stat().st_size > 10_000
-    assert main(["calibrate", str(growing), "-q", "-o", str(tmp_path / "c.json")]) == 0
+    shell("calibrate", growing, "-q", "-o", tmp_path / "c.json")
     assert (tmp_path / "w.json").read_bytes() == (tmp_path / "c.json").read_bytes()
 
 
@@ -73,12 +73,11 @@ def test_a_growing_recording_is_followed_and_its_result_is_that_of_calibrate(fin
         ("skipped", "Sequence 3, skipped: the unit is at the start of sequence 1a"),
     ],
 )
-def test_an_open_error_is_named_and_gives_exit_code_1(finished, capfd, name, sentence):
-    assert main(["watch", str(finished / name), "--idle", "0", "-q"]) == 1
-    assert sentence in capfd.readouterr().err
+def test_an_open_error_is_named_and_gives_exit_code_1(finished, name, sentence, shell):
+    assert sentence in shell("watch", finished / name, "--idle", "0", "-q", code=1).err
 
 
-def test_refusals(finished, tmp_path, capfd):
+def test_refusals(finished, tmp_path, shell, refused):
     good = str(finished / "good")
     for arguments, sentence in (
         ([good, "--order", "1,99"], "no sequence '99'"),
@@ -86,22 +85,18 @@ def test_refusals(finished, tmp_path, capfd):
         ([str(tmp_path)], "recording.toml"),
         ([good, "-o", "x.txt"], "x.txt"),
     ):
-        assert main(["watch", *arguments, "--idle", "0"]) == 2
-        assert sentence in capfd.readouterr().err
-    assert main(["watch", good, "--estimator", "kalman"]) == 2
-    assert "kalman" in capfd.readouterr().err
+        assert sentence in refused("watch", *arguments, "--idle", "0")
+    assert "kalman" in refused("watch", good, "--estimator", "kalman")
     labelled = tmp_path / "labelled"
     labelled.mkdir()
     document = (finished / "good" / "recording.toml").read_text()
     label = '[[sequence]]\nid = "1"\nstart_static_s = [9000.0, 9001.0]\nend_static_s = [9002.0, 9003.0]\n'
     (labelled / "recording.toml").write_text(f"{document}\n{label}")
     shutil.copy(finished / "good" / "samples.csv", labelled)
-    assert main(["watch", str(labelled), "--idle", "0"]) == 2
-    err = capfd.readouterr().err
+    err = shell("watch", labelled, "--idle", "0", code=2).err
     assert f"{labelled}: " in err
     assert "A test that still runs has no labels: remove [[sequence]] from recording.toml." in " ".join(err.split())
     empty = tmp_path / "empty"
     empty.mkdir()
     shutil.copy(finished / "good" / "recording.toml", empty)
-    assert main(["watch", str(empty), "--idle", "0"]) == 1
-    assert "no sequence of Table 1 was found" in capfd.readouterr().err
+    assert "no sequence of Table 1 was found" in shell("watch", empty, "--idle", "0", code=1).err

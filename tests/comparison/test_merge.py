@@ -9,14 +9,13 @@ import numpy as np
 import pytest
 from scipy.special import chdtri
 from scipy.stats import kstest
+from small_units import on_fixture
 
 import srt
 from sims.physics.imu import read_out
-from sims.physics.table_motion import table1_motion
 from srt.comparison.merge import merge_calibrations
 from srt.comparison.merge_model import between_sigma, stack_estimates
 from srt.constants import DEG_PER_H
-from srt.recording.recording import Fixture
 from srt.reports.text.repeatability import repeatability_text
 from srt.result.noise_figures import NoiseFigures
 from srt.result.provenance import Provenance, StatedSite, Temperature
@@ -235,12 +234,7 @@ def recordings(seed, count=3):
     true_site = replace(site, gravity_m_s2=site.gravity_m_s2 + rng.standard_normal() * site.gravity_sigma_m_s2)
     out = []
     for _ in range(count):
-        motion = table1_motion(
-            site=true_site,
-            sample_rate_hz=100.0,
-            fixture_draw=accuracy_trials.fixture_errors(rng, 1e-3),
-            stated_fixture=Fixture(0.0, 1e-3, 1e-3),
-        )
+        motion = on_fixture(rng, site=true_site, sample_rate_hz=100.0)
         out.append(read_out(motion.stated_as(site=site), truth, accuracy_trials.GRADES["navigation"], rng))
     return out, truth
 

@@ -1,28 +1,23 @@
-"""Faults of labels, stillness and turns: one unit of each grade per fault.
-
-``benchmarks/faults.py`` runs 200 of each.
-"""
+"""Faults of labels, stillness and turns, measured and told apart."""
 
 import math
 from dataclasses import replace
-from functools import cache, cached_property
+from functools import cache, partial
 
 import injected_faults.execution  # noqa: F401 - registers its injections
 import numpy as np
 import pytest
 import recorded_sets
-from diagnosing import findings_of_stage, grades_and_faults
+from diagnosing import WithoutRecognition, case_of, examine_stages
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
-from injected_faults.injection import GRADES, INJECTIONS, Case
+from injected_faults.injection import GRADES, INJECTIONS
 from scipy.ndimage import uniform_filter1d
 
 from sims.physics.sequences import TABLE_1
 from sims.scenarios.scenario import scenario_from_dict
 from sims.scenarios.simulation import simulate
 from srt.diagnosis import window_disturbances
-from srt.diagnosis.evidence import Evidence
-from srt.diagnosis.faults import sort_by_cause
 from srt.diagnosis.rotation_readings import cross, robust_fit
 from srt.estimation.options import Options
 from srt.exceptions import InputError
@@ -30,48 +25,16 @@ from srt.recording.recording import Fixture, Recording, SequenceLabel, Site
 from srt.sequences.stationary_windows import find_turns
 
 STAGES = ("sequences", "windows", "motion")
-FAULTS = (
-    "labels_shifted",
-    "labels_exchanged",
-    "wrong_direction",
-    "wrong_angle",
-    "sequence_missing",
-    "sequence_repeated",
-    "window_short",
-    "vibration",
-    "unsettled",
-    "bump",
-    "creep",
-    "noisy_window",
-    "sensor_time_offset",
-    "samples_lost",
-)
 IDS = tuple(TABLE_1)
 SEED = 320_000
 FOLDER = recorded_sets.data_folder()
 
 
-class Labelled(Evidence):
-    """Evidence of what is labelled alone."""
-
-    @cached_property
-    def recognition(self):
-        return None
-
-
 def findings(recording, options=None):
-    evidence = Labelled(recording, options)
-    found = []
-    for stage in STAGES:
-        found += findings_of_stage(evidence, stage)
-        if any(f.effect.startswith("exit") for f in found):
-            break
-    return sort_by_cause(found)
+    return examine_stages(recording, STAGES, options=options)
 
 
-@cache
-def case(grade):
-    return Case(grade, SEED)
+case = partial(case_of, seed=SEED)
 
 
 def named(fault, grade="navigation-rlg", severity=None):
@@ -80,20 +43,6 @@ def named(fault, grade="navigation-rlg", severity=None):
     assert found
     assert found[0].fault == fault
     return found[0]
-
-
-@pytest.mark.parametrize("grade", GRADES)
-def test_a_sound_recording_raises_nothing(grade):
-    assert findings(case(grade).recording) == ()
-
-
-@grades_and_faults(FAULTS)
-def test_each_fault_is_named(fault, grade):
-    assert named(fault, grade).fault == fault
-
-
-def test_every_grade_shows_every_fault():
-    assert all(set(INJECTIONS[fault].severity) == set(GRADES) for fault in FAULTS)
 
 
 # --- sequences and labels --------------------------------------------------------------------------------------------
@@ -230,7 +179,7 @@ def test_noise_of_filtered_outputs_is_no_oscillation(width, monkeypatch):
     count = 0
     for _ in range(draws):
         gyro, accel = uniform_filter1d(rng.standard_normal((2, *recording.gyro.shape)), width, axis=1)
-        averages = Labelled(replace(recording, gyro=gyro, accel=accel)).window_averages
+        averages = WithoutRecognition(replace(recording, gyro=gyro, accel=accel)).window_averages
         count += window_disturbances._oscillation(averages, by_gyros=True)[0].any()
     assert count <= draws * probability + 3.5 * math.sqrt(draws * probability * (1.0 - probability))
 
@@ -270,7 +219,7 @@ def test_noise_of_a_window_shorter_than_the_others_is_no_creep(monkeypatch):
         gyro, accel = (
             values + 1e-4 * rng.standard_normal(values.shape) for values in (recording.gyro, recording.accel)
         )
-        evidence = Labelled(replace(recording, gyro=gyro, accel=accel))
+        evidence = WithoutRecognition(replace(recording, gyro=gyro, accel=accel))
         averages = evidence.window_averages
         count += window_disturbances._creep(evidence, averages, np.zeros(len(averages.window), bool)) is not None
     assert count <= draws * probability + 3.5 * math.sqrt(draws * probability * (1.0 - probability))
@@ -317,7 +266,7 @@ def test_a_real_bump_is_seen_by_both_units_that_were_turned_together():
 def test_the_offset_of_the_sensors_is_found_to_its_sigma(milliseconds):
     # The injection draws its own sign.
     recording = INJECTIONS["sensor_time_offset"].recording(case("industrial-mems"), milliseconds)
-    lags = Labelled(recording).time_offset.by_turn
+    lags = WithoutRecognition(recording).time_offset.by_turn
     sigma = lags.std(ddof=1) / math.sqrt(len(lags))
     # t of 11 degrees of freedom: 1e-6 of all samples lie beyond 9.5 sigmas, and 0.1 ms is what interpolation costs.
     assert abs(1e3 * lags.mean()) == pytest.approx(abs(milliseconds), abs=9.5e3 * sigma + 0.1)
@@ -355,7 +304,7 @@ def test_a_test_that_has_only_begun_has_lost_no_samples(grade, count):
 @pytest.mark.parametrize("dwell", [0.0, 1.0])
 def test_turns_are_told_apart_whether_or_not_the_unit_stands_between_them(dwell):
     run = case("navigation-rlg").changed(schedule={"leg_dwell_s": dwell}).simulation
-    numbers, nominal, turned = Labelled(run.recording).rotations
+    numbers, nominal, turned = WithoutRecognition(run.recording).rotations
     assert numbers.tolist() == [k for k, s in enumerate(TABLE_1.values()) for _ in s.rotations]
     # Six sigmas: about axes 1 mrad off in three ways, angles 1 mrad off, scale factors of 100 ppm, non-orthogonality
     # and frame of 0.5 mrad; all in full turns.

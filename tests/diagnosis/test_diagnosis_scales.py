@@ -1,15 +1,12 @@
-"""Units, kinds, counts, sample rates and axes: factors and signed permutations, named for what they are.
-
-One unit of each grade per fault here; ``benchmarks/faults.py`` runs 200 of each.
-"""
+"""Units, kinds, counts, sample rates and axes: factors and signed permutations, named for what they are."""
 
 from dataclasses import replace
-from functools import cache
+from functools import partial
 
 import injected_faults.units_and_axes  # noqa: F401 - registers its injections
 import numpy as np
 import pytest
-from diagnosing import WithoutRecognition, examine_stages, findings_of_stage, grades_and_faults
+from diagnosing import WithoutRecognition, case_of, examine_stages, findings_of_stage
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from injected_faults.injection import GRADES, INJECTIONS, Case
@@ -26,7 +23,6 @@ from srt.recording.recording import Recording, Site
 
 SEED = 330_000
 STAGES = ("units", "frames")
-MINE = tuple(f.name for stage in STAGES for f in faults.STAGES[stage].faults if not f.name.endswith("clipped"))
 
 
 def examine(recording):
@@ -34,22 +30,8 @@ def examine(recording):
     return examine_stages(recording, STAGES, calibrating=False)
 
 
-@cache
-def case(grade):
-    return Case(grade, SEED)
-
-
-@pytest.mark.parametrize("grade", GRADES)
-def test_a_sound_recording_raises_nothing(grade):
-    assert examine(case(grade).recording) == ()
-
-
-@grades_and_faults(MINE)
-def test_a_fault_is_named_first(fault, grade):
-    injection = INJECTIONS[fault]
-    if grade not in injection.severity:
-        pytest.skip(injection.unseen[grade])
-    assert examine(injection.recording(case(grade)))[0].fault == fault
+FACTORS = [f.name for f in faults.STAGES["units"].faults[:8] if not f.name.endswith(("counts", "thinned"))]
+case = partial(case_of, seed=SEED)
 
 
 # --- factors ---------------------------------------------------------------------------------------------------------
@@ -95,7 +77,9 @@ def test_whole_numbers_of_mg_are_mg():
 @settings(max_examples=30, deadline=None)
 @given(
     errors=st.lists(st.floats(-0.25, 0.25), min_size=6, max_size=6),
-    fault=st.sampled_from([name for name in MINE[:8] if not name.endswith(("counts", "thinned"))]),
+    fault=st.sampled_from(
+        [f.name for f in faults.STAGES["units"].faults[:8] if not f.name.endswith(("counts", "thinned"))]
+    ),
 )
 def test_units_are_told_through_the_errors_of_an_uncalibrated_unit(errors, fault):
     """A quarter of scale error, different on every axis, does not hide which unit is wrong."""

@@ -1,69 +1,29 @@
-"""The unit itself: temperature, drift, noise against what is stated, asymmetry that was left out.
-
-One unit of each grade per fault here; ``benchmarks/faults.py`` runs 200 of each.
-"""
+"""The unit itself: temperature, drift, noise against what is stated, asymmetry that was left out."""
 
 from dataclasses import replace
-from functools import cache, cached_property
+from functools import partial
 
 import injected_faults.site_and_drift  # noqa: F401 - registers its injections
 import numpy as np
 import pytest
-from diagnosing import findings_of_stage, grades_and_faults
+from diagnosing import WithoutRecognition, case_of, findings_of_stage
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from injected_faults.injection import GRADES, INJECTIONS, Case
+from injected_faults.injection import GRADES, INJECTIONS
 
 from srt.constants import DEG_PER_H, MICRO_G
-from srt.diagnosis.evidence import Evidence
 from srt.diagnosis.imu_properties import BENCH_C, NOISE_RATIO, STEADY_C, white_noise_test
 from srt.estimation.options import Options
 from srt.recording.recording import ImuNoise, Recording, SequenceLabel, Site
 
-FAULTS = (
-    "temperature_unit",
-    "temperature_drift",
-    "gyro_bias_drift",
-    "accel_bias_drift",
-    "gyro_noise",
-    "accel_noise",
-    "asymmetry_omitted",
-)
 SEED = 310_000
 
 
-class Labelled(Evidence):
-    """Evidence of what is labelled alone."""
-
-    @cached_property
-    def recognition(self):
-        return None
-
-
 def findings(recording, options=None):
-    evidence = Labelled(recording, options)
-    return findings_of_stage(evidence, "unit")
+    return findings_of_stage(WithoutRecognition(recording, options), "unit")
 
 
-@cache
-def case(grade):
-    return Case(grade, SEED)
-
-
-@pytest.mark.parametrize("grade", GRADES)
-def test_a_sound_recording_raises_nothing(grade):
-    assert findings(case(grade).recording) == []
-
-
-@grades_and_faults(FAULTS)
-def test_each_fault_is_named(fault, grade):
-    injection = INJECTIONS[fault]
-    named = [f.fault for f in findings(injection.recording(case(grade)), injection.options)]
-    assert named == [fault]
-
-
-def test_every_grade_shows_every_fault():
-    assert all(set(INJECTIONS[fault].severity) == set(GRADES) for fault in FAULTS)
+case = partial(case_of, seed=SEED)
 
 
 # --- temperature -----------------------------------------------------------------------------------------------------
@@ -132,7 +92,7 @@ def test_drift_is_measured():
     gyro[:, 1] -= 0.5 * DEG_PER_H * recording.nominal_interval_s * (recording.time - recording.time[0]) / span
     drifted = replace(recording, gyro=gyro)
     (finding,) = findings(drifted)
-    before, after = Labelled(recording).stationary_rate_fit, Labelled(drifted).stationary_rate_fit
+    before, after = WithoutRecognition(recording).stationary_rate_fit, WithoutRecognition(drifted).stationary_rate_fit
     # The same noise in both: the difference is the drift itself, from the middle of the first window to that of the
     # last, which are 5 s from the ends of 460 s.
     change = (after.drift - before.drift) / DEG_PER_H
@@ -181,7 +141,7 @@ def test_of_very_many_windows_some_serve():
     labels = tuple(SequenceLabel((0.2 * k, 0.2 * k + 0.1), (0.2 * (k + 1), 0.2 * (k + 1) + 0.1)) for k in range(899))
     noise = ImuNoise(gyro_noise=1e-4, accel_noise=1e-3, gyro_bias_instability=0.0)
     force = 9.8 * up / np.linalg.norm(up, axis=1, keepdims=True)
-    fit = Labelled(Recording(time, gyro, force, Site(9.8), noise=noise, sequences=labels)).stationary_rate_fit
+    fit = WithoutRecognition(Recording(time, gyro, force, Site(9.8), noise=noise, sequences=labels)).stationary_rate_fit
     assert fit.freedom == 3 * 400 - 15
     # White noise of 1e-3 per sample, ten in a window, and the unknown Earth's rate of 7e-5 beside it: a slope over
     # 400 points evenly spread has √12 times the sigma of their mean.
@@ -216,7 +176,7 @@ def test_noise_is_measured(quantum):
     the noise is 1 / √(2 · 1500) = 2 % of it, and 4.5 of them are 8 %.
     """
     stated = ImuNoise(gyro_noise=1e-4, accel_noise=1e-3, gyro_quantization=quantum or None)
-    evidence = Labelled(noisy(np.random.default_rng(4), 1e-4, 1e-3, stated, quantum=quantum))
+    evidence = WithoutRecognition(noisy(np.random.default_rng(4), 1e-4, 1e-3, stated, quantum=quantum))
     for sensor in ("gyro", "accel"):
         shown = white_noise_test(evidence, sensor)
         np.testing.assert_allclose(shown.found, shown.stated, rtol=0.08)
@@ -292,9 +252,9 @@ def test_asymmetry_may_be_left_out_where_there_is_none(grade):
 def test_options_of_another_estimator_do_not_matter():
     injection = INJECTIONS["asymmetry_omitted"]
     recording = injection.recording(case("tactical-fog"))
-    result = Labelled(recording, injection.options).result
+    result = WithoutRecognition(recording, injection.options).result
     options = Options(asymmetry=False, live=True, targets={"gyro_scale": 1e-6})
-    evidence = Labelled(recording, options)
+    evidence = WithoutRecognition(recording, options)
     evidence.result = result
     named = [f.fault for f in findings_of_stage(evidence, "unit")]
     assert named == ["asymmetry_omitted"]

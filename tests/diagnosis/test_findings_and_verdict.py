@@ -1,19 +1,27 @@
-"""A result is not sound beside a finding that says what is wrong with its readings. Units of a foreign generator."""
+"""Findings, their verdict, their document, and the procedure that runs the checks."""
 
 from dataclasses import replace
+from pathlib import Path
 
+import accuracy_trials
 import numpy as np
 import pytest
 from foreign_motion import GRADES, drawn_errors, hand_turns
 from foreign_motion import recording as by_hand
+from injected_faults.injection import Case
 from scipy.signal import butter, lfilter, lfilter_zi
 from scipy.spatial.transform import Rotation
 from worse_recordings import unstated_unit
 
 import srt
+from srt.constants import DEG
+from srt.diagnosis.document import document
 from srt.diagnosis.evidence import Evidence
+from srt.diagnosis.faults import STAGES
 from srt.diagnosis.units import scales_of_result
+from srt.estimation.options import Options
 from srt.exceptions import DataError
+from srt.procedure import calibrate
 from srt.result.verdict import SOUND
 
 SEED = 20264201
@@ -244,3 +252,98 @@ def test_units_near_each_other_are_told_apart():
         (replace(unit, gyro=np.radians(unit.gyro)), "gyro_radians"),
     ):
         assert srt.inspect(changed).diagnosis.refusal.fault == fault
+
+
+@pytest.fixture(scope="module")
+def recording():
+    return Case("tactical-fog", 900).recording
+
+
+def test_a_sound_recording_gains_nothing(recording):
+    examined = calibrate(recording, options=Options())
+    plain = srt.calibrate(recording)
+    np.testing.assert_array_equal(examined.errors.vector, plain.errors.vector)
+    assert examined.diagnostics.faults == ()
+    assert examined.warnings == plain.warnings
+
+
+def test_a_fault_that_makes_it_senseless_refuses_it_by_name(recording):
+    wrong = replace(recording, gyro=recording.gyro / DEG)
+    with pytest.raises(srt.DataError, match="correct gyro_unit") as caught:
+        calibrate(wrong, options=Options())
+    assert caught.value.fault == "gyro_degrees"
+
+
+def test_force_goes_on_to_what_the_calibration_itself_says(recording):
+    wrong = replace(recording, gyro=recording.gyro / DEG)
+    with pytest.raises(srt.DataError, match=r"The likely cause: .* correct gyro_unit"):
+        calibrate(wrong, options=Options(), force=True)
+
+
+def test_a_fault_that_is_told_stands_with_the_result(recording):
+    wrong = replace(recording, site=replace(recording.site, gravity_m_s2=9.78))
+    examined = calibrate(wrong, options=Options())
+    (finding,) = [f for f in examined.diagnostics.faults if f.fault == "gravity"]
+    assert finding.effect == "warning"
+    assert finding.sentence in examined.warnings
+
+
+@pytest.mark.parametrize("estimator", ["closed-form", "least-squares"])
+def test_missing_sequences_are_no_warning_of_a_result(estimator):
+    """The recorded moves carry what the closed form cannot estimate; it fixes that, and names the sequence itself."""
+    whole, _ = accuracy_trials.fixture_recording(21, "tactical", moves="recorded", sample_rate_hz=50.0)
+    recording = replace(whole, sequences=tuple(s for s in whole.sequences if s.id not in ("6", "9")))
+    result = srt.calibrate(recording, estimator)
+    assert not any("cannot" in warning for warning in result.warnings)
+    assert any("sequence 6 is missing" in reason for reason in result.held.values()) == (estimator == "closed-form")
+    (found,) = [f for f in srt.inspect(recording).diagnosis.findings if f.fault == "sequence_missing"]
+    assert "the closed form cannot estimate gyro_orthogonality_xy" in found.sentence
+    assert "--estimator least-squares" in found.sentence
+
+
+def test_faults_that_only_a_calibration_shows_are_searched_for(recording):
+    truth = srt.SensorErrors.from_dict({"gyro_asymmetry_x": 2e-3})
+    from accuracy_trials import GRADES
+
+    from sims.physics.imu import read_out
+
+    case = Case("tactical-fog", 901)
+    asymmetric = read_out(case.simulation.motion, truth, GRADES["tactical"], np.random.default_rng(1))
+    examined = calibrate(asymmetric, options=Options(asymmetry=False))
+    assert "asymmetry_omitted" in [f.fault for f in examined.diagnostics.faults]
+
+
+def test_findings_survive_the_file(recording, tmp_path):
+    wrong = replace(recording, site=replace(recording.site, gravity_m_s2=9.78))
+    calibrate(wrong, options=Options()).save(tmp_path / "unit.json")
+    loaded = srt.load_calibration(tmp_path / "unit.json")
+    assert [f.fault for f in loaded.diagnostics.faults] == ["gravity"]
+
+
+@pytest.mark.parametrize("gravity_sigma", [5e-6, 0.02])
+def test_gravity_that_does_not_fit_the_latitude_is_doubtful(gravity_sigma):
+    """0.025 m/s² more than at any height of 45°: thousands of sigma, which a stated sigma of 0.02 m/s² covers."""
+    recording = Case("navigation-rlg", 5).recording
+    off = replace(recording.site, gravity_m_s2=recording.site.gravity_m_s2 + 0.025, gravity_sigma_m_s2=gravity_sigma)
+    found = srt.calibrate(replace(recording, site=off))
+    told = [sentence for sentence in found.warnings if sentence.startswith("Gravity is stated as")]
+    doubtful = gravity_sigma < 0.01
+    assert found.judgement.word == ("doubtful" if doubtful else "sound")
+    assert bool(told) == doubtful
+    assert all(sentence in found.judgement.reason for sentence in told)
+
+
+PAGE = Path(__file__).parents[2] / "docs" / "faults.md"
+
+
+def test_the_committed_page_is_up_to_date():
+    assert PAGE.read_text(encoding="utf-8") == document(), "run python -m srt.diagnosis.document"
+
+
+def test_every_fault_stands_once_under_its_stage():
+    sections = document().split("\n## ")[1:]
+    assert [section.splitlines()[0] for section in sections] == [stage.title for stage in STAGES.values()]
+    for stage, section in zip(STAGES.values(), sections, strict=True):
+        rows = [line.split(" | ") for line in section.splitlines() if line.startswith("| ")][1:]
+        assert [row[1].strip("`") for row in rows] == [f.name for f in stage.faults]
+        assert all(len(row) == 5 for row in rows)

@@ -1,17 +1,24 @@
-"""Faults as foreign loggers make them are named first, at the severities that once had another cause or none."""
+"""Faults and defects of generators that are no part of the simulator, and false alarms."""
 
 import functools
 
+import numpy as np
 import pytest
 from fault_outcomes import OUTCOMES, outcome_of
 from fault_severities import KINDS as INJECTED
 from fault_severities import Units, halvings
 from fault_verdicts import trial
 from foreign_faults import KINDS
+from honesty import STUDIES
+from honesty_recordings import DEFECTS
 from injected_faults.injection import Case
+from scipy import stats
 
 import srt
+from srt.diagnosis import false_alarms
 from srt.diagnosis.staged_diagnosis import diagnose
+from srt.noise import drift_forms
+from srt.sequences import clipping, vibration
 
 SEED = 20261410
 
@@ -135,3 +142,73 @@ def test_mixed_pulses_are_no_dead_band(kind):
 def test_earth_rate_of_sound_units_confirms_no_sample_rate(grade):
     for seed in range(SEED, SEED + 8):
         assert diagnose(Case(grade, seed).recording, calibrating=False).findings == ()
+
+
+PER_RECORDING = 1e-4
+"""Probability by design of any finding, or of a drift in the calibration, in a recording without a fault."""
+IN_WINDOWS = ("rotation", "oscillation", "bumps", "creep", "noise")
+OVER_SEQUENCES = ("lost samples", "lags", "settling", "joined units", "drift of scale factors")
+OF_SAMPLES = ("repeated samples", "spikes", "truncation")
+OF_RATES = ("absent Earth rate", "latitude", "north", "drift of bias", "noise of gyros", "noise of accelerometers")
+OF_RESULT = ("moves that contradict a closed form",)
+
+
+def test_all_checks_together_raise_a_finding_in_one_of_10000_recordings():
+    tests = len((*IN_WINDOWS, *OVER_SEQUENCES, *OF_SAMPLES, *OF_RATES, *OF_RESULT))
+    total = tests * false_alarms.FALSE_ALARM + vibration.FALSE_ALARM + drift_forms.FALSE_ALARM
+    total += 12 * (clipping._CHANCE + 0.5**clipping._PILE)
+    assert 0.5 * PER_RECORDING < total <= PER_RECORDING
+
+
+@pytest.mark.parametrize(
+    ("name", "freedom", "distribution"),
+    [
+        ("normal", (), stats.norm()),
+        ("t", (7.0,), stats.t(7.0)),
+        ("chi-square", (3.0,), stats.chi2(3.0)),
+        ("F", (1.0, 40.0), stats.f(1.0, 40.0)),
+    ],
+)
+def test_a_statistic_exceeds_its_limit_with_its_share_of_the_false_alarms(name, freedom, distribution):
+    """Quantiles are inverted by iteration: 1e-9 of the probability."""
+    alone = distribution.sf(false_alarms.limit(name, *freedom))
+    assert alone == pytest.approx(false_alarms.FALSE_ALARM, rel=1e-9)
+    one_of_six = distribution.sf(false_alarms.limit(name, *freedom, tests=3, both_sides=True, shared=1e-3))
+    assert one_of_six == pytest.approx(1e-3 / 6.0, rel=1e-9)
+
+
+def test_limits_have_the_shape_of_the_degrees_of_freedom():
+    freedom = np.array([[2.0, 5.0, 9.0]])
+    assert false_alarms.limit("chi-square", freedom).shape == freedom.shape
+
+
+@pytest.mark.parametrize("quantile", [0.5, 0.9])
+def test_sigma_from_a_quantile_scatters_as_its_degrees_of_freedom_state(quantile):
+    """2000 sigmas from 400 values: their mean within four of its sigmas, their variance within 4 sqrt(2 / 2000)."""
+    n, trials = 400, 2000
+    found = false_alarms.robust_sigma(np.random.default_rng(5).normal(0.0, 3.0, (trials, n)), 1, quantile) / 3.0
+    variance = 0.5 / false_alarms.robust_freedom(n, quantile)
+    # The median of so many magnitudes is biased by less than 1 / n.
+    assert found.mean() == pytest.approx(1.0, abs=4.0 * np.sqrt(variance / trials) + 1.0 / n)
+    assert found.var() == pytest.approx(variance, rel=4.0 * np.sqrt(2.0 / trials))
+
+
+def outcome(name, unit):
+    return STUDIES["defects"].trial((name,), unit, [])["default"]
+
+
+@pytest.mark.parametrize("name", [name for name in DEFECTS if name not in {"none", "none, 9 turns"}])
+def test_a_defect_is_named_or_harmless(name):
+    found = outcome(name, 0)
+    assert set(DEFECTS[name].named) <= set(found.faults)
+    if found.usable:
+        # Of at most 27 normal errors of ten recordings, one in a hundred has one beyond 4.2 sigma.
+        assert np.nanmax(np.abs(found.z)) <= 4.2
+    else:
+        assert found.status == "refused"
+        assert found.faults
+
+
+def test_a_shake_on_all_axes_is_clipped():
+    """All three axes hold their extremes at once, and show no noise there."""
+    assert outcome("shake at ±32767", 4).faults[0] == "gyro_clipped"

@@ -1,4 +1,4 @@
-"""Bias drift within a recording: forms, probability of a false selection, and what least squares makes of it."""
+"""Drift of the biases during a test: its search, steps of it, and the scatter of the rates at rest."""
 
 from dataclasses import replace
 
@@ -6,10 +6,14 @@ import numpy as np
 import pytest
 from accuracy_trials import noisy_recording
 from foreign_motion import GRADES, drawn_errors, hand_turns, recording
+from scipy.integrate import quad
 from scipy.stats import kstest
+from worse_recordings import CASES, unit_of
 
 import srt
 from srt.constants import DEG_PER_H, STANDARD_GRAVITY_M_S2
+from srt.estimation.rest_rate_scatter import excess_variance
+from srt.noise.bias_steps import LEAST_WINDOWS, step_shapes, within_span
 from srt.noise.drift_forms import (
     FALSE_ALARM,
     WALK,
@@ -236,3 +240,90 @@ def test_warm_up_and_temperature_are_told_apart():
     course = np.exp(-share * 12.0)[:, None] * np.array([3.0, -4.0, 2.0]) * MG
     found = srt.calibrate(replace(changed, accel=changed.accel + course), "least-squares", checks=False)
     assert found.diagnostics.drift[0].form == "fast warm-up"
+
+
+def error_over_sigma(found, errors):
+    truth = np.array([errors.get(name, 0.0) for name in NAMES])
+    return np.abs((found.errors.vector - truth)[found.observed] / found.sigma[found.observed])
+
+
+@pytest.mark.parametrize(
+    ("case", "seed", "named"),
+    [
+        ("fixture, accelerometer step of 0.4 mg", 0, {("accel", "step at 123.5 s")}),
+        ("fixture, gyro step of 30 °/h", 0, {("gyro", "step at 123.5 s")}),
+        ("hand, accelerometer step of 0.4 mg", 0, {("accel", "step at 55.1 s")}),
+        ("hand, gyro step of 30 °/h", 0, {("gyro", "step at 55.1 s")}),
+        ("hand, 500 s, linear, 8 mg and 570 °/h", 0, {("accel", "linear"), ("gyro", "linear")}),
+        ("hand, 500 s, linear, 8 mg and 570 °/h", 1, {("accel", "linear"), ("gyro", "linear")}),
+        ("navigation on a fixture, warm-up of 1 mg", 1, {("accel", "warm-up")}),
+    ],
+)
+def test_drift_is_named_and_nothing_else_accused(case, seed, named):
+    """Sound, moves and windows kept. The largest of 27 normalised errors exceeds 4.2 with a probability of 7e-4."""
+    unit, errors = unit_of(CASES[case], seed)
+    found = srt.calibrate(unit, "least-squares")
+    assert {(row.sensor, row.form) for row in found.diagnostics.drift} == named
+    assert found.judgement.word == "sound"
+    assert not found.provenance.voided
+    assert not any("moved in the stationary windows" in warning for warning in found.warnings)
+    assert error_over_sigma(found, errors).max() < 4.2
+
+
+def intervals_of_windows(W):
+    """Windows of 10 s, a rotation of two parts of 5 s after each."""
+    start = 20.0 * np.arange(W)
+    parts = (start[:-1, None] + [[10.0, 15.0]]).ravel()
+    halves = (start[:, None] + [[0.0, 5.0]]).ravel()
+    starts = np.concatenate([start, parts, halves])
+    ends = starts + np.repeat([10.0, 5.0, 5.0], [W, 2 * (W - 1), 2 * W])
+    return Intervals(starts, ends, W, (W - 1, 2), None)
+
+
+def test_shapes_of_steps_are_means_of_steps():
+    """Some coefficients give a sampled step in a rotation, and in the first and the second half of a window."""
+    W = 12
+    intervals = intervals_of_windows(W)
+    shapes = step_shapes(intervals)
+    assert len(shapes) == W - 2 * LEAST_WINDOWS + 1 + 2 * (W - 2 * LEAST_WINDOWS)
+    for at, name in ((111.0, "step at 115.0 s"), (121.5, "step at 122.5 s"), (128.0, "step at 127.5 s")):
+        mean = np.clip((intervals.end - at) / (intervals.end - intervals.start), 0.0, 1.0)
+        mean = mean - mean[:W].mean()
+        shape = shapes[name]
+        rows = (shape.windows, shape.parts.reshape(-1, 2), shape.halves.reshape(-1, 2))
+        # In a rotation the mean over its parts alone acts, up to the change of attitude between them.
+        parts = mean[W : -2 * W].reshape(-1, 2)
+        kept = np.abs(parts[:, 0] - parts[:, 1]) < 1e-12
+        use = np.concatenate([np.ones(W, bool), np.repeat(kept, 2), np.ones(2 * W, bool)])
+        found = np.linalg.lstsq(np.concatenate(rows)[use], mean[use], rcond=None)[0]
+        assert np.abs(np.concatenate(rows)[use] @ found - mean[use]).max() < 1e-12
+        assert found[0] == pytest.approx(1.0)
+        assert shape.of("accel").windows.shape[1] == (1 if at == 111.0 else 2)
+        assert within_span(np.outer(found, [1.0, 2.0, 0.0]).ravel()) <= 0.5 + 1e-12
+
+
+NOISE = np.array([1.0, 2.0, 4.0])
+
+
+def posterior_mean(shown, freedom):
+    """Mean of σ² by quadrature: variances (3,) of normal numbers of variance σ² + NOISE, σ uniform."""
+
+    def density(sigma):
+        variance = sigma**2 + NOISE
+        return np.exp(-0.5 * freedom * np.sum(np.log(variance / NOISE) + shown / variance - shown / NOISE))
+
+    parts = [quad(lambda s, power=power: s**power * density(s), 0.0, np.inf, epsabs=0.0)[0] for power in (0, 2)]
+    return parts[1] / parts[0]
+
+
+@pytest.mark.parametrize("share", [0.2, 0.7, 1.0, 1.3])
+def test_rates_that_noise_explains_leave_room_for_what_it_hides(share):
+    """17 rest rates with this share of the variance of noise: the mean over all scatters, by quadrature.
+
+    3 %: the sum leaves out scatters of less than a hundredth of its scale, which is up to three times the mean.
+    """
+    rates = np.random.default_rng(5).normal(size=(17, 3))
+    rates *= np.sqrt(share * NOISE / np.var(rates, axis=0, ddof=1))
+    np.testing.assert_array_equal(excess_variance(rates, NOISE), 0.0)
+    expected = posterior_mean(share * NOISE, 16)
+    np.testing.assert_allclose(excess_variance(rates, NOISE, NOISE), expected, rtol=0.03)

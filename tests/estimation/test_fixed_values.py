@@ -12,7 +12,6 @@ from foreign_motion import DEG, GRADES, Turn, drawn_errors, recording
 from scipy.stats import chi2
 
 import srt
-from srt.cli import main
 from srt.model.prior import Prior, prior_sigma
 from srt.sensor_errors import DISPLAY_FACTORS, GROUP_SLICES, INDEX, N_PARAMETERS, NAMES, SensorErrors
 
@@ -61,11 +60,10 @@ def test_a_flight_log_is_partial_and_what_it_does_not_show_is_zero():
     assert squares < chi2.ppf(0.99, freedom)
 
 
-def test_the_command_counts_what_a_flight_log_shows_and_warns(tmp_path, capfd):
+def test_the_command_counts_what_a_flight_log_shows_and_warns(tmp_path, shell):
     unit, _ = flight(0)
     write(tmp_path / "log", {"time": unit.time, "gyro": unit.gyro, "accel": unit.accel}, {})
-    assert main(["calibrate", str(tmp_path / "log"), "-o", str(tmp_path / "unit.json")]) == 0
-    out, err = capfd.readouterr()
+    out, err = shell("calibrate", tmp_path / "log", "-o", tmp_path / "unit.json")
     observed = int(srt.load_calibration(tmp_path / "unit.json").observed.sum())
     assert f"least-squares, {observed} of 27 measured" in " ".join(out.split("Time base")[0].split())
     assert "Verdict: Partial. Not observed, though" in " ".join(out.split())
@@ -73,7 +71,7 @@ def test_the_command_counts_what_a_flight_log_shows_and_warns(tmp_path, capfd):
     assert "log: the verdict is partial; fixed, not observed: " in err
 
 
-def test_what_is_passed_on_as_zero_is_named(tmp_path, capfd):
+def test_what_is_passed_on_as_zero_is_named(tmp_path, shell):
     unit, _ = flight(0)
     found = srt.calibrate(unit)
     assert not found.observed[GROUP_SLICES["accel_misalignment"]].any()
@@ -85,12 +83,10 @@ def test_what_is_passed_on_as_zero_is_named(tmp_path, capfd):
         ["apply", file, str(tmp_path / "log"), "-o", str(tmp_path / "out")],
         ["export", file, "--to", "pyins"],
     ):
-        assert main([*line, "-q"]) == 0
-        err = capfd.readouterr().err
+        err = shell(*line, "-q").err
         assert count in err
         assert "accel_misalignment" in err.split("passed on as zero: ")[1].split(";")[0]
-    assert main(["certificate", file, "-o", str(tmp_path / "page.html")]) == 0
-    out = " ".join(capfd.readouterr().out.split())
+    out = " ".join(shell("certificate", file, "-o", tmp_path / "page.html").out.split())
     assert out.startswith(f"{int(found.observed.sum())} of 27 parameters were estimated")
     assert "Not measured, and zero in the corrections: " in out
     assert "Verdict: Partial." in out
@@ -153,16 +149,14 @@ def test_a_prior_gives_what_is_fixed(tmp_path):
     assert np.all(found.errors.group("gyro_orthogonality") == 1e-4)
 
 
-def test_the_summary_and_the_certificate_say_that_the_clock_is_taken_as_exact(tmp_path, capfd):
+def test_the_summary_and_the_certificate_say_that_the_clock_is_taken_as_exact(tmp_path, shell):
     on_the_fixture(tmp_path / "unit", table_1())
     said = "Time base taken as exact: 1 ppm of clock is 1 ppm of every gyro scale factor."
     file = str(tmp_path / "unit.json")
-    assert main(["calibrate", str(tmp_path / "unit"), "-o", file]) == 0
-    lines = capfd.readouterr().out.splitlines()
+    lines = shell("calibrate", tmp_path / "unit", "-o", file).out.splitlines()
     heading = next(i for i, line in enumerate(lines) if line.endswith("measured"))
     assert lines[heading + 1] == said
-    assert main(["certificate", file, "-o", str(tmp_path / "page.html")]) == 0
-    assert said in " ".join(capfd.readouterr().out.split())
+    assert said in " ".join(shell("certificate", file, "-o", tmp_path / "page.html").out.split())
     stated = replace(srt.load_recording(tmp_path / "unit"), clock_sigma=1e-6)
     again = srt.calibrate(stated)
     assert "Time base" not in repr(again)

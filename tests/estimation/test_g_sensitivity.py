@@ -17,7 +17,6 @@ from sims.accuracy.budget import G_SENSITIVITY
 from sims.physics.imu import ImuModel, read_out
 from sims.scenarios.simulation import draw_errors
 from srt import exporters
-from srt.cli import main
 from srt.constants import DEG, DEG_PER_H, DEG_PER_SQRT_H, EARTH_RATE_RAD_S, MICRO_G, STANDARD_GRAVITY_M_S2
 from srt.estimation import g_sensitivity_report
 from srt.estimation.convergence import CONVERGED_CORRECTION
@@ -360,10 +359,9 @@ def calibrated(tmp_path_factory):
     return folder
 
 
-def test_command_and_file(calibrated, capsys):
+def test_command_and_file(calibrated, shell):
     file = calibrated / "result.json"
-    assert main(["calibrate", str(calibrated / "rec"), "--gyro-bias", "g-sensitive", "--details", "-o", str(file)]) == 0
-    out = capsys.readouterr().out
+    out = shell("calibrate", calibrated / "rec", "--gyro-bias", "g-sensitive", "--details", "-o", file).out
     assert "Gyro g-sensitivity, and scatter" in out
     assert max(map(len, out.splitlines())) <= 80
     document = json.loads(file.read_text())
@@ -395,13 +393,12 @@ def test_the_certificate_shows_it(calibrated):
         assert "Gyro g-sensitivity" in html_page(certificate)
 
 
-def test_apply_and_exports_say_whether_they_compensate_g_sensitivity(calibrated, capsys):
+def test_apply_and_exports_say_whether_they_compensate_g_sensitivity(calibrated, shell):
     file, out, header = (calibrated / name for name in ("applied.json", "out", "unit.h"))
     recording = srt.load_recording(calibrated / "rec")
     found = srt.calibrate(recording, "closed-form", gyro_bias="g-sensitive")
     found.save(file)
-    assert main(["apply", str(file), str(calibrated / "rec"), "-o", str(out), "--c-header", str(header), "-q"]) == 0
-    assert capsys.readouterr().err == ""
+    assert shell("apply", file, calibrated / "rec", "-o", out, "--c-header", header, "-q").err == ""
     assert "g_sensitivity[9]" in header.read_text()
     plain = replace(found, diagnostics=Diagnostics())
     _, force = plain.apply(recording.gyro, recording.accel)
@@ -470,7 +467,7 @@ def test_covariance_of_corrected_samples_has_it():
     )
 
 
-def test_budget_command(tmp_path, capsys):
+def test_budget_command(tmp_path, shell):
     """Estimating g-sensitivity leaves less than 1e-3 of its effect in the error budget.
 
     Without it, the residuals contradict the result; the budget shows by how much it is off.
@@ -480,8 +477,7 @@ def test_budget_command(tmp_path, capsys):
     for mode in ("pooled", "g-sensitive"):
         file = tmp_path / f"{mode}.json"
         arguments = ["budget", str(plan), "--estimator", "closed-form", "--draws", "2", "--gyro-bias", mode]
-        assert main([*arguments, "-o", str(file), "-q"]) == 0
+        assert shell(*arguments, "-o", file, "-q").out == ""
         rows[mode] = json.loads(file.read_text())["budgets"][0]["sources"][G_SENSITIVITY]
-    assert capsys.readouterr().out == ""
     for name in NAMES[:6]:
         assert rows["g-sensitive"][name] < 1e-3 * rows["pooled"][name]

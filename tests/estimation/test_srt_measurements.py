@@ -1,9 +1,13 @@
-"""Corrections of the processing of a recording: estimated g-sensitivity and estimated Earth rate."""
+"""Corrections in the processing of a recording: estimated g-sensitivity and Earth rate; 19 positions without labels."""
 
 import accuracy_trials
 import numpy as np
 import pytest
+from honesty_trials import nineteen_positions
+from nineteen_positions import CASES, unit_of
+from studies import rms
 
+import srt
 from sims import simulate
 from sims.physics.imu import ImuModel, read_out
 from sims.physics.sequences import TABLE_1
@@ -15,7 +19,7 @@ from srt.estimation.convergence import PARAMETER_UNITS
 from srt.estimation.options import Options
 from srt.estimation.srt_measurements import SrtProcessor
 from srt.model.rotations import rotation_vector
-from srt.sensor_errors import NAMES, SensorErrors
+from srt.sensor_errors import GROUP_SLICES, NAMES, SensorErrors
 from srt.sequences.moves import recorded_moves
 from srt.sequences.preparation import prepare
 
@@ -100,3 +104,32 @@ def test_a_solution_that_diverges_ends_without_an_overflow():
         row = score(simulation, choice, fixed_point=False)
     assert row["outcome"] == "outside_model"
     assert "nearly coplanar" in row["message"]
+
+
+PLAIN = "no extras"
+NOISE_FREE = {
+    "gyro_scale": 0.05e-6, "gyro_orthogonality": 0.1e-6, "accel_scale": 0.05e-6, "accel_misalignment": 0.1e-6,
+    "accel_bias": 1e-6 * 9.80665,
+}  # fmt: skip
+"""Largest errors without noise, SI."""
+
+
+def test_noise_free():
+    """To 0.05 ppm, 0.1 µrad and 1 µg."""
+    recording, truth = unit_of(PLAIN, 0, noise=False)
+    errors = np.abs(srt.calibrate(recording, "least-squares", hold=CASES[PLAIN][1], checks=False).errors.vector - truth)
+    for group, largest in NOISE_FREE.items():
+        assert errors[GROUP_SLICES[group]].max() < largest
+
+
+@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("units", [pytest.param(2, id="small"), pytest.param(100, id="full", marks=pytest.mark.slow)])
+def test_errors_reach_the_bound(case, units):
+    """The rms of a group over the units is that of the bound within 3.5 standard errors."""
+    scores = [nineteen_positions((case,), unit, ["least-squares"])["least-squares"] for unit in range(units)]
+    for group in NOISE_FREE:
+        at = GROUP_SLICES[group]
+        # Three parameters of one unit share errors, gravity among them: only the units count as independent.
+        ratio = rms(np.array([score.error[at] for score in scores])) / rms(scores[0].bound[at])
+        assert ratio < 1.0 + 3.5 / np.sqrt(2.0 * units)
+    assert np.median([score.seconds for score in scores]) < 2.0

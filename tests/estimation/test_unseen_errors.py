@@ -11,7 +11,6 @@ from injected_faults.injection import Case
 import sims
 import srt
 from sims.scenarios.scenario import scenario_from_dict
-from srt.cli import main
 from srt.constants import DEG_PER_H
 from srt.sensor_errors import GROUP_SLICES, NAMES
 
@@ -201,7 +200,7 @@ def table_1_test(folder, **tables):
 
 @pytest.mark.parametrize(("rate_hz", "warned"), [(50.2, True), (49.8, True), (50.02, False)])
 @pytest.mark.parametrize("checks", [True, False])
-def test_a_sample_rate_against_even_stamps_warns_and_is_doubtful(tmp_path, capfd, rate_hz, warned, checks):
+def test_a_sample_rate_against_even_stamps_warns_and_is_doubtful(tmp_path, rate_hz, warned, checks, shell):
     """0.4 % of the rate is 0.4 % of every gyro scale factor, in agreement with all residuals."""
     errors = table_1_test(tmp_path / "unit", recording={"sample_rate_hz": rate_hz})
     found = srt.calibrate(tmp_path / "unit", checks=checks)
@@ -214,8 +213,7 @@ def test_a_sample_rate_against_even_stamps_warns_and_is_doubtful(tmp_path, capfd
         ("doubtful", True) if warned else ("sound", False)
     )
     if checks:
-        assert main(["calibrate", str(tmp_path / "unit"), "-q"]) == 0
-        assert (said in capfd.readouterr().err) == warned
+        assert (said in shell("calibrate", tmp_path / "unit", "-q").err) == warned
 
 
 def test_a_sample_rate_in_place_of_uneven_stamps_does_not_warn(tmp_path):

@@ -5,12 +5,11 @@ from dataclasses import replace
 import accuracy_trials
 import numpy as np
 import pytest
+from small_units import on_fixture
 
 import srt
 from sims.physics.imu import read_out
-from sims.physics.table_motion import table1_motion
 from srt.exceptions import InputError
-from srt.recording.recording import Fixture
 from srt.sensor_errors import NAMES
 
 pytest.importorskip("filterpy")
@@ -23,12 +22,7 @@ def large(seed):
     """±50 %, ±0.3 rad, ±1 % asymmetry on a 5 mrad fixture, navigation-grade noise."""
     rng = np.random.default_rng(seed)
     truth, _ = accuracy_trials.large_errors(rng)
-    motion = table1_motion(
-        site=accuracy_trials.SITE,
-        sample_rate_hz=100.0,
-        fixture_draw=accuracy_trials.fixture_errors(rng, 5e-3),
-        stated_fixture=Fixture(0.0, 5e-3, 5e-3),
-    )
+    motion = on_fixture(rng, 5e-3, sample_rate_hz=100.0)
     return read_out(motion, truth, accuracy_trials.GRADES["navigation"], rng), truth
 
 

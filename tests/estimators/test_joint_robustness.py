@@ -13,6 +13,7 @@ import pytest
 import recorded_sets
 from scipy.linalg import rq
 from scipy.stats import binom
+from small_units import on_fixture
 
 import srt
 from sims.physics.fixture import rotation
@@ -53,12 +54,7 @@ def large(seed):
     """Unit of accuracy_trials.large_trial: ±50 %, ±0.3 rad, ±1 % asymmetry, ±1 m/s², ±1 °/s; 5 mrad; noise-free."""
     rng = np.random.default_rng(seed)
     truth, _ = accuracy_trials.large_errors(rng)
-    motion = table1_motion(
-        site=SITE,
-        sample_rate_hz=100.0,
-        fixture_draw=accuracy_trials.fixture_errors(rng, 5e-3),
-        stated_fixture=Fixture(0.0, 5e-3, 5e-3),
-    )
+    motion = on_fixture(rng, 5e-3, sample_rate_hz=100.0)
     return read_out(motion, truth), truth
 
 
@@ -112,13 +108,7 @@ def test_the_optimum_does_not_depend_on_the_start_where_mars_is_rotated_from_the
     cases = []
     for _ in range(2):
         truth, _ = accuracy_trials.large_errors(rng)
-        motion = table1_motion(
-            site=SITE,
-            sample_rate_hz=100.0,
-            fixture_draw=accuracy_trials.fixture_errors(rng, 5e-3),
-            stated_fixture=Fixture(0.0, 5e-3, 5e-3),
-            U=rotation(0.2 * np.array([0.6, -0.48, 0.64])),
-        )
+        motion = on_fixture(rng, 5e-3, sample_rate_hz=100.0, U=rotation(0.2 * np.array([0.6, -0.48, 0.64])))
         # Noise is stated, at its smallest value: what the windows show of it depends on the start, too.
         cases.append((replace(read_out(motion, truth), noise=ImuNoise(gyro_noise=1e-10, accel_noise=1e-8)), truth))
 
@@ -148,12 +138,7 @@ def fine(seed):
     rng = np.random.default_rng(seed)
     truth = accuracy_trials.normal_errors(rng, 1e-3, 10.0 * DEG_PER_H)
     # Gravity is known, as a common error of it is none of an estimator's.
-    motion = table1_motion(
-        site=replace(SITE, gravity_sigma_m_s2=1e-9),
-        sample_rate_hz=200.0,
-        fixture_draw=accuracy_trials.fixture_errors(rng, 1e-3),
-        stated_fixture=Fixture(0.0, 1e-3, 1e-3),
-    )
+    motion = on_fixture(rng, site=replace(SITE, gravity_sigma_m_s2=1e-9), sample_rate_hz=200.0)
     recording = read_out(motion, truth, ImuModel(gyro_noise=1e-9, accel_noise=1e-8 * STANDARD_GRAVITY_M_S2), rng)
     return {
         e: accuracy_trials.score(srt.calibrate(recording, e, checks=False), truth)

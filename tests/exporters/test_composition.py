@@ -15,7 +15,6 @@ import pytest
 
 import sims
 import srt
-from srt.cli import main
 from srt.constants import MICRO_G
 from srt.exporters import ExportSettings, export
 from srt.exporters.applied_file import applied_of
@@ -178,7 +177,7 @@ def motion():
 
 
 @pytest.mark.parametrize("pilot", [Px4, ArduPilot])
-def test_the_whole_way(pilot, motion, tmp_path, capfd):
+def test_the_whole_way(pilot, motion, tmp_path, shell):
     """Log, convert, calibrate, export, load: the unit ends where the best such parameters would bring it."""
     unit = sensor(pilot)
     noise = sims.ImuModel(gyro_noise=1e-6, accel_noise=5.0 * MICRO_G)
@@ -192,14 +191,13 @@ def test_the_whole_way(pilot, motion, tmp_path, capfd):
     labels = (tmp_path / "labels" / "recording.toml").read_text()
     later = re.sub(r"\[(\d+\.\d+), (\d+\.\d+)\]", lambda m: f"[{float(m[1]) + 1.0!r}, {float(m[2]) + 1.0!r}]", labels)
     (tmp_path / "labels" / "recording.toml").write_text(later)
-    assert main([*map(str, line), "-q"]) == 0
+    shell(*line, "-q")
     applied = srt.load_recording(tmp_path / "rec").applied
     assert (applied.system, applied.gyro_id, applied.accel_id) == (pilot.name, IDS["gyro"], IDS["accel"])
     np.testing.assert_allclose(applied.rotation, pilot.C, rtol=0, atol=1e-7)  # angles in single precision
-    assert main(["calibrate", str(tmp_path / "rec"), "-o", str(tmp_path / "unit.json"), "-q"]) == 0
+    shell("calibrate", tmp_path / "rec", "-o", tmp_path / "unit.json", "-q")
     out = tmp_path / f"p{pilot.suffix}"
-    assert main(["export", str(tmp_path / "unit.json"), "--to", pilot.name, "-o", str(out)]) == 0
-    printed = capfd.readouterr().out
+    printed = shell("export", tmp_path / "unit.json", "--to", pilot.name, "-o", out).out
     for part in ("composed with the correction", "readings as logged", "loaded alone, not composed"):
         assert part in printed
 
@@ -311,7 +309,7 @@ def answer(register, values):
     return f"${body}*{total:02X}\r\n"
 
 
-def test_the_command_reads_registers_and_parameters(tmp_path, capfd):
+def test_the_command_reads_registers_and_parameters(tmp_path, shell, refused):
     """convert --applied keeps the answers of a unit and the parameters that a ground station saved."""
     rng = np.random.default_rng(16)
     C = np.round(np.eye(3) + 0.01 * rng.normal(size=(3, 3)), 6)
@@ -326,7 +324,7 @@ def test_the_command_reads_registers_and_parameters(tmp_path, capfd):
     np.savetxt(log, table, delimiter=",", header="time,gyro_x,gyro_y,gyro_z,accel_x,accel_y,accel_z", comments="")
     given = "--gyro-unit", "rad/s", "--accel-unit", "m/s^2", "--time-unit", "s", "--gravity-m-s2", "9.8", "-q"
     line = ["convert", str(log), "-o", str(tmp_path / "a"), *given]
-    assert main([*line, "--applied", f"vectornav:{registers}"]) == 0
+    shell(*line, "--applied", f"vectornav:{registers}")
     applied = srt.load_recording(tmp_path / "a").applied
     assert applied.system == "vectornav"
     # Single precision in the unit, and an inverse there and back.
@@ -335,13 +333,11 @@ def test_the_command_reads_registers_and_parameters(tmp_path, capfd):
     saved = tmp_path / "vehicle.params"
     saved.write_text("".join(f"1\t1\t{name}\t{value}\t9\n" for name, value in Px4.parameters.items()))
     line[3] = str(tmp_path / "b")
-    assert main([*line, "--applied", f"px4:{saved}"]) == 2
-    assert "no CAL_ACC0_XSCALE in it" in capfd.readouterr().err
-    assert main([*line, "--applied", f"px4.1.2:{saved}"]) == 0
+    assert "no CAL_ACC0_XSCALE in it" in refused(*line, "--applied", f"px4:{saved}")
+    shell(*line, "--applied", f"px4.1.2:{saved}")
     applied = srt.load_recording(tmp_path / "b").applied
     assert (applied.slots, applied.gyro_id) == ((1, 2), IDS["gyro"])
     np.testing.assert_allclose(applied.rotation, Px4.C, rtol=0, atol=1e-15)
     np.testing.assert_array_equal(applied.accel_offset, OFFSET)
     line[3] = str(tmp_path / "c")
-    assert main([*line, "--applied", "px4"]) == 2
-    assert "give FORMAT:FILE" in capfd.readouterr().err
+    assert "give FORMAT:FILE" in refused(*line, "--applied", "px4")

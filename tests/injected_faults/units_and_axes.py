@@ -1,6 +1,6 @@
 """Wrong statements of a file: units, kind of samples, count values, sample rates and axes."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Final
 
@@ -218,40 +218,19 @@ def _renamed(recording: Recording, gyro: Array | None, accel: Array | None) -> R
     )
 
 
-@injection("gyro_sign_convention", 1.0, "")
-def gyro_sign_convention(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """The gyros output the rate of the world relative to the unit: all signs are reversed."""
-    return _renamed(case.recording, -np.eye(3), None)
+def _one_triad(fault: str, sensor: str, draw: Callable[[np.random.Generator], Array]) -> None:
+    """Register the axes of one sensor renamed by a matrix."""
+
+    @injection(fault, 1.0, "")
+    def one_triad(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+        return _with(case.recording, sensor, getattr(case.recording, sensor) @ draw(rng).T)
 
 
-@injection("accel_sign_convention", 1.0, "")
-def accel_sign_convention(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """The accelerometers output gravity instead of specific force: all signs are reversed."""
-    return _renamed(case.recording, None, -np.eye(3))
-
-
-@injection("gyro_axis_flipped", 1.0, "")
-def gyro_axis_flipped(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """One gyro has a reversed sign, as it is mounted upside down."""
-    return _renamed(case.recording, _flip(rng), None)
-
-
-@injection("accel_axis_flipped", 1.0, "")
-def accel_axis_flipped(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """One accelerometer has a reversed sign, as it is mounted upside down."""
-    return _renamed(case.recording, None, _flip(rng))
-
-
-@injection("gyro_axes_swapped", 1.0, "")
-def gyro_axes_swapped(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """Two gyro columns are exchanged."""
-    return _renamed(case.recording, _swap(rng), None)
-
-
-@injection("accel_axes_swapped", 1.0, "")
-def accel_axes_swapped(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """Two accelerometer columns are exchanged."""
-    return _renamed(case.recording, None, _swap(rng))
+# The gyros output the rate of the world relative to the unit, the accelerometers gravity instead of specific force;
+# one sensor is mounted upside down; two columns are exchanged.
+for _fault, _draw in (("sign_convention", lambda rng: -np.eye(3)), ("axis_flipped", _flip), ("axes_swapped", _swap)):
+    for _sensor in ("gyro", "accel"):
+        _one_triad(f"{_sensor}_{_fault}", _sensor, _draw)
 
 
 @injection("left_handed", 1.0, "")

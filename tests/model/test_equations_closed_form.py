@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from conftest import SAMPLE_RATE_HZ, Simulated, component_rows
+from ideal_table_1 import SAMPLE_RATE_HZ, Simulated, component_rows
 from test_equations_signatures import G, ideal_jacobian
 
 import sims

@@ -15,7 +15,7 @@ from types import ModuleType
 
 import numpy as np
 import pytest
-from conftest import RATE_RAD_S, WINDOW_S, G, Simulated
+from ideal_table_1 import RATE_RAD_S, WINDOW_S, G, Simulated
 from scipy.spatial.transform import Rotation
 
 from sims.physics.fixture import FixtureDraw, FixtureGeometry, rotation

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import G, component_rows
+from ideal_table_1 import G, component_rows
 
 import sims
 from srt.constants import EARTH_RATE_RAD_S

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import sympy as sp
-from conftest import RATE_RAD_S, WINDOW_S, G
+from ideal_table_1 import RATE_RAD_S, WINDOW_S, G
 
 from srt.model import measurement_model as model
 from srt.model.rotation_integrals import ideal_rotations

@@ -9,7 +9,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 import sympy as sp
-from conftest import RATE_RAD_S, WINDOW_S, G
+from ideal_table_1 import RATE_RAD_S, WINDOW_S, G
 from scipy.stats import chi2
 
 import sims

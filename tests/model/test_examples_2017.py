@@ -4,12 +4,12 @@ Every matrix and every vector below is the paper's, entered as numbers; the misa
 put in as the paper does when it goes over to MARS axes (eq. 10).
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from math import pi
 
 import numpy as np
 import pytest
-from conftest import G
+from ideal_table_1 import G
 from test_equations_signatures import ideal_jacobian
 
 from srt.model.measurement_model import attitude_error_jacobian, force_error_jacobian
@@ -74,75 +74,99 @@ def check(found, expected, scale=1.0):
     np.testing.assert_allclose(found, expected, rtol=0, atol=scale * ATTITUDE_ROUNDING)
 
 
-def check_attitudes(sequence, *printed):
-    check(attitudes(sequence), [np.eye(3), *printed])
+HALF_X, HALF_Y, HALF_Z = np.diag([1.0, -1.0, -1.0]), np.diag([-1.0, 1.0, -1.0]), np.diag([-1.0, -1.0, 1.0])
 
 
-# --- Sequence 3: scale factor of gyro z ---------------------------------------------------------------------------
+@dataclass(frozen=True)
+class Example:
+    """A sequence as the paper works it out.
+
+    ``attitudes`` are the C_Bi after each rotation, ``error`` and ``by_bias`` the rows of φ_End of the sensor errors and
+    of the gyro bias, ``signature`` and ``bias`` the rows of e(Δa) by component, of the same.
+    """
+
+    attitudes: list
+    error: list
+    signature: dict
+    by_bias: list
+    bias: dict
 
 
-def test_sequence_3_measurement_eq_18():
-    check_attitudes("3", np.eye(3))  # eq. 15
-    check(attitude_error("3"), [ZERO, ZERO, vector(κzz=2 * pi, κzzz=2 * pi)])
-    found = signature("3")
-    check(found["y"], vector(κzz=-2 * pi * G, κzzz=-2 * pi * G), G)
-    check(found["z"], ZERO, G)
+EXAMPLES = {
+    # Scale factor of gyro z: eqs. 15-20.
+    "3": Example(
+        [np.eye(3)],
+        [ZERO, ZERO, vector(κzz=2 * pi, κzzz=2 * pi)],
+        {"y": vector(κzz=-2 * pi * G, κzzz=-2 * pi * G), "z": ZERO},
+        [[0, 0, 0], [0, 0, 0], [0, 0, 2 * pi / RATE]],
+        {"y": [0, 0, -2 * pi * G * (1 / RATE + T_MEAS / (2 * pi))], "z": [0, G * T_MEAS, 0]},
+    ),
+    # Orthogonality of gyros z and x: eqs. 23-34.
+    "5": Example(
+        [HALF_X, HALF_Y, HALF_Z, np.eye(3)],
+        [ZERO, vector(υzx=-4), ZERO],
+        {"x": vector(υzx=4 * G), "y": ZERO},
+        [[0, 0, 0], [-4 / RATE, 0, -4 / RATE], [0, 0, 0]],
+        {"x": [4 * G / RATE, -4 * G * T_MEAS / 4, 4 * G / RATE], "y": [G * T_MEAS, 0, 0]},
+    ),
+    # Orthogonality of gyros x and y: eqs. 37-48; eq. 48 follows from the corrected eq. 47, which is printed as eq. 33.
+    "6": Example(
+        [
+            [[-1, 0, 0], [0, 1, 0], [0, 0, -1]], [[0, 1, 0], [1, 0, 0], [0, 0, -1]], [[0, -1, 0], [1, 0, 0], [0, 0, 1]],
+            [[-1, 0, 0], [0, -1, 0], [0, 0, 1]], [[1, 0, 0], [0, -1, 0], [0, 0, -1]],
+            [[0, -1, 0], [-1, 0, 0], [0, 0, -1]], [[0, 1, 0], [-1, 0, 0], [0, 0, 1]], np.eye(3),
+        ],
+        [ZERO, ZERO, vector(υxy=-4)],
+        {"y": vector(υxy=4 * G), "z": ZERO},
+        [[0, 0, 0], [0, 0, 0], [-4 / RATE, -4 / RATE, 0]],
+        {"y": [4 * G / RATE, 4 * G / RATE, -G * T_MEAS], "z": [0, G * T_MEAS, 0]},
+    ),
+    # Misalignment of accelerometer x to gyro y, bias of accelerometer z: eqs. 50-57, where F_Meas = 1/2.
+    "7": Example(
+        [HALF_X],
+        [vector(κxx=pi, κxxx=pi), vector(υzx=-1), vector(υxy=1)],
+        {
+            "x": vector(μxy=2 * G, υxy=G), "z": vector(λz=-2, κxx=-pi * G, κxxx=-pi * G),
+            "start": vector(λyy=-G, λyyy=G, λy=1), "end": vector(λyy=-G, λyyy=-G, λy=-1),
+        },
+        [[pi / RATE, 0, 0], [0, 0, -2 / RATE], [0, 2 / RATE, 0]],
+        {"x": [0, 2 * G / RATE, 0], "z": [-pi * G * (1 / RATE + T_MEAS / pi), 0, 0]},
+    ),
+    # Bias of accelerometer y: eqs. 59-65; eq. 65 holds without the second g of the printed one.
+    "13": Example(
+        [HALF_Z, HALF_X],
+        [vector(υyz=-2), vector(κyy=-pi, κyyy=-pi, υzx=1), vector(κzz=pi, κzzz=pi, υxy=-1)],
+        {"x": vector(κyy=pi * G, κyyy=pi * G, υzx=-G, μxz=2 * G), "y": vector(υyz=-2 * G, λy=-2)},
+        np.array([[0, -2, -2], [2, -pi, 0], [-2, 0, pi]]) / RATE,
+        {"x": np.array([-2 * G, pi * G, 0]) / RATE, "y": [2 * G * T_MEAS / 2, -2 * G / RATE, -2 * G / RATE]},
+    ),
+}  # fmt: skip
+of_each_sequence = pytest.mark.parametrize("name", EXAMPLES)
 
 
-def test_sequence_3_gyro_bias_eq_20():
-    check(bias_attitude_error("3"), [[0, 0, 0], [0, 0, 0], [0, 0, 2 * pi / RATE]], 1 / RATE)
-    found = bias_effect("3")
-    check(found["y"], [0, 0, -2 * pi * G * (1 / RATE + T_MEAS / (2 * pi))], G * T_MEAS)
-    check(found["z"], [0, G * T_MEAS, 0], G * T_MEAS)
+@of_each_sequence
+def test_attitudes(name):
+    check(attitudes(name), [np.eye(3), *EXAMPLES[name].attitudes])
 
 
-# --- Sequence 5: orthogonality of gyros z and x -------------------------------------------------------------------
-
-HALF_X = np.diag([1.0, -1.0, -1.0])
-HALF_Y = np.diag([-1.0, 1.0, -1.0])
-HALF_Z = np.diag([-1.0, -1.0, 1.0])
+@of_each_sequence
+def test_attitude_error(name):
+    check(attitude_error(name), EXAMPLES[name].error)
 
 
-def test_sequence_5_attitudes_eq_23():
-    check_attitudes("5", HALF_X, HALF_Y, HALF_Z, np.eye(3))
+@of_each_sequence
+def test_measurement(name):
+    found = signature(name)
+    for component, expected in EXAMPLES[name].signature.items():
+        check(found[component], expected, G)
 
 
-def test_sequence_5_measurement_eqs_27_28():
-    check(attitude_error("5"), [ZERO, vector(υzx=-4), ZERO])
-    found = signature("5")
-    check(found["x"], vector(υzx=4 * G), G)
-    check(found["y"], ZERO, G)
-
-
-def test_sequence_5_gyro_bias_eq_34():
-    check(bias_attitude_error("5"), [[0, 0, 0], [-4 / RATE, 0, -4 / RATE], [0, 0, 0]], 1 / RATE)  # eq. 33
-    found = bias_effect("5")
-    check(found["x"], [4 * G / RATE, -4 * G * T_MEAS / 4, 4 * G / RATE], G * T_MEAS)
-    check(found["y"], [G * T_MEAS, 0, 0], G * T_MEAS)
-
-
-# --- Sequence 6: orthogonality of gyros x and y -------------------------------------------------------------------
-
-
-def test_sequence_6_attitudes_eq_37():
-    check_attitudes(
-        "6",
-        [[-1, 0, 0], [0, 1, 0], [0, 0, -1]],
-        [[0, 1, 0], [1, 0, 0], [0, 0, -1]],
-        [[0, -1, 0], [1, 0, 0], [0, 0, 1]],
-        [[-1, 0, 0], [0, -1, 0], [0, 0, 1]],
-        [[1, 0, 0], [0, -1, 0], [0, 0, -1]],
-        [[0, -1, 0], [-1, 0, 0], [0, 0, -1]],
-        [[0, 1, 0], [-1, 0, 0], [0, 0, 1]],
-        np.eye(3),
-    )
-
-
-def test_sequence_6_measurement_eqs_42_43():
-    check(attitude_error("6"), [ZERO, ZERO, vector(υxy=-4)])
-    found = signature("6")
-    check(found["y"], vector(υxy=4 * G), G)
-    check(found["z"], ZERO, G)
+@of_each_sequence
+def test_gyro_bias(name):
+    check(bias_attitude_error(name), EXAMPLES[name].by_bias, 1 / RATE)
+    found = bias_effect(name)
+    for component, expected in EXAMPLES[name].bias.items():
+        check(found[component], expected, G * T_MEAS)
 
 
 @pytest.mark.parametrize(
@@ -174,53 +198,6 @@ def test_sequence_6_each_rotation_eqs_39_to_41(rotations, terms):
     check(found, terms)
 
 
-def test_sequence_6_gyro_bias_eq_48():
-    """Eq. 48 follows from the corrected eq. 47; the printed one repeats eq. 33."""
-    check(bias_attitude_error("6"), [[0, 0, 0], [0, 0, 0], [-4 / RATE, -4 / RATE, 0]], 1 / RATE)
-    found = bias_effect("6")
-    check(found["y"], [4 * G / RATE, 4 * G / RATE, -G * T_MEAS], G * T_MEAS)
-    check(found["z"], [0, G * T_MEAS, 0], G * T_MEAS)
-
-
-# --- Sequence 7: misalignment of accelerometer x to gyro y, and bias of accelerometer z ---------------------------
-
-
-def test_sequence_7_attitudes_eq_50():
-    check_attitudes("7", HALF_X)
-    down_end = attitudes("7")[-1].T @ [0.0, 1.0, 0.0]
-    check(down_end, [0, -1, 0])
-
-
-def test_sequence_7_attitude_error_eq_52():
-    check(attitude_error("7"), [vector(κxx=pi, κxxx=pi), vector(υzx=-1), vector(υxy=1)])
-
-
-def test_sequence_7_specific_force_errors_eq_53():
-    start, end = force_error_jacobian(np.array([[0.0, -G, 0.0], [0.0, G, 0.0]]), PERFECT)
-    check(start, [vector(λx=1, μxy=-G), vector(λy=1, λyy=-G, λyyy=G), vector(λz=1, μzy=-G)], G)
-    check(end, [vector(λx=1, μxy=G), vector(λy=1, λyy=G, λyyy=G), vector(λz=1, μzy=G)], G)
-
-
-def test_sequence_7_measurement_eq_54():
-    found = signature("7")
-    check(found["x"], vector(μxy=2 * G, υxy=G), G)
-    check(found["z"], vector(λz=-2, κxx=-pi * G, κxxx=-pi * G), G)
-
-
-def test_sequence_7_down_eq_55():
-    found = signature("7")
-    check(found["start"], vector(λyy=-G, λyyy=G, λy=1), G)
-    check(found["end"], vector(λyy=-G, λyyy=-G, λy=-1), G)
-
-
-def test_sequence_7_gyro_bias_eq_57():
-    """F_Meas = 1/2, so that the terms with 1 − 2F vanish."""
-    check(bias_attitude_error("7"), [[pi / RATE, 0, 0], [0, 0, -2 / RATE], [0, 2 / RATE, 0]], 1 / RATE)  # eq. 56
-    found = bias_effect("7")
-    check(found["x"], [0, 2 * G / RATE, 0], G * T_MEAS)
-    check(found["z"], [-pi * G * (1 / RATE + T_MEAS / pi), 0, 0], G * T_MEAS)
-
-
 @pytest.mark.parametrize("F", [0.0, 0.3, 1.0])
 def test_gyro_bias_for_any_ramp_response_eqs_57_65(F):
     """The windows' term for averaging algorithms with another F_Meas."""
@@ -230,40 +207,18 @@ def test_gyro_bias_for_any_ramp_response_eqs_57_65(F):
         check(windows, T_MEAS * np.diag([1.0, 1 - 2 * F, 1 - 2 * F]), T_MEAS)
 
 
-# --- Sequence 13: bias of accelerometer y -------------------------------------------------------------------------
-
-
-def test_sequence_13_attitudes_eq_59():
-    check_attitudes("13", HALF_Z, HALF_X)
-    check(attitudes("13")[-1].T @ [0.0, 0.0, 1.0], [0, 0, -1])
-
-
-def test_sequence_13_attitude_error_eq_61():
-    check(
-        attitude_error("13"),
-        [vector(υyz=-2), vector(κyy=-pi, κyyy=-pi, υzx=1), vector(κzz=pi, κzzz=pi, υxy=-1)],
-    )
-
-
-def test_sequence_13_specific_force_errors_eq_62():
-    start, end = force_error_jacobian(np.array([[0.0, 0.0, -G], [0.0, 0.0, G]]), PERFECT)
-    check(start, [vector(λx=1, μxz=-G), vector(λy=1, μyz=-G), vector(λz=1, λzz=-G, λzzz=G)], G)
-    check(end, [vector(λx=1, μxz=G), vector(λy=1, μyz=G), vector(λz=1, λzz=G, λzzz=G)], G)
-
-
-def test_sequence_13_measurement_eq_63():
-    found = signature("13")
-    check(found["x"], vector(κyy=pi * G, κyyy=pi * G, υzx=-G, μxz=2 * G), G)
-    check(found["y"], vector(υyz=-2 * G, λy=-2), G)
-
-
-def test_sequence_13_gyro_bias_eq_65():
-    """Eq. 65 holds without the second g of the printed one."""
-    check(
-        bias_attitude_error("13"),  # eq. 64
-        np.array([[0, -2, -2], [2, -pi, 0], [-2, 0, pi]]) / RATE,
-        1 / RATE,
-    )
-    found = bias_effect("13")
-    check(found["x"], np.array([-2 * G, pi * G, 0]) / RATE, G * T_MEAS)
-    check(found["y"], [2 * G * T_MEAS / 2, -2 * G / RATE, -2 * G / RATE], G * T_MEAS)
+@pytest.mark.parametrize(("name", "axis"), [("7", 1), ("13", 2)])
+def test_specific_force_errors_eqs_53_62(name, axis):
+    """Of the windows at the start and at the end, where the axis that is down reads -g and g."""
+    expected = {
+        "7": (
+            [vector(λx=1, μxy=-G), vector(λy=1, λyy=-G, λyyy=G), vector(λz=1, μzy=-G)],
+            [vector(λx=1, μxy=G), vector(λy=1, λyy=G, λyyy=G), vector(λz=1, μzy=G)],
+        ),
+        "13": (
+            [vector(λx=1, μxz=-G), vector(λy=1, μyz=-G), vector(λz=1, λzz=-G, λzzz=G)],
+            [vector(λx=1, μxz=G), vector(λy=1, μyz=G), vector(λz=1, λzz=G, λzzz=G)],
+        ),
+    }
+    check(force_error_jacobian(np.outer([-G, G], np.eye(3)[axis]), PERFECT), expected[name], G)
+    check(attitudes(name)[-1].T @ np.eye(3)[axis], -np.eye(3)[axis])

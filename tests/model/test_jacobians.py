@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from conftest import G, component_rows
+from ideal_table_1 import G, component_rows
 
 import sims
 from srt.estimation.options import Options

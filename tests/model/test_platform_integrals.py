@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from conftest import G
+from ideal_table_1 import G
 from platform_streams import EPS, PERFECT
 
 import sims

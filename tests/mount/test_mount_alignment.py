@@ -14,10 +14,10 @@ from mount_motion import (
     mount_matrix,
     simulate_mount,
 )
+from small_units import on_fixture
 
 import srt
 from sims.physics.imu import ImuModel, read_out
-from sims.physics.table_motion import table1_motion
 from srt.exceptions import DataError, InputError
 from srt.model.rotations import rotation_matrix, rotation_vector
 from srt.model.sensor_model import accel_triad
@@ -300,10 +300,7 @@ class TestPlayback:
 
     def run(self, rng, sigma=1e-3):
         U = rotation_matrix(rng.normal(size=3) * 0.05)
-        motion = table1_motion(
-            site=accuracy_trials.SITE, sample_rate_hz=50.0, dwell_s=2.0, U=U,
-            fixture_draw=accuracy_trials.fixture_errors(rng, sigma), stated_fixture=srt.Fixture(0.0, sigma, sigma),
-        )  # fmt: skip
+        motion = on_fixture(rng, sigma, dwell_s=2.0, U=U)  # fmt: skip
         recording = read_out(motion, accuracy_trials.normal_errors(rng), accuracy_trials.GRADES["navigation"], rng)
         return U, recording, srt.calibrate(recording)
 

@@ -241,11 +241,10 @@ def test_an_axis_without_the_term_takes_the_white_noise_of_the_test():
         white_density(noise, "gyro", np.eye(3))
 
 
-def test_another_unit_and_a_moving_log_are_refused(shelf, tmp_path, capfd):
+def test_another_unit_and_a_moving_log_are_refused(shelf, tmp_path, refused):
     calibration = srt.load_calibration(shelf / "unit.json")
     other = replace(calibration.provenance, serial="SN-8")
     replace(calibration, provenance=other).save(tmp_path / "other.json")
     before = (tmp_path / "other.json").read_bytes()
-    assert main(["noise", str(shelf / "rec"), "--into", str(tmp_path / "other.json")]) == 2
-    assert "SN-8" in capfd.readouterr().err
+    assert "SN-8" in refused("noise", shelf / "rec", "--into", tmp_path / "other.json")
     assert (tmp_path / "other.json").read_bytes() == before

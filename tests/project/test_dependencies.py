@@ -1,4 +1,4 @@
-"""Third-party packages: every import is declared in pyproject.toml, in an extra of the folder that uses it."""
+"""Dependencies of the code, and the table of mutations."""
 
 import ast
 import sys
@@ -7,6 +7,8 @@ from functools import cache
 from pathlib import Path
 
 import pytest
+from mutation_subjects import SUBJECTS
+from mutations import mutations_of
 from packaging.requirements import Requirement
 
 ROOT = Path(__file__).parents[2]
@@ -154,3 +156,16 @@ def test_injected_faults_share_no_mathematics_with_the_estimators():
     )
     assert len(files) > 5
     assert {name for name in inside if not name.startswith(allowed)} == set()
+
+
+@pytest.mark.parametrize("subject", SUBJECTS, ids=lambda subject: subject.name)
+def test_every_mutation_is_a_change_of_one_place(subject):
+    """Mutants are Python, differ from the source, and from one another; the tests that must notice them exist."""
+    source = (ROOT / subject.file).read_text(encoding="utf-8")
+    mutants = [mutation.apply(source) for mutation in mutations_of(subject, source)]
+    if not mutants:
+        assert subject.functions == ("*",)  # a module without a sign
+    for mutant in mutants:
+        ast.parse(mutant)
+    assert len({source, *mutants}) == len(mutants) + 1
+    assert all((ROOT / test.split("::")[0]).exists() for test in subject.tests)

@@ -1,14 +1,19 @@
-"""The documentation: every link, name, key and equation in it exists."""
+"""Pages of the documentation, its notebook and its pictures."""
 
 import importlib
+import os
 import re
+import shutil
 from itertools import pairwise
 from pathlib import Path
 
 import click
+import matplotlib as mpl
 import numpy as np
+import pictures
 import pytest
 import sympy as sp
+from matplotlib.image import imread
 from test_errata_papers import BIAS_EFFECTS
 
 import sims
@@ -229,3 +234,47 @@ def test_every_benchmark_is_explained():
     text = (ROOT / "benchmarks" / "README.md").read_text(encoding="utf-8")
     named = set(re.findall(r"`(\w+\.py)`", text))
     assert named | {"speed.py"} == {p.name for p in (ROOT / "benchmarks").glob("*.py")}
+
+
+def test_notebook_runs(tmp_path, monkeypatch):
+    nbclient, nbformat = pytest.importorskip("nbclient"), pytest.importorskip("nbformat")
+    pytest.importorskip("ipykernel")
+    pytest.importorskip("pyins")
+    for file in (ROOT / "examples").glob("*.py"):
+        shutil.copy(file, tmp_path)
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(ROOT), str(tmp_path)]))
+    for folder in ("IPYTHONDIR", "JUPYTER_DATA_DIR", "JUPYTER_RUNTIME_DIR"):
+        monkeypatch.setenv(folder, str(tmp_path / folder.lower()))
+    notebook = nbformat.read(ROOT / "examples" / "from_log_to_navigation.ipynb", as_version=4)
+    assert not any(cell.get("outputs") for cell in notebook.cells), "clear the outputs before committing"
+    nbclient.NotebookClient(
+        notebook, timeout=300, kernel_name="python3", resources={"metadata": {"path": str(tmp_path)}}
+    ).execute()
+    outputs = [out for cell in notebook.cells for out in cell.get("outputs", ())]
+    text = "".join(out.get("text", "") for out in outputs)
+    logged, corrected = (float(found) for found in re.findall(r": (\d+) m from the true position", text))
+    assert corrected < 0.5 * logged
+    rms = float(re.search(r"rms of error over sigma: ([\d.]+)", text)[1])
+    assert 0.5 < rms < 1.55  # chi-square of 27 degrees of freedom with correlated errors: as in the demo's test
+    pages = [out["data"].get("text/html", "") for out in outputs if "data" in out]
+    assert any("gyro_scale_x" in page for page in pages)
+
+
+@pytest.mark.parametrize("name", pictures.PICTURES)
+def test_pictures_are_those_of_the_present_software(name, tmp_path):
+    if f"Matplotlib version{mpl.__version__}".encode() not in (pictures.FOLDER / name).read_bytes():
+        pytest.skip("drawn by another version of matplotlib, whose letters differ")
+    pictures.save_figure(pictures.PICTURES[name](), tmp_path / name)
+    drawn, shown = imread(tmp_path / name), imread(pictures.FOLDER / name)
+    assert drawn.shape == shown.shape, "run python benchmarks/pictures.py"
+    differing = np.any(drawn != shown, axis=2)
+    # Estimates that differ by rounding may move the edge of a mark by a pixel; a number that changed moves more.
+    assert differing.mean() < 1e-4, "run python benchmarks/pictures.py"
+
+
+@pytest.mark.parametrize("page", ["docs/index.md", "docs/tutorial.md", "docs/robustness.md", "README.md"])
+def test_the_first_pages_show_the_pictures(page):
+    text = (ROOT / page).read_text(encoding="utf-8")
+    shown = {"README.md": ["fixture.png", "convergence.png"], "docs/robustness.md": ["convergence.png"]}
+    for name in shown.get(page, ["fixture.png", "calibration.png"]):
+        assert f"images/{name})" in text

@@ -85,8 +85,8 @@ def test_reading_a_log_of_counts_gives_what_the_command_writes(recording, folder
     assert srt.load_recording is srt.import_file is srt.read
 
 
-def test_calibration_by_path_arrays_and_frame_is_that_of_the_command(log, recording, folder, unit, tmp_path):
-    assert main(["calibrate", str(folder), "-o", str(tmp_path / "unit.json"), "-q"]) == 0
+def test_calibration_by_path_arrays_and_frame_is_that_of_the_command(log, recording, folder, unit, tmp_path, shell):
+    shell("calibrate", folder, "-o", tmp_path / "unit.json", "-q")
     written = srt.load_calibration(tmp_path / "unit.json")
     samples = {"gyro_lsb": GYRO_LSB, "accel_lsb": ACCEL_LSB, "time_unit": "s"}
     arrays = (recording.time, recording.gyro, recording.accel)
@@ -127,28 +127,28 @@ def test_keyword_arguments_replace_values_of_the_recording(recording, folder):
     assert higher.site.gravity_m_s2 < 9.806 < recording.site.gravity_m_s2
 
 
-def test_inspection_and_comparison_are_those_of_the_commands(recording, folder, tmp_path):
-    assert main(["inspect", str(folder), "--deep", "--json", str(tmp_path / "i.json"), "-q"]) == 0
+def test_inspection_and_comparison_are_those_of_the_commands(recording, folder, tmp_path, shell):
+    shell("inspect", folder, "--deep", "--json", tmp_path / "i.json", "-q")
     assert json.dumps(srt.inspect(folder, deep=True).as_dict()) == json.dumps(
         json.loads((tmp_path / "i.json").read_text())
     )
     names = ["closed-form", "least-squares"]
     said = [text for name in names for text in ("--estimator", name)]
-    assert main(["compare", str(folder), *said, "-o", str(tmp_path / "c.json"), "-q"]) == 0
+    shell("compare", folder, *said, "-o", tmp_path / "c.json", "-q")
     written, found = json.loads((tmp_path / "c.json").read_text()), srt.compare(folder, names).as_dict()
     for row in (*written["estimators"], *found["estimators"]):
         row.pop("seconds")
     assert json.loads(json.dumps(found)) == written
 
 
-def test_plan_is_that_of_the_command(tmp_path):
+def test_plan_is_that_of_the_command(tmp_path, shell):
     file = tmp_path / "small.toml"
     file.write_text(
         'imu = { from = "navigation-rlg" }\nfixture = { from = "lab-1mrad" }\nsite = { from = "latitude-45" }\n'
         "[targets]\ngyro_scale_ppm = 50.0\n"
         "[plan]\nlargest_turn_deg = 180\nmost_legs = 1\nmost_sequences = 6\ntotal_time_s = 200.0\n"
     )
-    assert main(["plan", str(file), "--json", str(tmp_path / "p.json"), "-q"]) == 0
+    shell("plan", file, "--json", tmp_path / "p.json", "-q")
     task = sims.load_plan_file(file).task()
     named = replace(task, targets={"gyro_scale": float(task.targets[0])})
     from srt.planning.plan_document import plan_document

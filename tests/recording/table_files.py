@@ -34,6 +34,14 @@ def write_rows(path, header, columns, delimiter=","):
         writer.writerows(zip(*(np.asarray(column).tolist() for column in columns), strict=True))
 
 
+def assert_readings(found, gyro, accel, time=None):
+    """Compare readings, and stamps, to the last bit."""
+    np.testing.assert_array_equal(found.gyro, gyro)
+    np.testing.assert_array_equal(found.accel, accel)
+    if time is not None:
+        np.testing.assert_array_equal(found.time, time)
+
+
 def write_stamped(path, header):
     write_rows(path, header, [STAMPS, *GYRO.T, *ACCEL.T])
 

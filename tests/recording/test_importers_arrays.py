@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import scipy.io
-from table_files import ACCEL, GYRO, SI, TIME, N
+from table_files import ACCEL, GYRO, SI, TIME, N, assert_readings
 
 from srt.constants import DEG, STANDARD_GRAVITY_M_S2
 from srt.exceptions import InputError
@@ -107,9 +107,7 @@ def test_structs_of_navego(tmp_path, write):
     write(path, {"imu1": STRUCT})
     importer, imported = import_file(path)
     assert (importer.name, imported.kind) == ("matlab", "rate")
-    np.testing.assert_array_equal(imported.time, TIME)
-    np.testing.assert_array_equal(imported.gyro, GYRO)
-    np.testing.assert_array_equal(imported.accel, ACCEL)
+    assert_readings(imported, GYRO, ACCEL, TIME)
     assert imported.units["gyro"].startswith("rad/s")
     assert imported.units["accel"].startswith("m/s^2")
     np.testing.assert_array_equal(import_file(path, ImportOptions(gyro_unit="deg/s"))[1].gyro, GYRO * DEG)

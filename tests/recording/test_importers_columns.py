@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from table_files import ACCEL, COLUMNS, EUROC, GYRO, RNG, SI_TIME, TIME, N, write_rows, write_stamped
+from table_files import ACCEL, COLUMNS, EUROC, GYRO, RNG, SI_TIME, TIME, N, assert_readings, write_rows, write_stamped
 
 import srt
 from srt.constants import DEG, STANDARD_GRAVITY_M_S2
@@ -48,9 +48,7 @@ from srt.recording.importers.channels import meaning_of
 def test_units_of_header_and_options(tmp_path, header, given, gyro, accel):
     write_rows(tmp_path / "a.csv", header, [TIME, *GYRO.T, *ACCEL.T])
     _, imported = import_file(tmp_path / "a.csv", ImportOptions(**given))
-    np.testing.assert_array_equal(imported.gyro, GYRO * gyro)
-    np.testing.assert_array_equal(imported.accel, ACCEL * accel)
-    np.testing.assert_array_equal(imported.time, TIME)
+    assert_readings(imported, GYRO * gyro, ACCEL * accel, TIME)
 
 
 @pytest.mark.parametrize("missing", ["gyro", "accel", "time"])
@@ -86,9 +84,7 @@ def test_degrees_of_windows_programs_and_decimal_commas(tmp_path):
     assert found.notes[-1] == "Decimal commas were found, and read as points."
     options = ImportOptions(decimal_comma=True, columns={"time": "zeit"}, time_unit="s")
     _, imported = import_file(tmp_path / "a.csv", options)
-    np.testing.assert_array_equal(imported.gyro, GYRO * DEG)
-    np.testing.assert_array_equal(imported.accel, ACCEL)
-    np.testing.assert_array_equal(imported.time, TIME)
+    assert_readings(imported, GYRO * DEG, ACCEL, TIME)
 
 
 def test_counts(tmp_path):
@@ -177,8 +173,7 @@ def test_axis_maps(tmp_path):
     write_rows(tmp_path / "a.csv", ",".join(COLUMNS), COLUMNS.values())
     options = ImportOptions(map_gyro="y,x,-z", map_accel="x,y,-z", **SI_TIME)
     _, imported = import_file(tmp_path / "a.csv", options)
-    np.testing.assert_array_equal(imported.gyro, GYRO[:, [1, 0, 2]] * [1, 1, -1])
-    np.testing.assert_array_equal(imported.accel, ACCEL * [1, 1, -1])
+    assert_readings(imported, GYRO[:, [1, 0, 2]] * [1, 1, -1], ACCEL * [1, 1, -1])
     assert any(
         "one triad of gyros and accelerometers right-handed and the other left-handed" in note
         for note in imported.notes
@@ -264,8 +259,7 @@ def test_columns_given_by_name_number_and_stem(tmp_path):
     write_rows(tmp_path / "a.csv", names, [TIME, *GYRO.T, *ACCEL.T])
     columns = parse_columns("time=t0,gyro=rot,accel_x=p,accel_y=6,accel_z=r")
     _, imported = import_file(tmp_path / "a.csv", ImportOptions(columns=columns, **SI_TIME))
-    np.testing.assert_array_equal(imported.gyro, GYRO)
-    np.testing.assert_array_equal(imported.accel, ACCEL)
+    assert_readings(imported, GYRO, ACCEL)
     for said, fragment in (
         ("gyro=rat", r"no column rat_x \(did you mean rot_x\?\)"),
         ("time=9", "has 7 columns, but column 9"),

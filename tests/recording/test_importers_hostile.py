@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scipy.io
+from table_files import ACCEL, COLUMNS, EUROC, GYRO, SI_TIME, TIME, N, assert_readings, write_rows
 
 import srt
 from srt.exceptions import InputError
@@ -23,19 +24,7 @@ from srt.recording.importers import child_process
 sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
 fuzz = importlib.import_module("fuzz")
 
-N = 30
-TIME = np.arange(1, N + 1) / 64.0
-RNG = np.random.default_rng(6)
-GYRO, ACCEL = RNG.normal(size=(N, 3)), RNG.normal(size=(N, 3)) + np.array([0.0, 0.0, 9.8])
-COLUMNS = {
-    "time": TIME,
-    **{f"gyro_{axis}": GYRO[:, i] for i, axis in enumerate("xyz")},
-    **{f"accel_{axis}": ACCEL[:, i] for i, axis in enumerate("xyz")},
-}
-SI = ImportOptions(gyro_unit="rad/s", accel_unit="m/s^2", time_unit="s")
-EUROC = "#timestamp [ns]," + ",".join(
-    [f"w_RS_S_{axis} [rad s^-1]" for axis in "xyz"] + [f"a_RS_S_{axis} [m s^-2]" for axis in "xyz"]
-)
+SI = ImportOptions(**SI_TIME)
 TOML = """
 [recording]
 samples = "{samples}"
@@ -230,19 +219,13 @@ def test_matlab_dimensions_that_the_data_do_not_fill(tmp_path):
 
 
 def euroc(path):
-    stamps = 10**18 + 15_625_000 * np.arange(N)
-    rows = (
-        f"{t}," + ",".join(map(repr, row)) for t, row in zip(stamps, np.hstack((GYRO, ACCEL)).tolist(), strict=True)
-    )
-    path.write_text("\n".join([EUROC, *rows]) + "\n")
+    write_rows(path, EUROC, [10**18 + 15_625_000 * np.arange(N), *GYRO.T, *ACCEL.T])
 
 
 def test_recording_of_foreign_samples(tmp_path):
     euroc(tmp_path / "imu.txt")
     loaded = srt.load_recording(recording(tmp_path, "imu.txt", 'serial = "S1"\ntemperature_c = 21.0', units=False))
-    np.testing.assert_array_equal(loaded.gyro, GYRO)
-    np.testing.assert_array_equal(loaded.accel, ACCEL)
-    np.testing.assert_array_equal(loaded.time, np.arange(N) / 64.0)
+    assert_readings(loaded, GYRO, ACCEL, np.arange(N) / 64.0)
     assert (loaded.serial, loaded.temperature[0]) == ("S1", 21.0)
     assert len(loaded.data_sha256) == 64
 

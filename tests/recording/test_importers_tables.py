@@ -19,6 +19,7 @@ from table_files import (
     STAMPS,
     TIME,
     N,
+    assert_readings,
     write_rows,
     write_stamped,
 )
@@ -63,9 +64,7 @@ def test_round_trip(tmp_path, case):
     write(tmp_path / name)
     importer, imported = import_file(tmp_path / name, ImportOptions(**options), "psins" if kind == "psins" else "auto")
     assert importer.name == kind
-    np.testing.assert_array_equal(imported.time, TIME)
-    np.testing.assert_array_equal(imported.gyro, GYRO)
-    np.testing.assert_array_equal(imported.accel, ACCEL)
+    assert_readings(imported, GYRO, ACCEL, TIME)
     assert imported.kind == ("increment" if kind == "psins" else "rate")
 
 
@@ -139,8 +138,7 @@ def test_psins_without_time_asks_for_the_rate(tmp_path, kind):
         scipy.io.savemat(path, {"imu": PSINS[:, :6]})
     _, imported = import_file(path, ImportOptions(sample_rate_hz=128.0), "psins")
     assert (imported.time, imported.kind) == (None, "increment")
-    np.testing.assert_array_equal(imported.gyro, GYRO)
-    np.testing.assert_array_equal(imported.accel, ACCEL)
+    assert_readings(imported, GYRO, ACCEL)
     np.testing.assert_array_equal(to_recording(imported, Site(9.81)).time, np.arange(1, N + 1) / 128)
     with pytest.raises(InputError, match="no time stamps: give the rate with --sample-rate-hz"):
         to_recording(import_file(path, name="psins")[1], Site(9.81))
@@ -153,9 +151,7 @@ def test_nanoseconds_since_1970_lose_nothing(tmp_path, case):
     write(tmp_path / name)
     importer, imported = import_file(tmp_path / name, ImportOptions(**options))
     assert importer.name == kind
-    np.testing.assert_array_equal(imported.time, (STAMPS - STAMPS[0]) / 1e9)
-    np.testing.assert_array_equal(imported.gyro, GYRO)
-    np.testing.assert_array_equal(imported.accel, ACCEL)
+    assert_readings(imported, GYRO, ACCEL, (STAMPS - STAMPS[0]) / 1e9)
     assert any("1403636579758555392 ns (2014-06-24" in note for note in imported.notes)
 
 
@@ -179,8 +175,7 @@ def test_imu_tk_pair(tmp_path):
     options = ImportOptions(second=tmp_path / "unit_acc.mat", **SI_TIME)
     importer, imported = import_file(tmp_path / "unit_gyro.mat", options)
     assert importer.name == "imu-tk"
-    np.testing.assert_array_equal(imported.gyro, GYRO)
-    np.testing.assert_array_equal(imported.accel, ACCEL)
+    assert_readings(imported, GYRO, ACCEL)
     assert imported.notes[0] == "Accelerometers from unit_acc.mat, gyros from unit_gyro.mat."
 
 

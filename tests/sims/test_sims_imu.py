@@ -1,4 +1,7 @@
-"""The simulator's IMU: readings worked by hand, and the statistics of its noise against their theory."""
+"""The simulator's IMU: statistics of its noise against their theory.
+
+Readings worked by hand are in ``model/test_sensor_model``.
+"""
 
 import math
 
@@ -14,53 +17,6 @@ from srt.sensor_errors import SensorErrors
 
 SITE = Site(9.80665, 5e-6, math.radians(45.0))
 NONE = SensorErrors()
-
-# Ten readings of the model worked by hand: errors by name, true rate, true force, gyro and accel reading.
-# Whoever builds the model again can be checked against them.
-HAND_WORKED = (
-    ({}, (1, -2, 3), (0, 0, -10), (1, -2, 3), (0, 0, -10)),
-    ({"gyro_scale_x": 0.1, "accel_scale_y": 0.1}, (2, 0, 0), (0, -2, 0), (2.2, 0, 0), (0, -2.2, 0)),
-    (
-        {"gyro_asymmetry_y": 0.01, "accel_asymmetry_x": 0.1},
-        (0, -3, 0), (-2, 0, 0), (0, -2.97, 0), (-1.8, 0, 0),
-    ),
-    ({"gyro_orthogonality_xy": 0.02}, (1, 2, 0), (1, 0, 0), (1.02, 2.01, 0), (1, 0, 0)),
-    (
-        {"gyro_orthogonality_yz": 0.2, "gyro_orthogonality_zx": 0.4},
-        (1, 2, 3), (0, 0, 0), (1.6, 2.3, 3.4), (0, 0, 0),
-    ),
-    (
-        {"gyro_bias_x": 0.1, "gyro_bias_y": 0.2, "gyro_bias_z": -0.3},
-        (0, 0, 0), (0, 0, -9), (0.1, 0.2, -0.3), (0, 0, -9),
-    ),
-    ({"accel_scale_z": -0.5, "accel_bias_z": 0.25}, (0, 0, 1), (0, 0, -8), (0, 0, 1), (0, 0, -3.75)),
-    (
-        {
-            "accel_misalignment_xy": 0.1, "accel_misalignment_xz": 0.2, "accel_misalignment_yx": 0.3,
-            "accel_misalignment_yz": 0.4, "accel_misalignment_zx": 0.5, "accel_misalignment_zy": 0.6,
-        },
-        (0, 0, 0), (1, 2, 3), (0, 0, 0), (1.8, 3.5, 4.7),
-    ),
-    (
-        {
-            "gyro_scale_x": 0.1, "gyro_scale_y": 0.2, "gyro_scale_z": 0.3,
-            "gyro_asymmetry_x": 0.01, "gyro_asymmetry_y": 0.02, "gyro_asymmetry_z": 0.03,
-            "gyro_orthogonality_xy": 0.2, "gyro_orthogonality_yz": 0.4, "gyro_orthogonality_zx": 0.6,
-            "gyro_bias_x": 0.001, "gyro_bias_y": 0.002, "gyro_bias_z": 0.003,
-        },
-        (1, -1, 2), (0, 0, 0), (1.611, -0.678, 2.763), (0, 0, 0),
-    ),
-    (
-        {
-            "accel_scale_x": 0.1, "accel_scale_y": -0.1, "accel_scale_z": 0.2,
-            "accel_asymmetry_x": 0.5, "accel_asymmetry_y": 0.1, "accel_asymmetry_z": 0.2,
-            "accel_bias_x": 0.01, "accel_bias_y": 0.02, "accel_bias_z": 0.03,
-            "accel_misalignment_xy": 0.1, "accel_misalignment_xz": -0.2, "accel_misalignment_yx": 0.3,
-            "accel_misalignment_yz": 0.1, "accel_misalignment_zx": -0.1, "accel_misalignment_zy": 0.5,
-        },
-        (0, 0, 0), (-1, 2, -3), (0, 0, 0), (0.21, 1.42, -1.87),
-    ),
-)  # fmt: skip
 
 
 def constant_motion(rate, force, n, sample_rate_hz=100.0, gap_after=None):
@@ -97,13 +53,6 @@ def chi_square_bounds(count, sigmas=3.5):
     """Interval of a chi-square of many degrees of freedom over that number, at about the given sigmas."""
     width = sigmas * math.sqrt(2.0 / count)
     return 1.0 - width, 1.0 + width
-
-
-@pytest.mark.parametrize(("values", "rate", "force", "gyro", "accel"), HAND_WORKED)
-def test_hand_worked_readings(values, rate, force, gyro, accel):
-    recording = read_out(constant_motion(rate, force, 2), SensorErrors.from_dict(values))
-    np.testing.assert_allclose(recording.gyro, [gyro] * 2, rtol=0.0, atol=1e-14)
-    np.testing.assert_allclose(recording.accel, [accel] * 2, rtol=0.0, atol=1e-14)
 
 
 def test_g_sensitivity():

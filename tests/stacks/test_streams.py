@@ -12,7 +12,6 @@ import pytest
 from stream_cases import CALIBRATION, RNG, TIME, TRUE, N, Y, corrector
 
 import srt
-from srt.cli import main
 from srt.cli.stream import parse_address
 from srt.stacks.text_lines import LineCorrector
 
@@ -302,7 +301,7 @@ def re_count(text, kind):
     return int(text.rsplit(f" {kind}", 1)[0].rsplit(" ", 1)[1])
 
 
-def test_the_command_corrects_lines_of_counts(tmp_path, monkeypatch, capfd):
+def test_the_command_corrects_lines_of_counts(tmp_path, monkeypatch, shell):
     """Counts with a zero in, deg/s and m/s² out: the same as the library makes of the readings."""
     counts = np.column_stack([RNG.integers(-9000, 9000, (5, 3)), RNG.integers(-16384, 16384, (5, 3))])
     zero = np.array([12, -7, 3, 30, 30, 30])
@@ -310,8 +309,7 @@ def test_the_command_corrects_lines_of_counts(tmp_path, monkeypatch, capfd):
     monkeypatch.setattr(sys, "stdin", io.StringIO("\n".join(",".join(map(str, row)) for row in counts.tolist())))
     gyro = ["--gyro-unit", "deg/s", "--gyro-lsb", "1/131 deg/s", "--gyro-offset", "12,-7,3"]
     accel = ["--accel-lsb", "1/16384 g", "--accel-offset", "30"]
-    assert main(["apply", str(tmp_path / "unit.json"), "-", "--force", *gyro, *accel]) == 0
-    found = numbers(capfd.readouterr().out.splitlines())
+    found = numbers(shell("apply", tmp_path / "unit.json", "-", "--force", *gyro, *accel).out.splitlines())
     unit = np.repeat([np.radians(1.0 / 131.0), 9.80665 / 16384.0], 3)
     rate, force = np.hsplit((counts - zero) * unit, 2)
     true = np.column_stack([np.degrees(CALIBRATION.apply(rate, force)[0]), CALIBRATION.apply(rate, force)[1]])
@@ -336,10 +334,9 @@ def test_the_command_corrects_lines_of_counts(tmp_path, monkeypatch, capfd):
         (["--from", "udp:127.0.0.1:14550", "--to", "udp:127.0.0.1:14551", "--gyro-lsb", "1"], "--accel-lsb"),
     ],
 )
-def test_wrong_usage(tmp_path, capfd, arguments, fragment):
+def test_wrong_usage(tmp_path, arguments, fragment, shell):
     CALIBRATION.save(tmp_path / "unit.json")
-    assert main(["apply", str(tmp_path / "unit.json"), *arguments]) == 2
-    assert fragment in capfd.readouterr().err
+    assert fragment in shell("apply", tmp_path / "unit.json", *arguments, code=2).err
 
 
 def test_addresses():
@@ -403,10 +400,9 @@ def test_time_that_does_not_advance_is_told_and_losses_after_it_are_seen(told):
 
 
 @pytest.mark.parametrize(("extra", "said"), [([], True), (["--force"], False), (["--accel-unit", "g"], False)])
-def test_the_command_tells_of_accelerometers_in_g(tmp_path, monkeypatch, capfd, extra, said):
+def test_the_command_tells_of_accelerometers_in_g(tmp_path, monkeypatch, extra, said, shell):
     CALIBRATION.save(tmp_path / "unit.json")
     monkeypatch.setattr(sys, "stdin", io.StringIO("0.01,1,2,3,0,0,1\n0.02,1,2,3,0,0,1\n"))
-    assert main(["apply", str(tmp_path / "unit.json"), "-", *extra]) == 0
-    errors = capfd.readouterr().err
+    errors = shell("apply", tmp_path / "unit.json", "-", *extra).err
     assert ("but about 9.807 is expected: " in errors) == said
     assert ("2 of implausible size" in errors) == said
