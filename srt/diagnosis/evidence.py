@@ -20,7 +20,6 @@ from srt.diagnosis.gravity_rotation import (
     turning_blocks,
 )
 from srt.diagnosis.jumps import NO_SPIKES, find_spikes, wrapped_readings
-from srt.diagnosis.label_shift import label_shift
 from srt.diagnosis.rotation_readings import (
     ROUNDING,
     block_averages,
@@ -30,10 +29,18 @@ from srt.diagnosis.rotation_readings import (
     turning_windows,
 )
 from srt.diagnosis.scale_causes import scale_cause
-from srt.diagnosis.scale_ratios import accel_ratios, gyro_ratios_to_gravity, gyro_ratios_to_labels
-from srt.diagnosis.stationary_rates import earth_rate, earth_rate_factor, stationary_rate_fit, stationary_rates
+from srt.diagnosis.sequences import label_shift
+from srt.diagnosis.stationary_rates import earth_rate, stationary_rate_fit, stationary_rates
 from srt.diagnosis.time_offsets import attitude_step, force_effects, lag, stabilised_force, time_offset
-from srt.diagnosis.triad_fits import accel_fit, gyro_fit, measured_angles, raw_triads
+from srt.diagnosis.triad_fits import (
+    accel_fit,
+    accel_ratios,
+    gyro_fit,
+    gyro_ratios_to_gravity,
+    gyro_ratios_to_labels,
+    measured_angles,
+    raw_triads,
+)
 from srt.diagnosis.window_averages import quantization, window_averages
 from srt.estimation.options import Options
 from srt.exceptions import DataError
@@ -49,18 +56,17 @@ if TYPE_CHECKING:
 
     from srt.diagnosis.gravity_rotation import ManoeuvreReadings
     from srt.diagnosis.jumps import Spikes
-    from srt.diagnosis.label_shift import LabelShift
     from srt.diagnosis.scale_causes import ScaleCause
-    from srt.diagnosis.scale_ratios import ScaleRatios
+    from srt.diagnosis.sequences import LabelShift
     from srt.diagnosis.time_offsets import AttitudeStep
-    from srt.diagnosis.triad_fits import MeasuredAngles
+    from srt.diagnosis.triad_fits import MeasuredAngles, ScaleRatios
     from srt.recording.recording import Recording, SequenceLabel
     from srt.result.calibration import Calibration
     from srt.result.diagnostics import RunnerUp
     from srt.sequences.clipping import Clipping
     from srt.sequences.preparation import PreparedRecording
     from srt.sequences.recognition import Recognition
-    from srt.types import Array, Mask
+    from srt.types import Array, Indices, Mask
 
 
 SAMPLES: Final = 20_000
@@ -133,6 +139,11 @@ class Evidence:
     def extremes(self) -> tuple[Array, Array]:
         """Smallest and largest stored value of each channel, shape (6,)."""
         return self.columns.min(axis=1), self.columns.max(axis=1)
+
+    @cached_property
+    def zeros(self) -> Indices:
+        """Number of zero readings of each channel, shape (6,)."""
+        return np.asarray(np.count_nonzero(self.columns == 0.0, axis=1))
 
     @cached_property
     def some(self) -> tuple[Array, Array]:
@@ -286,8 +297,6 @@ class Evidence:
     """Bias, drift, g-sensitivity and Earth rate of the stationary rates."""
     earth_rate = _of(earth_rate, "stationary_rate_fit", "recording")
     """Earth rate in the windows."""
-    earth_rate_factor = _of(earth_rate_factor, "earth_rate")
-    """Factor on the Earth rate at the stated latitude that fits the stationary rates."""
     turning_windows = _of(turning_windows, "data", "columns", "raw_integrals")
     """True for each window in which the unit rotates as in a manoeuvre, shape (W,): its label is wrong."""
 

@@ -1,4 +1,4 @@
-"""Gyro-stabilised specific force, and what it shows: time offset between the sensors, and samples lost in rotations.
+"""Synchronisation of gyros and accelerometers: time offset between the sensors, and samples lost in rotations.
 
 The attitude from the gyros transforms the measured specific force to B_Strt, the body frame at the start of the
 sequence, in which it should be constant. Its change in the direction in which gravity rotates, divided by gravity, is
@@ -14,17 +14,24 @@ import numpy as np
 
 from srt.diagnosis.cause_comparison import Cause, compare
 from srt.diagnosis.false_alarms import limit
+from srt.diagnosis.findings import Fault, by_sensor, with_runner_up
 from srt.diagnosis.rotation_readings import BESIDE, ROUNDING, cross, invert_readings
 from srt.model import rotations
 from srt.model.table1 import AXES
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from srt.diagnosis.cause_comparison import Explanation
+    from srt.diagnosis.evidence import Evidence
+    from srt.diagnosis.findings import Finding
     from srt.diagnosis.rotation_readings import BlockAverages
     from srt.diagnosis.triad_fits import RawTriads
     from srt.sequences.preparation import PreparedRecording
     from srt.types import Array, Indices, Mask
 
+_FEWEST_TURNS: Final = 4
+"""Fewest rotations for an estimate of the scatter of the offset, and of the accelerometer errors that all share."""
 _LEAST_OFFSET: Final = 0.02
 """Smallest offset for a finding, in sampling intervals: the effective time of a reading is not known better."""
 _COARSE: Final = 5
@@ -72,7 +79,7 @@ class TimeOffset(NamedTuple):
 
 
 def time_offset(path: StabilisedForce, effects: Array) -> TimeOffset | None:
-    """Time offset between the sensors; None with fewer than two rotations about one horizontal axis.
+    """Time offset between the sensors; None with fewer than four rotations about one horizontal axis.
 
     The accelerometer errors are common to all rotations. Each rotation has its own offset, initial angle and gyro
     scale-factor error; the scatter of the offsets includes all unmodelled effects. ``effects`` are those of
@@ -88,7 +95,7 @@ def time_offset(path: StabilisedForce, effects: Array) -> TimeOffset | None:
     one_axis = size > 0.9 * np.add.reduceat(np.linalg.norm(rate, axis=1), first) * turns.step_s
     chosen = np.flatnonzero((size > 1.0) & one_axis & (level > 0.9) & (np.diff(turns.starts) >= 2 * _COARSE))
     n = len(chosen)
-    if n < 2:  # the offsets have no scatter
+    if n < _FEWEST_TURNS:
         return None
     # By block: effects of the accelerometer errors on the angle, this angle, and the rate about the axis.
     number = np.repeat(np.arange(len(first)), np.diff(turns.starts))
@@ -225,3 +232,70 @@ def _steps(values: Array, starts: Indices) -> tuple[Array, Mask]:
         steps[side : len(values) - side + 1, column] = np.convolve(values[:, column], weight[::-1], mode="valid")
     place = np.arange(len(values)) - np.repeat(starts[:-1], lengths)
     return steps, (place >= side) & (place <= np.repeat(lengths, lengths) - side)
+
+
+def sensor_time_offset(evidence: Evidence) -> Iterator[Finding]:
+    """Test for a lag between the gyros and the rotation of gravity, of a triad or of one channel."""
+    ranked = evidence.lag
+    if ranked is None:
+        return
+    best = next(explanation for explanation in ranked if explanation.cause.fault)
+    fault = next(f for f in (SENSOR_TIME_OFFSET, *AXIS_DELAYED.values()) if f.name == best.cause.fault)
+    offset = {"offset_ms": 1e3 * float(best.value[0]), "sigma_ms": 1e3 * float(best.sigma[0])}
+    yield with_runner_up(fault.found(**offset, **best.cause.details), ranked)
+
+
+SENSOR_TIME_OFFSET: Final = Fault(
+    "sensor_time_offset",
+    "Gyros and accelerometers are not synchronised",
+    "lag between the gyros and the rotation of gravity in the accelerometers",
+    "The accelerometer readings lag the gyro readings by {offset_ms:+.3g} ms (negative: lead): align the time stamps "
+    "of both sensors.",
+    "warning",
+    sensor_time_offset,
+)
+AXIS_DELAYED: Final = by_sensor(
+    "axis_delayed",
+    "One [gyro|accelerometer] axis has another delay than the others",
+    "lag between the gyros and the rotation of gravity in the accelerometers, by axis",
+    "{channel} lags the other axes by {offset_ms:+.3g} ms (negative: leads), as with a multiplexed converter or a "
+    "filter of another delay: align the channels in time.",
+    "warning",
+    sensor_time_offset,
+)
+
+
+def sample_twice(evidence: Evidence) -> int | None:
+    """Sample that repeats the previous one and causes an attitude error by its angle; None if there is none."""
+    step, turns = evidence.attitude_step, evidence.block_averages
+    if step is None or turns is None or step.duration_s > -0.5 * evidence.dt:
+        return None
+    recording, reach = evidence.recording, 2 * max(1, round(turns.step_s / evidence.dt))
+    rows = np.arange(max(1, step.sample - reach), min(len(recording.time), step.sample + reach))
+    same = [np.all(x[rows] == x[rows - 1], axis=1) for x in (recording.gyro, recording.accel)]
+    again = rows[same[0] & same[1]]
+    return int(again[0]) if again.size else None
+
+
+def samples_lost(evidence: Evidence) -> Iterator[Finding]:
+    """Report a step of the gyro-stabilised specific force that a repeated sample does not explain."""
+    step = evidence.attitude_step
+    if step is None or sample_twice(evidence) is not None:
+        return
+    yield SAMPLES_LOST.found(
+        sequence=evidence.title(step.sequence),
+        time=float(evidence.recording.time[step.sample]) - evidence.dt,
+        angle_deg=math.degrees(step.height),
+        duration=abs(step.duration_s),
+    )
+
+
+SAMPLES_LOST: Final = Fault(
+    "samples_lost",
+    "Samples were lost in a rotation, but the time stamps have no gap",
+    "a rotation of gravity between two samples that the gyros do not measure",
+    "In {sequence}, samples of about {duration:.2g} s are missing at {time:.6g} s, but the time stamps have no gap: "
+    "gravity rotated by {angle_deg:.3g}°, which the gyros did not measure; repeat the sequence.",
+    "warning",
+    samples_lost,
+)

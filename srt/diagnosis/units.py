@@ -10,7 +10,7 @@ import numpy as np
 from srt.diagnosis.findings import Fault, Finding, by_sensor
 from srt.diagnosis.gravity_rotation import block_size, force_limit, rate_limit
 from srt.diagnosis.scale_causes import scale_cause
-from srt.diagnosis.scale_ratios import calibrated_ratios
+from srt.diagnosis.triad_fits import calibrated_ratios
 from srt.model.table1 import AXES
 from srt.noise.allan import CHANNELS
 

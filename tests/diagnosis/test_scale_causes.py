@@ -11,7 +11,7 @@ from scipy.stats import multivariate_normal, norm
 from srt.constants import EARTH_RATE_RAD_S
 from srt.diagnosis import scale_causes
 from srt.diagnosis.scale_causes import ScaleCause, scores
-from srt.diagnosis.scale_ratios import UNKNOWN, ScaleRatios
+from srt.diagnosis.triad_fits import UNKNOWN, ScaleRatios
 
 SOUND = ScaleRatios(1.0, np.array([1.0, 1.0005, 0.9995]), 3e-4)
 TRUE = EARTH_RATE_RAD_S * np.array([-1.0, 1.0]) / math.sqrt(2.0)
