@@ -20,7 +20,7 @@ from srt.diagnosis.false_alarms import FALSE_ALARM
 from srt.diagnosis.findings import Fault, by_sensor
 from srt.diagnosis.gravity_rotation import SAME
 from srt.diagnosis.rotation_readings import BESIDE, ROUNDING
-from srt.diagnosis.time_offsets import sample_twice
+from srt.diagnosis.sensor_synchronisation import sample_twice
 from srt.model.table1 import AXES
 from srt.noise.allan import CHANNELS
 

@@ -20,6 +20,7 @@ from srt.diagnosis.gravity_rotation import (
     turning_blocks,
 )
 from srt.diagnosis.jumps import NO_SPIKES, find_spikes, wrapped_readings
+from srt.diagnosis.label_shift import label_shift
 from srt.diagnosis.rotation_readings import (
     ROUNDING,
     block_averages,
@@ -28,8 +29,6 @@ from srt.diagnosis.rotation_readings import (
     raw_integrals,
     turning_windows,
 )
-from srt.diagnosis.scale_causes import scale_cause
-from srt.diagnosis.sequences import label_shift
 from srt.diagnosis.stationary_rates import earth_rate, stationary_rate_fit, stationary_rates
 from srt.diagnosis.time_offsets import attitude_step, force_effects, lag, stabilised_force, time_offset
 from srt.diagnosis.triad_fits import (
@@ -56,13 +55,11 @@ if TYPE_CHECKING:
 
     from srt.diagnosis.gravity_rotation import ManoeuvreReadings
     from srt.diagnosis.jumps import Spikes
-    from srt.diagnosis.scale_causes import ScaleCause
-    from srt.diagnosis.sequences import LabelShift
+    from srt.diagnosis.label_shift import LabelShift
     from srt.diagnosis.time_offsets import AttitudeStep
     from srt.diagnosis.triad_fits import MeasuredAngles, ScaleRatios
     from srt.recording.recording import Recording, SequenceLabel
     from srt.result.calibration import Calibration
-    from srt.result.diagnostics import RunnerUp
     from srt.sequences.clipping import Clipping
     from srt.sequences.preparation import PreparedRecording
     from srt.sequences.recognition import Recognition
@@ -107,6 +104,14 @@ class Evidence:
     def __init__(self, recording: Recording, options: Options | None = None) -> None:
         self.recording = recording
         self.options = options or Options()
+        self._once: dict[Any, Any] = {}
+
+    def once(self, function: Callable[[Evidence], _T]) -> _T:
+        """Value of a function of this evidence, computed once for all checks that use it."""
+        if function not in self._once:
+            self._once[function] = function(self)
+        value: _T = self._once[function]
+        return value
 
     # --- samples -----------------------------------------------------------------------------------------------------
 
@@ -411,11 +416,6 @@ class Evidence:
 
     accel_scales = _from(accel_ratios, "recording", "manoeuvres", "accel_fit")
     """Ratios of the stationary specific force to gravity."""
-
-    @cached_property
-    def scale_cause(self) -> tuple[ScaleCause, RunnerUp | None]:
-        """Most likely cause of these ratios, and the second most likely if it is nearly as likely."""
-        return scale_cause(self, self.gyro_scales, self.accel_scales)
 
     # --- calibration -------------------------------------------------------------------------------------------------
 

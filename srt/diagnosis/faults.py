@@ -14,9 +14,9 @@ from srt.diagnosis import (
     decays,
     imu_properties,
     joined_units,
+    sensor_synchronisation,
     sequences,
     site,
-    time_offsets,
     timing,
     units,
     window_disturbances,
@@ -121,9 +121,9 @@ STAGES: Final = {
     "motion": Stage(
         "Rotations",
         (
-            time_offsets.SENSOR_TIME_OFFSET,
-            *time_offsets.AXIS_DELAYED.values(),
-            time_offsets.SAMPLES_LOST,
+            sensor_synchronisation.SENSOR_TIME_OFFSET,
+            *sensor_synchronisation.AXIS_DELAYED.values(),
+            sensor_synchronisation.SAMPLES_LOST,
         ),
     ),
     "site": Stage("Site", (site.GRAVITY, site.EARTH_RATE_ABSENT, site.LATITUDE, site.NORTH)),
