@@ -117,20 +117,16 @@ def estimate_units(recordings: Sequence[Recording], options: Sequence[Options]) 
         Of each unit: what its calibration states, or what :func:`estimate` raises for it.
     """
     out: list[UnitEstimate | Exception | None] = [None] * len(recordings)
-    groups: list[list[tuple[int, _Prepared]]] = []
+    groups: dict[int, list[tuple[int, _Prepared]]] = {}  # by their formulas
     prepare_together([(own, _labels(own), chosen.average) for own, chosen in zip(recordings, options, strict=True)])
     for number, (recording, chosen) in enumerate(zip(recordings, options, strict=True)):
         try:
-            unit = _Prepared.of(recording, chosen, [group[0][1] for group in groups])
+            unit = _Prepared.of(recording, chosen, [group[0][1] for group in groups.values()])
         except Exception as error:  # a unit that cannot be calibrated leaves the others
             out[number] = error
             continue
-        group = next((own for own in groups if own[0][1].formulas is unit.formulas), None)
-        if group is None:
-            groups.append([(number, unit)])
-        else:
-            group.append((number, unit))
-    for group in groups:
+        groups.setdefault(id(unit.formulas), []).append((number, unit))
+    for group in groups.values():
         units = []
         for (number, prepared), first in zip(group, _first_estimates([unit for _, unit in group]), strict=True):
             if isinstance(first, Exception):

@@ -29,11 +29,17 @@ from srt.diagnosis.rotation_readings import (
     raw_integrals,
     turning_windows,
 )
-from srt.diagnosis.scale_causes import scale_cause
-from srt.diagnosis.scale_ratios import accel_ratios, gyro_ratios_to_gravity, gyro_ratios_to_labels
-from srt.diagnosis.stationary_rates import earth_rate, earth_rate_factor, stationary_rate_fit, stationary_rates
+from srt.diagnosis.stationary_rates import earth_rate, stationary_rate_fit, stationary_rates
 from srt.diagnosis.time_offsets import attitude_step, force_effects, lag, stabilised_force, time_offset
-from srt.diagnosis.triad_fits import accel_fit, gyro_fit, measured_angles, raw_triads
+from srt.diagnosis.triad_fits import (
+    accel_fit,
+    accel_ratios,
+    gyro_fit,
+    gyro_ratios_to_gravity,
+    gyro_ratios_to_labels,
+    measured_angles,
+    raw_triads,
+)
 from srt.diagnosis.window_averages import quantization, window_averages
 from srt.estimation.options import Options
 from srt.exceptions import DataError
@@ -50,17 +56,14 @@ if TYPE_CHECKING:
     from srt.diagnosis.gravity_rotation import ManoeuvreReadings
     from srt.diagnosis.jumps import Spikes
     from srt.diagnosis.label_shift import LabelShift
-    from srt.diagnosis.scale_causes import ScaleCause
-    from srt.diagnosis.scale_ratios import ScaleRatios
     from srt.diagnosis.time_offsets import AttitudeStep
-    from srt.diagnosis.triad_fits import MeasuredAngles
+    from srt.diagnosis.triad_fits import MeasuredAngles, ScaleRatios
     from srt.recording.recording import Recording, SequenceLabel
     from srt.result.calibration import Calibration
-    from srt.result.diagnostics import RunnerUp
     from srt.sequences.clipping import Clipping
     from srt.sequences.preparation import PreparedRecording
     from srt.sequences.recognition import Recognition
-    from srt.types import Array, Mask
+    from srt.types import Array, Indices, Mask
 
 
 SAMPLES: Final = 20_000
@@ -101,6 +104,14 @@ class Evidence:
     def __init__(self, recording: Recording, options: Options | None = None) -> None:
         self.recording = recording
         self.options = options or Options()
+        self._once: dict[Any, Any] = {}
+
+    def once(self, function: Callable[[Evidence], _T]) -> _T:
+        """Value of a function of this evidence, computed once for all checks that use it."""
+        if function not in self._once:
+            self._once[function] = function(self)
+        value: _T = self._once[function]
+        return value
 
     # --- samples -----------------------------------------------------------------------------------------------------
 
@@ -133,6 +144,11 @@ class Evidence:
     def extremes(self) -> tuple[Array, Array]:
         """Smallest and largest stored value of each channel, shape (6,)."""
         return self.columns.min(axis=1), self.columns.max(axis=1)
+
+    @cached_property
+    def zeros(self) -> Indices:
+        """Number of zero readings of each channel, shape (6,)."""
+        return np.asarray(np.count_nonzero(self.columns == 0.0, axis=1))
 
     @cached_property
     def some(self) -> tuple[Array, Array]:
@@ -286,8 +302,6 @@ class Evidence:
     """Bias, drift, g-sensitivity and Earth rate of the stationary rates."""
     earth_rate = _of(earth_rate, "stationary_rate_fit", "recording")
     """Earth rate in the windows."""
-    earth_rate_factor = _of(earth_rate_factor, "earth_rate")
-    """Factor on the Earth rate at the stated latitude that fits the stationary rates."""
     turning_windows = _of(turning_windows, "data", "columns", "raw_integrals")
     """True for each window in which the unit rotates as in a manoeuvre, shape (W,): its label is wrong."""
 
@@ -402,11 +416,6 @@ class Evidence:
 
     accel_scales = _from(accel_ratios, "recording", "manoeuvres", "accel_fit")
     """Ratios of the stationary specific force to gravity."""
-
-    @cached_property
-    def scale_cause(self) -> tuple[ScaleCause, RunnerUp | None]:
-        """Most likely cause of these ratios, and the second most likely if it is nearly as likely."""
-        return scale_cause(self, self.gyro_scales, self.accel_scales)
 
     # --- calibration -------------------------------------------------------------------------------------------------
 

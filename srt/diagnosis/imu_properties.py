@@ -12,17 +12,15 @@ import math
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
-from scipy.special import chdtr, chdtrc
+from scipy.special import chdtr, chdtrc, chdtri
 
 from srt.constants import DEG_PER_H, DEG_PER_SQRT_H, MICRO_G
 from srt.diagnosis.false_alarms import FALSE_ALARM, limit
 from srt.diagnosis.findings import Fault, by_sensor
-from srt.diagnosis.rotation_readings import ROUNDING
 from srt.diagnosis.triad_fits import MOST_OUTLIERS
 from srt.diagnosis.window_averages import ACCEL, GYRO, NOISY
 from srt.estimation.options import Options
 from srt.model.table1 import AXES
-from srt.noise.random_walk import allan_octaves, octaves_key
 from srt.result.verdict import USABLE
 from srt.sensor_errors import GROUP_SLICES, NAMES
 
@@ -47,7 +45,7 @@ _SHORTEST_S: Final = 0.05
 """Shortest averaging time, s: filters and coarse quantization dominate shorter averages."""
 _DOUBT: Final = 0.5
 """Relative standard deviation of the quantization and bias-instability terms, which do not average out; largest ratio
-of the quantization step to the stated noise of a sample."""
+of the quantization step to the stated noise of a sample, and of a power to that of a single pulse, for a test."""
 _NO_ASYMMETRY: Final = NAMES[GROUP_SLICES["gyro_asymmetry"]]
 """Gyro parameters that ``--no-asymmetry`` fixes."""
 
@@ -206,26 +204,38 @@ def white_noise_test(evidence: Evidence, sensor: Sensor) -> WhiteNoiseTest | Non
     stated = getattr(noise, f"{sensor}_noise")
     if data is None or averages is None or stated is None:
         return None
-    n = ("gyro", "accel").index(sensor)
-    power, largest = averages.relative_noise()
-    quiet = ~np.any(power[:, n] > largest[:, 0], axis=0)
+    channels = GYRO if sensor == "gyro" else ACCEL
+    step = np.where(averages.pulses, 0.0, averages.step)[channels]
+    if np.any(step > _DOUBT * stated / np.sqrt(evidence.dt)):
+        return None  # quantization is so coarse that it changes the noise
+    # Half the squared differences between successive averages, and their number, by octave of the averaging time.
+    octaves = int(np.log2(averages.blocks.max()))
+    power, pairs = np.zeros((len(averages.window), octaves, 3)), np.full((len(averages.window), octaves), np.nan)
+    for windows, means in averages.groups:
+        x = means[:, :, channels]
+        for octave in range(int(np.log2(x.shape[1]))):
+            even, odd = x[:, : x.shape[1] // 2 * 2 : 2], x[:, 1::2]
+            power[windows, octave] = 0.5 * np.einsum("wnc,wnc->wc", odd - even, odd - even)
+            pairs[windows, octave] = even.shape[1]
+            x = 0.5 * (even + odd)
+    summed, own = power.sum(axis=2), 3.0 * pairs
+    typical = np.nanmedian(summed / chdtri(own, 0.5), axis=0)
+    quiet = ~np.any(summed > typical * limit("chi-square", own, tests=own.size), axis=1)
     quiet |= quiet.mean() < 1.0 - MOST_OUTLIERS
-    windows, part = data.windows.samples[averages.window[quiet]], (GYRO, ACCEL)[n]
-    step = np.where(averages.pulses, 0.0, averages.step)[part]
-    octaves = evidence.recording.memo(octaves_key(windows), lambda: allan_octaves([evidence.recording], windows)[0])
-    used = octaves.tau > (1.0 - ROUNDING) * _SHORTEST_S
-    tau, count = octaves.tau[used, None], octaves.differences[used, None]
-    shown = octaves.variance[part, used].T * evidence.per_rate**2
+    tau = averages.step_s * np.exp2(np.arange(octaves))
+    used = np.isfinite(pairs[quiet]).any(axis=0) & (tau > 0.999 * _SHORTEST_S)
+    tau, total = tau[used, None], power[quiet].sum(axis=0)[used]
+    count = np.nansum(pairs[quiet], axis=0)[used, None]
     # Constant readings do not show the noise. Corrected readings are never quite constant: the correction adds parts of
-    # the pulses of the other axes. Coarse steps change the noise.
+    # the pulses of the other axes.
     pulse = getattr(noise, f"{sensor}_quantization") or 0.0
-    coarse = np.any(step > _DOUBT * stated / np.sqrt(evidence.dt))
-    if coarse or len(tau) == 0 or np.any(shown[0] * count[0] <= (0.5 * pulse / tau[0]) ** 2):
+    if len(tau) == 0 or np.any(total[0] <= 0.5 * _DOUBT * (pulse / tau[0]) ** 2):
         return None
-    other = 3.0 * getattr(data.noise, f"{sensor}_edge") ** 2 / tau**2 + step**2 * evidence.dt / 12.0 / tau
-    other = other + (getattr(noise, f"{sensor}_bias_instability") or 0.0) ** 2
+    instability = getattr(noise, f"{sensor}_bias_instability") or 0.0
+    other = 3.0 * getattr(data.noise, f"{sensor}_edge") ** 2 / tau**2 + instability**2
+    other = other + step**2 * evidence.dt / 12.0 / tau
     # Three channels, and the triad: shape (octaves, 4).
-    shown, beside = (np.column_stack([x, x.mean(axis=1)]) for x in (shown, other))
+    shown, beside = (np.column_stack([x, x.mean(axis=1)]) for x in (total / count, other))
     expected = stated**2 / tau + beside
     variance = 2.0 * expected**2 / (count * [1, 1, 1, 3]) + (_DOUBT * beside) ** 2
     weight = 1.0 / (tau * variance)

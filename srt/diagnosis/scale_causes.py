@@ -24,7 +24,7 @@ from scipy.special import log_softmax, voigt_profile
 
 from srt.constants import EARTH_RATE_RAD_S
 from srt.diagnosis.cause_comparison import CLOSE
-from srt.diagnosis.scale_ratios import RAW_SCALE, UNKNOWN, stationary_force_scatter
+from srt.diagnosis.triad_fits import RAW_SCALE, UNKNOWN, stationary_force_scatter
 from srt.model.table1 import AXES
 from srt.recording.schema import ACCEL_UNITS, GYRO_UNITS
 from srt.recording.schema import TIME_UNITS as SECONDS
@@ -36,8 +36,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
     from srt.diagnosis.evidence import Evidence
-    from srt.diagnosis.scale_ratios import ScaleRatios
     from srt.diagnosis.stationary_rates import EarthRate
+    from srt.diagnosis.triad_fits import ScaleRatios
     from srt.sequences.wrong_units import WrongUnit
     from srt.types import Array, Mask, Sensor
 

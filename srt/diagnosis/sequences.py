@@ -12,8 +12,8 @@ import numpy as np
 from srt.diagnosis.findings import Fault
 from srt.diagnosis.label_shift import lost_samples
 from srt.diagnosis.rotation_readings import AGREE, invert_readings
-from srt.diagnosis.scale_ratios import RAW_SCALE
 from srt.diagnosis.sensor_synchronisation import SAMPLES_LOST, samples_lost
+from srt.diagnosis.triad_fits import RAW_SCALE
 from srt.estimation.rotation_accuracy import SIGMAS, scatter_ratio
 from srt.model import closed_form
 from srt.model.table1 import SEQUENCES

@@ -75,8 +75,8 @@ def earth_rate(evidence: Evidence) -> Iterator[Finding]:
     degree of freedom and those of the stationary rates.
     """
     site, fixture = evidence.recording.site, evidence.recording.fixture
-    fit, earth, factor = evidence.stationary_rate_fit, evidence.earth_rate, evidence.earth_rate_factor
-    if site.latitude_rad is None or fixture is None or fit is None or earth is None or factor is None:
+    fit, earth = evidence.stationary_rate_fit, evidence.earth_rate
+    if site.latitude_rad is None or fixture is None or fit is None or earth is None:
         return
     largest = float(limit("F", 1, fit.freedom))
 
@@ -94,8 +94,10 @@ def earth_rate(evidence: Evidence) -> Iterator[Finding]:
         )
         return
     latitude = site.latitude_rad
-    by_clock = factor.misfit < by_latitude[best] - largest
-    if not by_clock and float(misfit(np.array(latitude)) - by_latitude[best]) > largest:
+    # A wrong sample rate is a factor on the Earth rate; a latitude keeps its magnitude.
+    found, true = earth.found / earth.sigma, earth.true / earth.sigma
+    by_factor = float(found @ found - (true @ found) ** 2 / (true @ true))
+    if by_factor >= by_latitude[best] - largest and float(misfit(np.array(latitude)) - by_latitude[best]) > largest:
         near = np.flatnonzero(by_latitude <= by_latitude[best] + 1.0)
         step = float(_LATITUDES[1] - _LATITUDES[0])
         yield LATITUDE.found(

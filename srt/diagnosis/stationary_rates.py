@@ -171,14 +171,6 @@ def _solve(rate: Array, columns: Array, covariance: Array) -> tuple[Array, Array
         weak = outlier
 
 
-class EarthRateFactor(NamedTuple):
-    """Measured over true Earth rate at the stated latitude, its standard deviation, and chi-square of the residuals."""
-
-    value: float
-    sigma: float
-    misfit: float
-
-
 class EarthRate(NamedTuple):
     """Vertical and horizontal Earth rate, (2,) each, rad/s."""
 
@@ -204,12 +196,3 @@ def earth_rate(fit: StationaryRateFit, recording: Recording) -> EarthRate | None
     true = EARTH_RATE_RAD_S * np.array([-np.sin(site.latitude_rad), np.cos(site.latitude_rad)])
     found = np.array([fit.vertical, float(np.hypot(*fit.horizontal))])
     return EarthRate(found, np.sqrt(sigma**2 + factor**2 * hidden + align**2), true)
-
-
-def earth_rate_factor(earth: EarthRate) -> EarthRateFactor:
-    """Factor on the Earth rate that fits best: of a wrong sample rate, not of a latitude, which keeps the magnitude."""
-    found, true = earth.found / earth.sigma, earth.true / earth.sigma
-    information = float(true @ true)
-    value = float(true @ found) / information
-    left = found - value * true
-    return EarthRateFactor(value, information**-0.5, float(left @ left))

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from srt.sequences.preparation import PreparedRecording
     from srt.types import Array, Indices, Mask
 
+_FEWEST_TURNS: Final = 4
+"""Fewest rotations for an estimate of the scatter of the offset, and of the accelerometer errors that all share."""
 _LEAST_OFFSET: Final = 0.02
 """Smallest offset for a finding, in sampling intervals: the effective time of a reading is not known better."""
 _COARSE: Final = 5
@@ -72,7 +74,7 @@ class TimeOffset(NamedTuple):
 
 
 def time_offset(path: StabilisedForce, effects: Array) -> TimeOffset | None:
-    """Time offset between the sensors; None with fewer than two rotations about one horizontal axis.
+    """Time offset between the sensors; None with fewer than four rotations about one horizontal axis.
 
     The accelerometer errors are common to all rotations. Each rotation has its own offset, initial angle and gyro
     scale-factor error; the scatter of the offsets includes all unmodelled effects. ``effects`` are those of
@@ -88,7 +90,7 @@ def time_offset(path: StabilisedForce, effects: Array) -> TimeOffset | None:
     one_axis = size > 0.9 * np.add.reduceat(np.linalg.norm(rate, axis=1), first) * turns.step_s
     chosen = np.flatnonzero((size > 1.0) & one_axis & (level > 0.9) & (np.diff(turns.starts) >= 2 * _COARSE))
     n = len(chosen)
-    if n < 2:  # the offsets have no scatter
+    if n < _FEWEST_TURNS:
         return None
     # By block: effects of the accelerometer errors on the angle, this angle, and the rate about the axis.
     number = np.repeat(np.arange(len(first)), np.diff(turns.starts))

@@ -10,7 +10,7 @@ import numpy as np
 from srt.diagnosis.findings import Fault, Finding, by_sensor
 from srt.diagnosis.gravity_rotation import block_size, force_limit, rate_limit
 from srt.diagnosis.scale_causes import scale_cause
-from srt.diagnosis.scale_ratios import calibrated_ratios
+from srt.diagnosis.triad_fits import calibrated_ratios
 from srt.model.table1 import AXES
 from srt.noise.allan import CHANNELS
 
@@ -37,7 +37,7 @@ def scales_of_result(evidence: Evidence) -> Iterator[Finding]:
 
     The readings of rotations by hand show their ratios to some percent only.
     """
-    before, _ = evidence.scale_cause
+    before, _ = evidence.once(_cause_of_readings)
     # Other causes stop the calibration and were found before it; these are warnings: the factor may be that of a unit.
     if _ONE_FACTOR.issuperset(before.faults) and evidence.result is not None:
         gyro, accel = (calibrated_ratios(evidence.result, "gyro"), calibrated_ratios(evidence.result, "accel"))
@@ -45,11 +45,15 @@ def scales_of_result(evidence: Evidence) -> Iterator[Finding]:
         yield from (finding for finding in found if finding.fault not in before.faults)
 
 
+def _cause_of_readings(evidence: Evidence) -> tuple[ScaleCause, RunnerUp | None]:
+    return scale_cause(evidence, evidence.gyro_scales, evidence.accel_scales)
+
+
 def scale_findings(
     evidence: Evidence, faults: Mapping[str, Fault], cause: tuple[ScaleCause, RunnerUp | None] | None = None
 ) -> Iterator[Finding]:
     """Findings of those of the faults that are the cause of the ratios, by default of those of the readings."""
-    best, runner_up = cause or evidence.scale_cause
+    best, runner_up = cause or evidence.once(_cause_of_readings)
     for place, name in enumerate(best.faults):
         if name not in faults:
             continue

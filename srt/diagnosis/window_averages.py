@@ -12,6 +12,7 @@ import numpy as np
 
 from srt.diagnosis.false_alarms import limit, robust_sigma
 from srt.diagnosis.rotation_readings import rates_factor
+from srt.diagnosis.triad_fits import LEAST_FREEDOM
 from srt.noise.noise_model import ACCEL_FLOOR, GYRO_FLOOR
 from srt.noise.quantization import quantization_step
 
@@ -25,8 +26,6 @@ ACCEL: Final = slice(3, None)
 """Columns of the gyros and of the accelerometers."""
 _BLOCKS: Final = 80
 """Number of blocks in a window of median length: a block is 0.125 s in a window of 10 s, about as long as a bump."""
-_FEWEST_BLOCKS: Final = 12
-"""Fewest blocks of a window that is compared with the others."""
 _HEADS_S: Final = (0.25, 1.0)
 """Lengths of the part at the start of a window that is searched for an oscillation of the fixture, s."""
 _SOME_WINDOWS: Final = 6
@@ -80,7 +79,7 @@ def window_averages(data: PreparedRecording, columns: Array, quantum: Array) -> 
     dt, per_rate = recording.nominal_interval_s, rates_factor(recording)
     lengths = samples[:, 1] - samples[:, 0]
     size = max(1, int(np.median(lengths)) // _BLOCKS)
-    chosen = np.flatnonzero(lengths >= _FEWEST_BLOCKS * size)
+    chosen = np.flatnonzero(lengths >= LEAST_FREEDOM * size)
     if len(chosen) < 4:
         return None
     quarter = int(np.median(lengths[chosen])) // 4

@@ -66,26 +66,20 @@ def words_of_one_polarity(evidence: Evidence) -> Iterator[Finding]:
     turned, poses = evidence.labelled_inputs
     missed, read = evidence.missed_rotations
     turned = np.concatenate([turned, np.where(unread(missed, read), missed, read)])
-    for sensor, table, some, inputs in zip(
-        ONE_POLARITY, (evidence.rate, evidence.force), evidence.some, (turned, poses), strict=True
-    ):
-        if sensor in evidence.wrapped_readings:
-            continue  # signed words that are read as unsigned ones have no negative values either
-        both = np.any(inputs > MOVED, axis=0) & np.any(inputs < -MOVED, axis=0)
-        zeros = np.count_nonzero(table == 0.0, axis=0) if (some == 0.0).any() else np.zeros(3)
-        often = zeros >= _MANY
-        for axis in np.flatnonzero(often).tolist():
-            column = table[:, axis]
-            low, high = float(column.min()), float(column.max())
-            if low * high != 0.0 or low == high:
-                continue
-            size = np.abs(column[column != 0.0])
-            alone = np.count_nonzero(often) == 1 and evidence.noisy_channels.any()
-            if both[axis] or (alone and not _on_grid(size, float(size.min()))):
-                missing = "negative" if low == 0.0 else "positive"
-                channel, share = f"{sensor}_{AXES[axis]}", 100.0 * zeros[axis] / len(column)
-                yield ONE_POLARITY[sensor].found(channel=channel, missing=missing, share=share)
-                return
+    both = np.concatenate([np.any(x > MOVED, axis=0) & np.any(x < -MOVED, axis=0) for x in (turned, poses)])
+    often = evidence.zeros >= _MANY
+    alone = evidence.noisy_channels.any() & (often.reshape(2, 3).sum(axis=1) == 1).repeat(3)
+    for c in np.flatnonzero(often).tolist():
+        channel, column, (low, high) = CHANNELS[c], evidence.columns[c], (float(x[c]) for x in evidence.extremes)
+        sensor = channel[:-2]
+        # Signed words that are read as unsigned ones have no negative values either.
+        if sensor in evidence.wrapped_readings or low * high != 0.0 or low == high:
+            continue
+        size = np.abs(column[column != 0.0])
+        if both[c] or (alone[c] and not _on_grid(size, float(size.min()))):
+            missing, share = "negative" if low == 0.0 else "positive", 100.0 * evidence.zeros[c] / len(column)
+            yield ONE_POLARITY[sensor].found(channel=channel, missing=missing, share=share)
+            return
 
 
 ONE_POLARITY: Final = by_sensor(
@@ -161,7 +155,7 @@ def dead_bands(evidence: Evidence) -> Iterator[Finding]:
         if sensor in evidence.wrapped_readings or (gyro and not evidence.noisy_channels[3:].any()):
             continue
         pulse = (noise.gyro_quantization if gyro else noise.accel_quantization) or 0.0
-        zeros = np.count_nonzero(table == 0.0, axis=0)
+        zeros = evidence.zeros.reshape(2, 3)[0 if gyro else 1]
         for axis in np.flatnonzero((zeros >= _MANY // 2) & (zeros < len(table))).tolist():
             size = np.abs(table[table[:, axis] != 0.0, axis])
             threshold = float(size.min())

@@ -17,7 +17,6 @@ from srt.noise.drift_forms import (
     FALSE_ALARM,
     LINEAR,
     WALK,
-    common_course_statistics,
     drift_test,
     form_or_scatter,
     likelihood_gain,
@@ -313,7 +312,7 @@ def gyro_statistics(
 def _of_all_windows(data: PreparedRecording, rest: Array, variance: Array, course: Array) -> Statistics:
     """Statistics where the rates of all windows have the same noise: the schedule determines the eigenvectors."""
     left, eigen = centred_course(data, course)
-    return common_course_statistics(rest, variance, left, eigen)
+    return _common_course_statistics(rest, variance, left, eigen)
 
 
 def centred_course(data: PreparedRecording, course: Array) -> tuple[Array, tuple[Array, Array]]:
@@ -325,3 +324,28 @@ def centred_course(data: PreparedRecording, course: Array) -> tuple[Array, tuple
         return left, (values, vectors)
 
     return data.of_schedule(("course", course.tobytes()), centred)
+
+
+def _common_course_statistics(z: Array, variance: Array, course: Array, eigen: tuple[Array, Array]) -> Statistics:
+    """Statistics of courses of the biases of three channels, each of whose readings have one variance and a mean.
+
+    Parameters
+    ----------
+    z : ndarray, shape (W, 3)
+    variance : ndarray, shape (3,)
+    course : ndarray, shape (W, n)
+        Courses, with a mean of zero.
+    eigen : (ndarray, ndarray), shape (n,) and (n, n)
+        Eigenvalues of ``courseᵀ course``, ascending, and its eigenvectors.
+    """
+    r, n, channels = z - z.mean(axis=0), course.shape[1], np.arange(3)
+    information, vectors = np.zeros((2, n, 3, n, 3))
+    information[:, channels, :, channels] = (course.T @ course) / variance[:, None, None]
+    vectors[:, channels, :, channels] = eigen[1]
+    return Statistics(
+        ((course.T @ r) / variance).ravel(),
+        information.reshape(3 * n, 3 * n),
+        float(np.sum(r**2 / variance)),
+        r.size - 3,
+        ((eigen[0][:, None] / variance).ravel(), vectors.reshape(3 * n, 3 * n)),
+    )

@@ -328,31 +328,6 @@ def residual_statistics(z: Array, H: Array, *effects: Array) -> list[Statistics]
     return [Statistics(Z.T @ r, Z.T @ Z, chi_square, freedom) for Z in left]
 
 
-def common_course_statistics(z: Array, variance: Array, course: Array, eigen: tuple[Array, Array]) -> Statistics:
-    """Statistics of courses of the biases of three channels, each of whose readings have one variance and a mean.
-
-    Parameters
-    ----------
-    z : ndarray, shape (W, 3)
-    variance : ndarray, shape (3,)
-    course : ndarray, shape (W, n)
-        Courses, with a mean of zero.
-    eigen : (ndarray, ndarray), shape (n,) and (n, n)
-        Eigenvalues of ``courseᵀ course``, ascending, and its eigenvectors.
-    """
-    r, n, channels = z - z.mean(axis=0), course.shape[1], np.arange(3)
-    information, vectors = np.zeros((2, n, 3, n, 3))
-    information[:, channels, :, channels] = (course.T @ course) / variance[:, None, None]
-    vectors[:, channels, :, channels] = eigen[1]
-    return Statistics(
-        ((course.T @ r) / variance).ravel(),
-        information.reshape(3 * n, 3 * n),
-        float(np.sum(r**2 / variance)),
-        r.size - 3,
-        ((eigen[0][:, None] / variance).ravel(), vectors.reshape(3 * n, 3 * n)),
-    )
-
-
 def drift_test(found: Statistics) -> DriftTest | None:
     """Test of a form against the model without it; None if the residuals do not depend on it.
 

@@ -14,8 +14,7 @@ from injected_faults.injection import GRADES, INJECTIONS, Case
 
 from sims.physics.imu import read_out
 from srt.diagnosis import faults
-from srt.diagnosis.channels import CHANNELS
-from srt.diagnosis.repeated_samples import repeated_runs
+from srt.diagnosis.channels import CHANNELS, repeated_runs
 from srt.exceptions import SrtError
 from srt.recording.recording import ImuNoise, Recording, SequenceLabel, Site
 

@@ -14,8 +14,8 @@ from srt.diagnosis.cause_comparison import CLOSE, Cause, compare
 from srt.diagnosis.faults import FAULTS
 from srt.diagnosis.findings import with_runner_up
 from srt.diagnosis.scale_causes import ScaleCause, scores
-from srt.diagnosis.scale_ratios import UNKNOWN, ScaleRatios
 from srt.diagnosis.staged_diagnosis import Diagnosis
+from srt.diagnosis.triad_fits import UNKNOWN, ScaleRatios
 from srt.reports.text.inspection import runner_up_sentence
 from srt.result.diagnostics import RunnerUp
 from srt.result.document import to_document
