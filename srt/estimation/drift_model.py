@@ -17,6 +17,7 @@ from srt.noise.drift_forms import (
     FALSE_ALARM,
     LINEAR,
     WALK,
+    Statistics,
     drift_test,
     form_or_scatter,
     likelihood_gain,
@@ -29,7 +30,7 @@ from srt.result.diagnostics import Drift
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from srt.noise.drift_forms import DriftTest, Statistics
+    from srt.noise.drift_forms import DriftTest
     from srt.sequences.preparation import PreparedRecording
     from srt.types import Array, Mask
 
