@@ -104,7 +104,7 @@ def _goes_on(evidence: Evidence, channel: int, bounds: tuple[int, int, int, int]
     sensor, axis = ("gyro", "accel")[channel // 3], channel % 3
     pulse, (a, first, last, b) = getattr(recording.noise, f"{sensor}_quantization"), bounds
     assert data is not None
-    if pulse is None:
+    if not pulse:
         return False
     # White noise makes a random walk of the counted angle, which stays within one pulse over n samples with
     # p = exp(−n (π σ)² / 2), for a noise σ of a sample in pulses.
