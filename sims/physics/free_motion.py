@@ -80,7 +80,7 @@ def free_motion(
     durations_s : ndarray, shape (m,), optional
         Duration of each turn, s, in place of ``peak_rate_rad_s``.
     sample_rate_hz, earth_rate, start_time_s, rng
-        As in :func:`placed_motion`.
+        As in :func:`sims.physics.free_motion.placed_motion`.
 
     Returns
     -------

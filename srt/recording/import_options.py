@@ -60,15 +60,14 @@ class ImportOptions:
     ----------
     columns : mapping of channel to column
         Channels are those of a table of samples, or "gyro" and "accel" for an array of three columns; a column is a
-        name, or a number counted from 1. Empty: columns are recognised by their names. Given as text for
-        :func:`parse_columns`, too.
+        name, or a number counted from 1. Empty: columns are recognised by their names. Or the text of ``--columns``.
     kind : "rate" or "increment"
     time_unit, gyro_unit, accel_unit : str
         As in ``recording.toml``.
     gyro_lsb, accel_lsb : (float, float, float)
-        SI units per count, for the unit "counts". Given as one number or as text for :func:`parse_lsb`, too.
+        SI units per count, for the unit "counts". One number, or the text of ``--gyro-lsb``, will do.
     gyro_offset, accel_offset : (float, float, float)
-        Counts at zero input. Given as one number or as text for :func:`parse_offset`, too.
+        Counts at zero input. One number, or the text of ``--gyro-offset``, will do.
     sample_rate_hz : float
         Rate of the samples; it overrides time stamps.
     topic : str
