@@ -18,7 +18,7 @@ COMPLETE = {
     "temperature": np.linspace(20.0, 21.0, 300),
     "date": "2024-05-06",
 }
-"""What a recording may hold beside its readings."""
+"""Everything that a recording may hold beside its readings."""
 
 
 @pytest.mark.parametrize("kind", ["rate", "increment"])

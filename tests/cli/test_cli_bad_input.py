@@ -1,6 +1,6 @@
 """A good recording, spoiled in one way, through ``srt calibrate``: exit code, one sentence, nothing half-written.
 
-What the reader of a folder refuses is in ``recording/test_recording_refusals``; one case of each of its files is here.
+Refusals of the reader of a folder are in ``recording/test_recording_refusals``; one case of each of its files is here.
 """
 
 import json
@@ -140,7 +140,7 @@ CASES = {
     "no recording": (lambda r: shutil.rmtree(r.folder), 2, ["There is no recording"]),
     "truncated recording.toml": (truncated_toml, 2, ["recording.toml", "not valid TOML"]),
 }
-"""What spoils the recording, exit code, and what the sentence must hold."""
+"""Edit that spoils the recording, exit code, and words that the sentence must hold."""
 
 
 @pytest.mark.parametrize(("spoil", "code", "fragments"), CASES.values(), ids=CASES)

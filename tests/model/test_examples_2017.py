@@ -209,7 +209,7 @@ def test_gyro_bias_for_any_ramp_response_eqs_57_65(F):
 
 @pytest.mark.parametrize(("name", "axis"), [("7", 1), ("13", 2)])
 def test_specific_force_errors_eqs_53_62(name, axis):
-    """Of the windows at the start and at the end, where the axis that is down reads -g and g."""
+    """Windows at the start and at the end, where the axis that is down reads -g and g."""
     expected = {
         "7": (
             [vector(λx=1, μxy=-G), vector(λy=1, λyy=-G, λyyy=G), vector(λz=1, μzy=-G)],
