@@ -15,7 +15,7 @@ from srt.closed_form.fixture_accuracy import fixture_excess
 from srt.closed_form.formulas import SelectedFormulas
 from srt.closed_form.iteration import iterate, iterate_units
 from srt.closed_form.leave_one_out import sequence_diagnostics
-from srt.closed_form.measurement_covariance import accel_drift, covariance, disturbances, effect
+from srt.closed_form.measurement_covariance import accel_drift, covariance, covariance_by_source, disturbances, effect
 from srt.estimation import g_sensitivity_report
 from srt.estimation.calibration_builder import build_calibration, reported_covariance, usable_status
 from srt.estimation.drift_model import DriftEstimate, change, gyro_statistics, most_likely, possible_sigma
@@ -270,7 +270,7 @@ class _Unit(_Prepared):
         data, solution = _with_instability(data, used, formulas, solution, uncertain)
         excess, stated = NO_ERRORS, data
         if solution.status == "converged" and solution.verticals_disagree:
-            excess = fixture_excess(data, solution.measurements, solution.total)
+            excess = fixture_excess(data, solution.measurements, solution.covariance)
         if any(excess):
             data = as_found(data, excess)
             uncertain = fixed_sigma(data, options)
@@ -311,7 +311,7 @@ class _FinalSolution:
             status, message = usable_status(message, (*self.unit.options.fixed_names, *self.unit.formulas.missing))
         if status == "outside_model":
             observed = np.zeros(N_PARAMETERS, dtype=np.bool_)
-        covariance = reported_covariance(self.stated, solution.total + by_unseen, observed)
+        covariance = reported_covariance(self.stated, solution.covariance + by_unseen, observed)
         if not (np.isfinite(covariance).all() and np.isfinite(solution.errors.vector).all()):
             return None
         return UnitEstimate(ESTIMATOR, status, message, solution.errors, covariance, solution.corrections, observed)
@@ -383,18 +383,18 @@ def _result(
     """Solver result of a solution whose ``fixed`` parameters are not estimated."""
     m, R, forces = solution.measurements, solution.measurement_covariance, slice(2 * data.K, -3)
     statistic, freedom = _fit(solution)
-    covariance = dict(solution.covariance)
+    by_source = covariance_by_source(m, data, solution.wander, solution.gain, solution.projection, solution.held)
     followed, notes = _g_sensitivity(data, solution, automatic=options.gyro_bias != G_SENSITIVE)
     drift: tuple[DriftEstimate, ...] = ()
     possible = 0.0
     if solution.status == "converged" and not fixed.all():
         drift = _drift(data, solution)
         possible, by_unseen = _unseen(data, solution)
-        covariance["accel_bias_instability"] = covariance["accel_bias_instability"] + by_unseen
+        by_source["accel_bias_instability"] += by_unseen
     return SolverResult(
         errors=solution.errors,
         U=solution.U,
-        covariance=covariance,
+        covariance=by_source,
         corrections=solution.corrections,
         status=solution.status,
         message=solution.message,

@@ -20,11 +20,11 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from srt.closed_form.measurement_covariance import (
+    bias_of_test,
     covariance,
     disturbances,
-    effect,
-    of_independent,
     projection,
+    squared,
     through,
 )
 from srt.closed_form.solution import Solution, residuals_of_units
@@ -319,22 +319,11 @@ class _Iteration:
         gain, projected = self.formulas.gain(measurements), self._projection(measurements)
         solved = np.asarray(np.isfinite(gain).all(axis=(1, 2)))
         gain[~solved] = 0.0
-        seen, found = through(gain, projected), disturbances(measurements, self.data, self.wander)
-        roots = {name: effect(projected, source) for name, source in found.items()}
-        total = sum(_squared(G) for G in roots.values()) + of_independent(projected, found.values())
-        by_source = {name: _squared(gain @ G) + of_independent(seen, [found[name]]) for name, G in roots.items()}
-        noise, bias = self.data.noise, np.arange(N_PARAMETERS)[GROUP_SLICES["gyro_bias"]]
         # The errors of the fixed values propagate into the estimated parameters.
-        by_fixed = measurements.H * np.where(self.formulas.fixed, self.fixed_sigma, 0.0)
-        by_source["held_values"] = _squared(gain @ by_fixed)
-        total = total + _squared(by_fixed)
-        if noise.gyro_flicker is None:
-            # The reported bias is the unit's; the bias during this test differs from it by one random draw. A stated
-            # bias instability includes this already: its part common to all windows is an error of the bias alone.
-            by_source["gyro_bias_instability"][:, bias, bias] += self.wander**2
-        left = np.eye(measurements.z.shape[1]) - measurements.H @ gain
-        residual = left @ total @ np.swapaxes(left, -1, -2)
-        of_parameters = np.asarray(sum(by_source.values()))
+        held = measurements.H * np.where(self.formulas.fixed, self.fixed_sigma, 0.0)
+        found = disturbances(measurements, self.data, self.wander).values()
+        total = covariance(projected, found) + squared(held)
+        of_parameters = gain @ total @ np.swapaxes(gain, -1, -2) + bias_of_test(self.data, self.wander)
         of_units = residuals_of_units(self.data, self.formulas.kept, measurements, total, of_parameters, projected)
         for u, number in enumerate(self.number.tolist()):
             corrections = self.corrections[u].tolist()
@@ -342,11 +331,11 @@ class _Iteration:
             self.solutions[number] = Solution(
                 errors=SensorErrors(self.vector[u]),
                 U=self.U[u],
-                covariance={name: P[u] for name, P in by_source.items()},
+                covariance=of_parameters[u],
                 measurement_covariance=total[u],
-                residual_covariance=residual[u],
                 gain=gain[u],
                 projection={kind: part[u] for kind, part in projected.items()},
+                held=held[u],
                 measurements=measurements.of(u),
                 corrections=tuple(corrections),
                 status=status if solved[u] else "outside_model",
@@ -358,10 +347,6 @@ class _Iteration:
                 of_units=of_units[u][0],
                 row=of_units[u][1],
             )
-
-
-def _squared(root: Array) -> Array:
-    return np.asarray(root @ np.swapaxes(root, -1, -2))
 
 
 def _parts(which: Indices) -> Iterator[Indices]:

@@ -15,6 +15,7 @@ import numpy as np
 from srt.estimation import error_sources as sources
 from srt.estimation.error_sources import Source
 from srt.model.rotations import cross_matrix, rotation_matrix
+from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable
@@ -126,11 +127,51 @@ def through(gain: Array, projected: Draws) -> Draws:
 
 def covariance(projected: Draws, found: Collection[Source | Draws]) -> Array:
     """Covariance of z, or of what else is projected, by several sources together, shape (..., n_z, n_z)."""
-    G = np.concatenate([effect(projected, source) for source in found], axis=-1)
-    return np.asarray(G @ np.swapaxes(G, -1, -2) + of_independent(projected, found))
+    return squared(np.concatenate([effect(projected, source) for source in found], axis=-1)) + _of_own(projected, found)
 
 
-def of_independent(projected: Draws, found: Iterable[Source | Draws]) -> Array:
+def covariance_by_source(
+    measurements: SrtMeasurements, data: PreparedRecording, wander: Array, gain: Array, projected: Draws, held: Array
+) -> dict[str, Array]:
+    """Covariance of the parameters, shape (27, 27), source by source; their sum is that of the solution.
+
+    Parameters
+    ----------
+    measurements, data, wander
+        As for :func:`disturbances`.
+    gain : ndarray, shape (27, n_z)
+    projected : dict of str to ndarray
+        :func:`projection`.
+    held : ndarray, shape (n_z, 27)
+        Effect on z of the fixed values, 1-sigma.
+    """
+    seen, found = through(gain, projected), disturbances(measurements, data, wander)
+    out = {name: covariance(seen, [source]) for name, source in found.items()}
+    out["gyro_bias_instability"] += bias_of_test(data, wander)
+    return out | {"held_values": squared(gain @ held)}
+
+
+def bias_of_test(data: PreparedRecording, wander: Array) -> Array:
+    """Covariance (..., 27, 27) of the gyro bias during this test about that of the unit, which is reported.
+
+    A bias differs from the unit's by one random draw. A stated bias instability includes this already: its part common
+    to all windows is an error of the bias alone.
+    """
+    out, bias = (
+        np.zeros((*wander.shape[:-1], N_PARAMETERS, N_PARAMETERS)),
+        np.arange(N_PARAMETERS)[GROUP_SLICES["gyro_bias"]],
+    )
+    if data.noise.gyro_flicker is None:
+        out[..., bias, bias] = wander**2
+    return out
+
+
+def squared(root: Array) -> Array:
+    """Covariance of unit draws with this effect."""
+    return np.asarray(root @ np.swapaxes(root, -1, -2))
+
+
+def _of_own(projected: Draws, found: Iterable[Source | Draws]) -> Array:
     """The part of :func:`covariance` by the errors of single windows and rotations."""
     rows = projected["turn"].shape[:-2]
     own: dict[str, Array] = {}

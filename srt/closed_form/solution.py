@@ -146,13 +146,14 @@ class Solution:
     ----------
     errors : SensorErrors
     U : ndarray, shape (3, 3)
-    covariance : dict of str to ndarray, shape (27, 27)
-        By source of error.
-    measurement_covariance, residual_covariance : ndarray, shape (n_z, n_z)
-        Covariance of z, and of the residuals after the estimate.
+    covariance : ndarray, shape (27, 27)
+        Of the estimate, by all sources.
+    measurement_covariance : ndarray, shape (n_z, n_z)
     gain : ndarray, shape (27, n_z)
     projection : dict of str to ndarray
         Effect of errors of rotations and windows on z; see :mod:`srt.closed_form.measurement_covariance`.
+    held : ndarray, shape (n_z, 27)
+        Effect of the fixed values' errors on z, 1-sigma.
     measurements : SrtMeasurements
         Measurements of the last iteration.
     corrections : tuple of float
@@ -174,11 +175,11 @@ class Solution:
 
     errors: SensorErrors
     U: Array
-    covariance: dict[str, Array]
+    covariance: Array
     measurement_covariance: Array
-    residual_covariance: Array
     gain: Array
     projection: dict[str, Array]
+    held: Array
     measurements: SrtMeasurements
     corrections: tuple[float, ...]
     status: str
@@ -213,9 +214,10 @@ class Solution:
         return effects[self.row], statistics[self.row]
 
     @property
-    def total(self) -> Array:
-        """Covariance of the estimate by all sources, shape (27, 27)."""
-        return np.asarray(sum(self.covariance.values()))
+    def residual_covariance(self) -> Array:
+        """Covariance of the residuals after the estimate, shape (n_z, n_z)."""
+        left = np.eye(self.gain.shape[1]) - self.measurements.H @ self.gain
+        return np.asarray(left @ self.measurement_covariance @ left.T)
 
     @property
     def may_be_unstable(self) -> bool:
