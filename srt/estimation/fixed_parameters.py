@@ -59,7 +59,7 @@ def fixed_sigma(data: PreparedRecording, options: Options) -> Array:
     if isinstance(options.start, SensorErrors):
         return np.zeros(N_PARAMETERS)
     key = ("sigma of fixed parameters", options.start, options.fixed_names)
-    return data.of_schedule(key, lambda: _fixed_sigma(data, options))
+    return data.of_labels(key, lambda: _fixed_sigma(data, options))
 
 
 def _fixed_sigma(data: PreparedRecording, options: Options) -> Array:
@@ -81,7 +81,7 @@ def _fixed_sigma(data: PreparedRecording, options: Options) -> Array:
     axes = POSE_FRAME if data.posed.all() and data.nominal is None else ()
     exact = [INDEX[name] for name in options.fixed_names if "asymmetry" in name or name in axes]
     sigma[exact] = 0.0
-    sigma.flags.writeable = False  # all units of the schedule have it in common
+    sigma.flags.writeable = False  # all units of these labels have it in common
     return sigma
 
 
@@ -112,7 +112,7 @@ def determined_by_fixture(data: PreparedRecording) -> Mask:
     The standard deviations of its least-squares fits, for errors of the fixture's alignment and rotations, are below
     those of an observed parameter. All are False without nominal attitudes.
     """
-    return data.of_schedule("determined by the fixture", lambda: _determined_by_fixture(data))
+    return data.of_labels("determined by the fixture", lambda: _determined_by_fixture(data))
 
 
 def _determined_by_fixture(data: PreparedRecording) -> Mask:

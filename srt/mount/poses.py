@@ -130,7 +130,7 @@ def find_poses(recording: Recording, calibration: Calibration, *, level_sigma_ra
         raise InputError(f"The calibration cannot be applied: {reason}; calibrate the unit again.")
     check_interval(recording)
     samples = _candidates(recording)
-    windows = average_windows([recording], samples, "linear")[0]
+    windows = average_windows([recording], [samples], "linear")[0]
     times = np.array([window_times(recording, (a, b)) for a, b in samples.tolist()])
     names = [f"The static pose from {a:.6g} s to {b:.6g} s" for a, b in times.tolist()]
     g = recording.site.gravity_m_s2

@@ -152,21 +152,21 @@ class NoiseModel:
 
 def noise_model(recording: Recording, windows: Indices) -> NoiseModel:
     """:func:`noise_models` of one recording."""
-    return noise_models([recording], windows)[0]
+    return noise_models([recording], [windows])[0]
 
 
-def noise_models(recordings: Sequence[Recording], windows: Indices) -> list[NoiseModel]:
+def noise_models(recordings: Sequence[Recording], windows: Sequence[Indices]) -> list[NoiseModel]:
     """Complete the stated noise of units from their stationary windows.
 
     Parameters
     ----------
     recordings : sequence of Recording
-        Of one run, with the same stated noise.
-    windows : ndarray of int, shape (W, 2)
-        First sample and one past the last of every window.
+        With the same stated noise, and samples of one duration, or at the same times.
+    windows : sequence of ndarray of int, shape (W, 2)
+        First sample and one past the last of every window of each recording, of equal lengths in all.
     """
     stated, dt, unit = recordings[0].noise, recordings[0].nominal_interval_s, _unit(recordings[0])
-    found = [random_walk(recording, windows) for recording in recordings]
+    found = [random_walk(*pair) for pair in zip(recordings, windows, strict=True)]
     seen_white, seen_edge = (np.stack([getattr(own, name) for own in found]) / unit for name in ("white", "edge"))
     of_sensors = (("gyro", slice(0, 3), GYRO_FLOOR), ("accel", slice(3, 6), ACCEL_FLOOR))
     keys = [f"{sensor}_{what}" for sensor, *_ in of_sensors for what in ("noise", "quantization")]
@@ -190,14 +190,14 @@ def noise_models(recordings: Sequence[Recording], windows: Indices) -> list[Nois
             floored[u].append(f"{sensor}_noise")
         values = (np.maximum(white, least), edge, rounding, own)
         figures |= zip((f"{sensor}_{what}" for what in ("white", "edge", "rounding", "step")), values, strict=True)
-    spread, flicker = flicker_spread(windows), stated.gyro_bias_instability
+    flicker = stated.gyro_bias_instability
     none = stated.accel_bias_instability or 0.0
     models = []
-    for u, recording in enumerate(recordings):
-        accel = (none, 0.0, none, (0.0, 0.0))
+    for u, (recording, samples) in enumerate(zip(recordings, windows, strict=True)):
+        spread, accel = flicker_spread(samples), (none, 0.0, none, (0.0, 0.0))
         # Without noise, as in simulations, rounding would count.
         if stated.accel_bias_instability is None and np.any(seen_white[u, 3:] > ACCEL_FLOOR):
-            accel = _accel_instability(recording, windows, float(found[u].filter_s[1]))
+            accel = _accel_instability(recording, samples, float(found[u].filter_s[1]))
         models.append(
             NoiseModel(
                 **{name: values[u] for name, values in figures.items()},
@@ -249,11 +249,12 @@ def flicker_spread(windows: Indices) -> float:
     return math.sqrt(max(1.0, math.log(ratio) / (2.0 * math.log(2.0))))
 
 
-def _resolution(recordings: Sequence[Recording], windows: Indices, sensor: str) -> Array:
+def _resolution(recordings: Sequence[Recording], windows: Sequence[Indices], sensor: str) -> Array:
     """Smallest step between distinct readings of a column, as a rate, (units, 3); 0 where readings hardly repeat."""
-    tables, spans = [getattr(own, sensor) for own in recordings], windows.tolist()
-    stride = max(1, sum(b - a for a, b in spans) // _MAX_SAMPLES_FOR_RESOLUTION)
-    still = np.concatenate([np.concatenate([table[a:b:stride] for a, b in spans]).T for table in tables])
+    tables, spans = [getattr(own, sensor) for own in recordings], [own.tolist() for own in windows]
+    stride = max(1, sum(b - a for a, b in spans[0]) // _MAX_SAMPLES_FOR_RESOLUTION)
+    of_units = zip(tables, spans, strict=True)
+    still = np.concatenate([np.concatenate([table[a:b:stride] for a, b in own]).T for table, own in of_units])
     step = smallest_step(still.T).reshape(-1, 3)
     constant = (still.max(axis=1) == still.min(axis=1)).reshape(-1, 3)
     for u in np.flatnonzero(constant.any(axis=1)).tolist():
@@ -264,11 +265,11 @@ def _resolution(recordings: Sequence[Recording], windows: Indices, sensor: str) 
 
 
 def _step_error(
-    recordings: Sequence[Recording], windows: Indices, sensor: str, step: Array, edge: Array
+    recordings: Sequence[Recording], windows: Sequence[Indices], sensor: str, step: Array, edge: Array
 ) -> tuple[Array, Array]:
     """Expected error of means of rounded readings at rest, (units, W, 3), and 1-sigma of the remainder, (units, 3)."""
     pulse, count = getattr(recordings[0].noise, f"{sensor}_quantization"), len(recordings)
-    error, remainder = np.zeros((count, len(windows), 3)), np.zeros((count, 3))
+    error, remainder = np.zeros((count, len(windows[0]), 3)), np.zeros((count, 3))
     if pulse or (pulse is None and recordings[0].kind == "increment"):
         return error, remainder  # the error of pulse counts is that of the integral at the edges
     coarse = _on_grid([getattr(own, sensor) for own in recordings], step * _unit(recordings[0]))
@@ -276,7 +277,7 @@ def _step_error(
         if pulse is None:
             pulses = edge[u] >= _PULSES * step[u] * recordings[u].nominal_interval_s / math.sqrt(12.0)
             coarse[u] &= ~pulses
-        error[u], remainder[u] = _rounding(recordings[u], windows, sensor, step[u], coarse[u])
+        error[u], remainder[u] = _rounding(recordings[u], windows[u], sensor, step[u], coarse[u])
     return error, remainder
 
 
@@ -295,14 +296,14 @@ def _on_grid(tables: Sequence[Array], step: Array) -> Mask:
 
     Distinct readings without a grid, as in simulations without noise, are not rounded: the first ones tell mostly.
     """
-    coarse = step > 0.0
-    for count in (_FEW, max(len(table) for table in tables)):
-        units = np.flatnonzero(coarse.any(axis=1)).tolist()
-        if not units:
-            break
-        some = np.stack([_some(tables[u])[:count] for u in units])
-        steps = (some - some[:, :1]) / np.where(coarse[units], step[units], np.inf)[:, None]
-        coarse[units] &= np.all(np.abs(steps - np.round(steps)) < OFF_GRID, axis=1)
+    coarse, some = step > 0.0, [_some(table) for table in tables]
+    few = min(_FEW, *(len(own) for own in some))
+    for count, together in ((few, len(tables)), (None, 1)):
+        units = np.flatnonzero(coarse.any(axis=1))
+        for part in (units[at : at + together] for at in range(0, len(units), together)):
+            own = np.stack([some[u][:count] for u in part.tolist()])
+            steps = (own - own[:, :1]) / np.where(coarse[part], step[part], np.inf)[:, None]
+            coarse[part] &= np.all(np.abs(steps - np.round(steps)) < OFF_GRID, axis=1)
     return coarse
 
 

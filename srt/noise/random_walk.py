@@ -101,7 +101,7 @@ def random_walk(recording: Recording, windows: Indices) -> RandomWalk:
         First sample and one past the last.
     """
     key = octaves_key(windows)
-    octaves = recording.memo(key, lambda: allan_octaves([recording], windows)[0])
+    octaves = recording.memo(key, lambda: allan_octaves([recording], [windows])[0])
     triads = [_triad(recording, windows, octaves, columns) for columns in (slice(0, 3), slice(3, 6))]
     squares = np.array([fit.squares for fits, _ in triads for fit in fits])
     return RandomWalk(np.sqrt(squares[:, 0]), np.sqrt(squares[:, 1]), np.array([filter_s for _, filter_s in triads]))
@@ -134,7 +134,7 @@ def _fitting(octaves: _Octaves) -> Callable[[int, bool], list[_Fit]]:
 
 def _typical(recording: Recording, windows: Indices) -> _Octaves:
     """Octaves of the median window, which motion in single windows leaves alone, unlike the sum over windows."""
-    table = [allan_octaves([recording], windows[w : w + 1])[0] for w in range(len(windows))]
+    table = [allan_octaves([recording], [windows[w : w + 1]])[0] for w in range(len(windows))]
     tau = max((each.tau for each in table), key=len)
     variance, numbers = np.full((len(table), 6, len(tau)), np.nan), np.zeros((len(table), len(tau)))
     for row, number, each in zip(variance, numbers, table, strict=True):
@@ -190,8 +190,8 @@ def octaves_key(windows: Indices) -> Hashable:
     return "octaves", windows.tobytes()
 
 
-def allan_octaves(recordings: Sequence[Recording], windows: Indices) -> list[_Octaves]:
-    """Allan variances of non-overlapping averages by octave, of each of the recordings of one run.
+def allan_octaves(recordings: Sequence[Recording], windows: Sequence[Indices]) -> list[_Octaves]:
+    """Allan variances of non-overlapping averages by octave, of recordings with windows of equal lengths.
 
     The averages are formed in one pass, octave from octave, over pieces that fit into a processor's cache. A piece of
     2^k samples gives k octaves and one average; the averages of a window's pieces give the higher octaves.
@@ -212,14 +212,14 @@ def allan_octaves(recordings: Sequence[Recording], windows: Indices) -> list[_Oc
             octave += 1
         return x[:, :, 0]
 
-    by_length: defaultdict[int, list[int]] = defaultdict(list)
-    for a, b in windows.tolist():
-        whole = a + (b - a) // _PIECE * _PIECE
-        if whole > a:
-            pieces = [add(_columns(recordings, [lo], _PIECE), 0) for lo in range(a, whole, _PIECE)]
+    by_length: defaultdict[int, list[Indices]] = defaultdict(list)
+    for length, begin in zip(np.diff(windows[0])[:, 0].tolist(), np.stack(windows, axis=1)[..., 0], strict=True):
+        whole = length // _PIECE * _PIECE
+        if whole:
+            pieces = [add(_columns(recordings, [begin + own], _PIECE), 0) for own in range(0, whole, _PIECE)]
             add(np.stack(pieces, axis=2), _PIECE.bit_length() - 1)
-        if b > whole:
-            by_length[b - whole].append(whole)
+        if length > whole:
+            by_length[length - whole].append(begin + whole)
     for n, begins in by_length.items():
         together = max(1, _PIECE // n)
         for i in range(0, len(begins), together):
@@ -231,11 +231,11 @@ def allan_octaves(recordings: Sequence[Recording], windows: Indices) -> list[_Oc
     return [_Octaves(tau, differences, own) for own in variance.reshape(len(recordings), 6, -1)]
 
 
-def _columns(recordings: Sequence[Recording], begins: list[int], n: int) -> Array:
-    """Readings of pieces of n samples of recordings, shape (pieces, 6 for each recording, n)."""
+def _columns(recordings: Sequence[Recording], begins: Sequence[Indices], n: int) -> Array:
+    """Readings of pieces of n samples that begin at samples (recordings,), shape (pieces, 6 for each recording, n)."""
     out = np.empty((len(begins), 6 * len(recordings), n))
-    for u, recording in enumerate(recordings):
-        for piece, a in zip(out[:, 6 * u : 6 * u + 6], begins, strict=True):
+    for u, (recording, own) in enumerate(zip(recordings, np.transpose(begins).tolist(), strict=True)):
+        for piece, a in zip(out[:, 6 * u : 6 * u + 6], own, strict=True):
             piece[:3], piece[3:] = recording.gyro[a : a + n].T, recording.accel[a : a + n].T
     return out
 

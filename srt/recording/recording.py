@@ -393,9 +393,11 @@ def by_length(values: Array, windows: Indices) -> Iterator[tuple[Indices, Array]
         yield which, values[windows[which, :1] + np.arange(n)]
 
 
-def side_by_side(readings: Sequence[Array]) -> Array:
-    """Readings (n, 3) of recordings of one run, shape (n, 3 for each recording)."""
-    return readings[0] if len(readings) == 1 else np.concatenate(readings, axis=1)
+def side_by_side(readings: Sequence[Array], windows: Sequence[Indices]) -> Iterator[tuple[Indices, Array]]:
+    """:func:`by_length` of recordings with windows of equal lengths, shape (w, samples, 3 for each recording)."""
+    for of_units in zip(*(by_length(*pair) for pair in zip(readings, windows, strict=True)), strict=True):
+        tables = [table for _, table in of_units]
+        yield of_units[0][0], tables[0] if len(tables) == 1 else np.concatenate(tables, axis=2)
 
 
 def of_each(values: Array) -> Array:

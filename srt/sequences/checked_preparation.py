@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Final
 
@@ -13,12 +12,12 @@ from srt.noise.noise_model import noise_models
 from srt.noise.random_walk import allan_octaves, octaves_key
 from srt.recording.recording import of_each, side_by_side
 from srt.sequences.clipping import clipped_samples, clipping_levels
-from srt.sequences.plausibility import check_interval, check_rest, check_turns, gap_inside
-from srt.sequences.preparation import means_key, move_title, noise_key, prepare, prepared_key, sequence_of_label
+from srt.sequences.plausibility import check_interval, check_rest, check_turns
+from srt.sequences.preparation import means_key, move_title, noise_key, prepare, sequence_of_label, windows_of_labels
 from srt.sequences.window_means import average_windows
 
 if TYPE_CHECKING:
-    from collections.abc import Hashable, Sequence
+    from collections.abc import Callable, Hashable, Sequence
 
     from srt.recording.recording import Recording, SequenceLabel
     from srt.sequences.preparation import PreparedRecording
@@ -65,7 +64,7 @@ def _prepare_checked(
     check_interval(recording)
     voided: dict[str, str] = {}
     whole = []
-    for label, gap in zip(labels, recording.memo(_gaps_key(labels), lambda: _gaps(recording, labels)), strict=True):
+    for label, gap in zip(labels, _gaps(recording, labels), strict=True):
         if gap is None:
             whole.append(label)
         else:
@@ -91,14 +90,14 @@ def _prepare_checked(
     return data
 
 
-def _gaps_key(labels: tuple[SequenceLabel, ...]) -> Hashable:
-    return "gaps", labels
-
-
 def _gaps(recording: Recording, labels: tuple[SequenceLabel, ...]) -> list[int | None]:
     """First sample after a gap inside each sequence; None without a gap."""
-    inside = (gap_inside(recording, _part(recording, label)) for label in labels if recording.gaps.size)
-    return [int(gaps[0]) if gaps.size else None for gaps in inside] or [None] * len(labels)
+    if not recording.gaps.size:
+        return [None] * len(labels)
+    parts = [_part(recording, label) for label in labels]
+    at = np.searchsorted(recording.gaps, [part.start for part in parts], side="right")
+    first = np.append(recording.gaps, len(recording.time))[at].tolist()
+    return [gap if gap < part.stop else None for gap, part in zip(first, parts, strict=True)]
 
 
 def _part(recording: Recording, label: SequenceLabel) -> slice:
@@ -119,27 +118,20 @@ def _check_turned(data: PreparedRecording) -> None:
     if not single:
         return
     recording, rest = data.recording, data.windows.gyro_mean
-    spans = data.rotation[single]
-    angle, seconds = recording.memo(_turns_key(spans), lambda: _turned([recording], spans)[0])
+    angle, seconds = _turned(recording, data.rotation[single])
     angle = angle - 0.5 * (rest[data.start[single]] + rest[data.end[single]]) * seconds[:, None]
     nominal = [abs(s.rotations[0][1]) for k in single if (s := sequences[k]) is not None]
     titles = [data.labels[k].title for k in single]
     check_turns(np.linalg.norm(angle, axis=1), nominal, titles, interval_s=recording.nominal_interval_s)
 
 
-def _turns_key(spans: Indices) -> Hashable:
-    return "turns", spans.tobytes()
-
-
-def _turned(recordings: Sequence[Recording], spans: Indices) -> list[tuple[Array, Array]]:
-    """Angles that the gyros turned by in spans of samples, (spans, 3), rad, and their duration, s, by recording."""
-    first, gyro = recordings[0], side_by_side([own.gyro for own in recordings])
-    interval = first.interval_s
-    steps = [np.full(b - a, interval) if isinstance(interval, float) else interval[a:b] for a, b in spans.tolist()]
-    weights = steps if first.kind == "rate" else [np.ones(len(own)) for own in steps]
-    angles = np.stack([own @ gyro[a:b] for own, (a, b) in zip(weights, spans.tolist(), strict=True)])
-    seconds = np.array([own.sum() for own in steps])
-    return [(own, seconds) for own in of_each(angles)]
+def _turned(recording: Recording, spans: Indices) -> tuple[Array, Array]:
+    """Angles that the gyros turned by in spans of samples, (spans, 3), rad, and their duration, s."""
+    steps = np.broadcast_to(recording.interval_s, len(recording.time))
+    parts = [slice(a, b) for a, b in spans.tolist()]
+    weights = [steps[own] if recording.kind == "rate" else np.ones(own.stop - own.start) for own in parts]
+    angles = [weight @ recording.gyro[own] for weight, own in zip(weights, parts, strict=True)]
+    return np.stack(angles), np.array([steps[own].sum() for own in parts])
 
 
 _RATE_AGREES: Final = (0.25, 4.0)
@@ -169,98 +161,90 @@ def _check_stillness(data: PreparedRecording) -> None:
     """Refuse a window in which the unit rotated; smaller drifts are integrated later."""
     recording, noise = data.recording, data.noise
     samples, T = data.windows.samples, data.windows.duration_s
-    rate = recording.memo(_rates_key(samples), lambda: _rates([recording], samples)[0])
+    rate = recording.memo(_rates_key(samples), lambda: _rates([recording], [samples])[0])
     angle = np.abs(np.cumsum(rate * (T / rate.shape[1])[:, None, None], axis=1)).max(axis=1)
     limit = np.maximum(_MOTION_RAD, _MOTION_SIGMAS * (noise.gyro_white * np.sqrt(T)[:, None] + noise.gyro_edge))
     for w in np.flatnonzero(np.any(angle > limit, axis=1)).tolist():
-        chunk = int(np.argmax(np.max(np.abs(rate[w]), axis=1)))
+        chunk = samples[w, 0] + _chunks(samples)[w, int(np.argmax(np.max(np.abs(rate[w]), axis=1)))]
         raise DataError(
             f"The unit moves in the stationary window from {recording.time[samples[w, 0]]:.6g} s: the gyros turn by "
-            f"{np.degrees(angle[w].max()):.3g}° around {recording.time[_chunks(samples)[w, chunk]]:.6g} s; "
+            f"{np.degrees(angle[w].max()):.3g}° around {recording.time[chunk]:.6g} s; "
             "correct the window's times or leave the sequence out."
         )
 
 
 def _chunks(samples: Indices) -> Indices:
-    """Limits of the parts of windows, shape (W, parts + 1)."""
-    n = min(_CHUNKS, int(np.diff(samples, axis=1).min()))
-    return np.linspace(samples[:, 0], samples[:, 1], n + 1, axis=1).astype(np.intp)
+    """Limits of the parts of windows, shape (W, parts + 1), counted from the first sample of each."""
+    length = np.diff(samples, axis=1)[:, 0]
+    return np.linspace(0, length, min(_CHUNKS, int(length.min())) + 1, axis=1).astype(np.intp)
 
 
 def _rates_key(samples: Indices) -> Hashable:
     return "rates in windows", samples.tobytes()
 
 
-def _rates(recordings: Sequence[Recording], samples: Indices) -> list[Array]:
-    """Mean rates in the parts of windows less their median, shape (W, parts, 3), rad/s, of each recording of a run."""
-    first, gyro, edges = recordings[0], side_by_side([own.gyro for own in recordings]), _chunks(samples)
-    sums = np.stack([np.add.reduceat(gyro[e[0] : e[-1]], e[:-1] - e[0], axis=0) for e in edges])
-    rate = sums / np.diff(edges, axis=1)[:, :, None]
-    if first.kind == "increment":
-        rate = rate / first.nominal_interval_s
+def _rates(recordings: Sequence[Recording], samples: Sequence[Indices]) -> list[Array]:
+    """Mean rates in the parts of windows less their median, shape (W, parts, 3), rad/s, of each recording."""
+    edges = _chunks(samples[0])
+    rate = np.empty((len(edges), edges.shape[1] - 1, 3 * len(recordings)))
+    for which, gyro in side_by_side([own.gyro for own in recordings], samples):
+        rate[which] = np.add.reduceat(gyro, edges[which[0], :-1], axis=1)
+    rate /= np.diff(edges, axis=1)[:, :, None]
+    if recordings[0].kind == "increment":
+        rate /= recordings[0].nominal_interval_s
     rate -= np.median(rate, axis=1, keepdims=True)
     return list(of_each(rate))
 
 
 def prepare_together(units: Sequence[tuple[Recording, tuple[SequenceLabel, ...], Average]]) -> None:
-    """Compute what :func:`prepare_checked` needs of recordings, which then find it derived: those of one run as arrays.
+    """Compute what :func:`prepare_checked` needs of recordings, those of one kind as arrays; they find it derived.
 
     Parameters
     ----------
     units : sequence of (Recording, tuple of SequenceLabel, Average)
         Arguments of that function.
     """
-    runs: list[tuple[list[Recording], tuple[SequenceLabel, ...], Average]] = []
+    alike: list[tuple[list[Recording], list[Indices], Average]] = []
     for recording, labels, average in units:
-        alike = (own for own, *how in runs if how == [labels, average] and _of_one_run(own[0], recording))
-        if (run := next(alike, None)) is None:
-            runs.append(([recording], labels, average))
-        elif recording not in run:
-            run.append(recording)
-    for run, labels, average in runs:
-        if len(run) > 1 and labels:
-            _derive_together(run, labels, average)
+        try:
+            samples = windows_of_labels(recording, labels)[0] if labels else None
+        except DataError:  # as it will tell
+            continue
+        if samples is None:
+            continue
+        like = (own for own in alike if own[2] == average and _as_arrays((own[0][0], own[1][0]), (recording, samples)))
+        if (group := next(like, None)) is None:
+            alike.append(([recording], [samples], average))
+        elif recording not in group[0]:
+            group[0].append(recording)
+            group[1].append(samples)
+    for group in alike:
+        if len(group[0]) > 1:
+            _derive_together(*group)
 
 
-def _derive_together(recordings: Sequence[Recording], labels: tuple[SequenceLabel, ...], average: Average) -> None:
-    try:
-        data = prepare(recordings[0], labels, average)
-    except DataError:  # as each will tell
-        return
-    samples = data.windows.samples
-    single = [s is not None and len(s.rotations) == 1 for s in data.catalogue]
-    spans = data.rotation[single]
-    windows = average_windows(recordings, samples, average)
-    tables: list[tuple[Hashable, Sequence[object]]] = [
-        (means_key(samples, average), windows),
-        (octaves_key(samples), allan_octaves(recordings, samples)),
-        (_rates_key(samples), _rates(recordings, samples)),
-        (_gaps_key(labels), [_gaps(recordings[0], labels)] * len(recordings)),
-    ]
-    if len(spans):
-        tables.append((_turns_key(spans), _turned(recordings, spans)))
-    _give(recordings, tables)
-    units = zip(recordings, windows, strict=True)
-    prepared = [replace(data, recording=recording, windows=own) for recording, own in units]
-    noise = noise_models(recordings, samples)
-    _give(recordings, [(noise_key(samples), noise), (prepared_key(labels, average), prepared)])
+def _derive_together(recordings: Sequence[Recording], samples: Sequence[Indices], average: Average) -> None:
+    def give(key: Callable[[Indices], Hashable], values: Sequence[object]) -> None:
+        for recording, own, value in zip(recordings, samples, values, strict=True):
+            recording.memo(key(own), partial(_given, value))
 
-
-def _give(recordings: Sequence[Recording], tables: Sequence[tuple[Hashable, Sequence[object]]]) -> None:
-    """Store derived values of recordings, by name."""
-    for key, values in tables:
-        for recording, value in zip(recordings, values, strict=True):
-            recording.memo(key, partial(_given, value))
+    give(lambda own: means_key(own, average), average_windows(recordings, samples, average))
+    give(octaves_key, allan_octaves(recordings, samples))
+    give(_rates_key, _rates(recordings, samples))
+    give(noise_key, noise_models(recordings, samples))
 
 
 def _given(value: object) -> object:
     return value
 
 
-def _of_one_run(first: Recording, other: Recording) -> bool:
-    """True if two recordings have the same samples in time, the same kind and the same stated noise."""
-    return (
-        (first.kind, first.sample_rate_hz, first.noise) == (other.kind, other.sample_rate_hz, other.noise)
-        and len(first.time) == len(other.time)
-        and (first.time is other.time or np.array_equal(first.time, other.time))
-    )
+def _as_arrays(first: tuple[Recording, Indices], other: tuple[Recording, Indices]) -> bool:
+    """True if two recordings have the same kind and stated noise, and equal windows with samples of equal duration."""
+    (a, of_a), (b, of_b) = first, other
+    if (a.kind, a.sample_rate_hz, a.noise) != (b.kind, b.sample_rate_hz, b.noise):
+        return False
+    if not np.array_equal(np.diff(of_a), np.diff(of_b)):
+        return False
+    if isinstance(a.interval_s, float):
+        return a.interval_s == b.interval_s
+    return np.array_equal(of_a, of_b) and np.array_equal(a.interval_s, b.interval_s)

@@ -233,6 +233,23 @@ class PreparedRecording:
         value: Derived = self._shared[name]
         return value
 
+    def of_labels(self, name: Hashable, make: Callable[[], Derived]) -> Derived:
+        """Value that labels without their times, site and fixture determine: also common to runs of one schedule."""
+        own = self.recording
+        shared = _values_of_schedule((self.untimed, own.site, own.fixture))
+        if name not in shared:
+            shared[name] = make()
+        value: Derived = shared[name]
+        return value
+
+    @cached_property
+    def untimed(self) -> tuple[tuple[object, ...], ...]:
+        """Labels without their times."""
+        return tuple(
+            (own.id, own.down, own.along_outer, own.rotations, own.pose, own.rate, own.rate_sigma, own.number)
+            for own in self.labels
+        )
+
     @cached_property
     def _shared(self) -> dict[Hashable, Any]:
         own = self.recording
@@ -390,17 +407,6 @@ def noise_key(samples: Indices) -> Hashable:
     return "noise", samples.tobytes()
 
 
-def prepared_key(
-    labels: tuple[SequenceLabel, ...],
-    average: Average,
-    voided: tuple[tuple[str, str], ...] = (),
-    poses: tuple[SequenceLabel, ...] = (),
-    moves: tuple[SequenceLabel, ...] = (),
-) -> Hashable:
-    """Name of the prepared recording among them."""
-    return "prepared", labels, average, voided, poses, moves
-
-
 def move_title(label: SequenceLabel) -> str:
     """Name of a move in messages."""
     return f"The move at {label.start_static_s[1]:g} s"
@@ -427,8 +433,30 @@ def prepare(
     reasons = tuple((voided or {}).items())
     starts, ends = {s.start_static_s for s in labels}, {s.end_static_s for s in labels}
     kept = tuple(s for s in moves if s.start_static_s in ends and s.end_static_s in starts)
-    key = prepared_key(tuple(labels), average, reasons, tuple(poses), kept)
+    key = ("prepared", tuple(labels), average, reasons, tuple(poses), kept)
     return recording.memo(key, lambda: _prepare(recording, tuple(labels), average, dict(reasons), tuple(poses), kept))
+
+
+def windows_of_labels(recording: Recording, labels: Sequence[SequenceLabel]) -> tuple[Indices, Indices]:
+    """Samples of the windows of sequences, (W, 2), and the number of the start and of the end window, (2, K).
+
+    Raises
+    ------
+    DataError
+        If a window holds less than 2 samples.
+    """
+    slices: dict[tuple[int, int], int] = {}
+    ends: list[list[int]] = [[], []]
+    for label in labels:
+        for which, bounds in enumerate((label.start_static_s, label.end_static_s)):
+            s = recording.window_indices(*bounds)
+            if s.stop - s.start < 2:
+                raise DataError(
+                    f"The window from {bounds[0]:g} s to {bounds[1]:g} s of sequence {label.id or 'without id'} holds "
+                    f"{s.stop - s.start} samples; a stationary window needs at least 2: correct its times."
+                )
+            ends[which].append(slices.setdefault((s.start, s.stop), len(slices)))
+    return np.array(list(slices), dtype=np.intp), np.array(ends, dtype=np.intp)
 
 
 def _prepare(
@@ -444,24 +472,14 @@ def _prepare(
         shown = "; ".join(reasons[:2]) + (f"; and {len(reasons) - 2} more" if len(reasons) > 2 else "")
         raise DataError(f"No usable sequence is left in the recording ({shown or 'none is labelled'}).")
     labels = (*labels, *moves)
-    slices: dict[tuple[int, int], int] = {}
-    ends: list[list[int]] = [[], []]
-    for label in labels:
-        for which, bounds in enumerate((label.start_static_s, label.end_static_s)):
-            s = recording.window_indices(*bounds)
-            if s.stop - s.start < 2:
-                raise DataError(
-                    f"The window from {bounds[0]:g} s to {bounds[1]:g} s of sequence {label.id or 'without id'} holds "
-                    f"{s.stop - s.start} samples; a stationary window needs at least 2: correct its times."
-                )
-            ends[which].append(slices.setdefault((s.start, s.stop), len(slices)))
+    samples, (start, end) = windows_of_labels(recording, labels)
+    slices = {(a, b): w for w, (a, b) in enumerate(samples.tolist())}
     alone = []
     for label in poses:
         s = recording.window_indices(*label.start_static_s)
         if s.stop - s.start >= 2:
             alone.append((label, slices.setdefault((s.start, s.stop), len(slices))))
     samples = np.array(list(slices), dtype=np.intp)
-    start, end = (np.array(e, dtype=np.intp) for e in ends)
     for k, label in enumerate(labels):
         if samples[end[k], 0] <= samples[start[k], 1]:
             if label.pose:
@@ -478,7 +496,9 @@ def _prepare(
         recording=recording,
         labels=labels,
         catalogue=tuple(sequence_of_label(label) for label in labels),
-        windows=recording.memo(means_key(samples, average), lambda: average_windows([recording], samples, average)[0]),
+        windows=recording.memo(
+            means_key(samples, average), lambda: average_windows([recording], [samples], average)[0]
+        ),
         start=start,
         end=end,
         average=average,

@@ -107,7 +107,7 @@ def alike(first: PreparedRecording, unit: PreparedRecording) -> bool:
     a, b = first.recording, unit.recording
     if (a.site, a.fixture, a.kind, a.noise) != (b.site, b.fixture, b.kind, b.noise):
         return False
-    if _untimed(first) != _untimed(unit) or not all(
+    if first.untimed != unit.untimed or not all(
         np.array_equal(getattr(first, name), getattr(unit, name)) for name in ("start", "end")
     ):
         return False
@@ -119,11 +119,3 @@ def alike(first: PreparedRecording, unit: PreparedRecording) -> bool:
         and np.array_equal(first.windows.duration_s, unit.windows.duration_s)
         and not any(own.noise.gyro_flicker is not None or own.noise.accel_flicker.any() for own in (first, unit))
     )
-
-
-def _untimed(unit: PreparedRecording) -> list[tuple[object, ...]]:
-    """Labels without their times."""
-    return [
-        (own.id, own.down, own.along_outer, own.rotations, own.pose, own.rate, own.rate_sigma, own.number)
-        for own in unit.labels
-    ]

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
-from srt.recording.recording import by_length, of_each, side_by_side
+from srt.recording.recording import of_each, side_by_side
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -67,27 +67,29 @@ class Windows:
     edge_factor: Array
 
 
-def average_windows(recordings: Sequence[Recording], samples: Indices, algorithm: Average) -> list[Windows]:
-    """Average all windows once, of each of the recordings of one run.
+def average_windows(recordings: Sequence[Recording], samples: Sequence[Indices], algorithm: Average) -> list[Windows]:
+    """Average all windows once.
 
     Parameters
     ----------
-    samples : ndarray of int, shape (W, 2)
+    recordings : sequence of Recording
+        With samples of one duration, or at the same times.
+    samples : sequence of ndarray of int, shape (W, 2)
+        Windows of each recording, of equal lengths in all.
     algorithm : "linear" or "overlapping"
     """
-    W, columns = len(samples), 3 * len(recordings)
+    W, columns = len(samples[0]), 3 * len(recordings)
     duration, white, edge = np.empty(W), np.empty(W), np.empty(W)
     gyro, accel, halves = np.empty((W, columns)), np.empty((W, columns)), np.empty((2, W, 2, columns))
     rates = recordings[0].kind == "rate"
     interval = recordings[0].interval_s
-    both = (side_by_side([getattr(own, sensor) for own in recordings]) for sensor in ("gyro", "accel"))
-    tables = zip(*(by_length(readings, samples) for readings in both), strict=True)
-    for (which, gyros), (_, forces) in tables:
+    both = (side_by_side([getattr(own, sensor) for own in recordings], samples) for sensor in ("gyro", "accel"))
+    for (which, gyros), (_, forces) in zip(*both, strict=True):
         n = gyros.shape[1]
         if isinstance(interval, float):
             each = [(slice(None), _weights(np.full(n, interval), algorithm, rates=rates))]
         else:
-            steps = (interval[a:b] for a, b in samples[which].tolist())
+            steps = (interval[a:b] for a, b in samples[0][which].tolist())
             each = [(slice(w, w + 1), _weights(own, algorithm, rates=rates)) for w, own in enumerate(steps)]
         for part, own in each:
             w = which[part]
@@ -97,9 +99,9 @@ def average_windows(recordings: Sequence[Recording], samples: Indices, algorithm
                 halves[0, w, h] = own.halves[h] @ gyros[part, half]
                 halves[1, w, h] = own.halves[h] @ forces[part, half]
             gyro[w] = own.shares @ halves[0, w]
-    by_unit = zip(of_each(gyro), of_each(halves[0]), of_each(halves[1]), of_each(accel), strict=True)
+    by_unit = zip(samples, of_each(gyro), of_each(halves[0]), of_each(halves[1]), of_each(accel), strict=True)
     return [
-        Windows(samples, duration, rate, rates, forces, force, white, edge) for rate, rates, forces, force in by_unit
+        Windows(own, duration, rate, rates, forces, force, white, edge) for own, rate, rates, forces, force in by_unit
     ]
 
 

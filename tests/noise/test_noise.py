@@ -158,7 +158,7 @@ def test_octaves_of_pieces_are_those_of_the_definition():
     n = int(ends[-1])
     gyro, accel = rng.standard_normal((2, n, 3))
     log = srt.Recording(np.arange(1, n + 1) / RATE, gyro, accel, accuracy_trials.SITE)
-    tau, count, variance = allan_octaves([log], windows)[0]
+    tau, count, variance = allan_octaves([log], [windows])[0]
     both = np.concatenate([gyro, accel], axis=1)
     assert len(tau) == int(np.log2(lengths.max()))
     for k, m in enumerate(2 ** np.arange(len(tau))):

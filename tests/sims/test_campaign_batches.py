@@ -96,7 +96,7 @@ def test_disputed_results_are_those_of_single_runs(tmp_path):
     assert {"converged", "partial", "inconsistent"} <= statuses
 
 
-def test_readings_of_one_motion_are_averaged_together(tmp_path, monkeypatch):
+def test_readings_of_one_schedule_are_averaged_together(tmp_path, monkeypatch):
     """Those with a start from the truth too, and a recording with other labels by itself."""
     campaign = small_campaign(tmp_path, trials="4" + ONE_MOTION)
     simulations = [simulate(campaign.unit(0, k)[0]) for k in range(4)]
@@ -128,9 +128,14 @@ def test_units_with_a_motion_each_are_iterated_together(tmp_path, monkeypatch):
         sizes.append(len(start))
         return iterate_units(data, options, formulas, start, *rest, **stated)
 
+    def averaged(recordings, *rest):
+        sizes.append(len(recordings))
+        return average_windows(recordings, *rest)
+
     monkeypatch.setattr(estimator, "iterate_units", counted)
+    monkeypatch.setattr(checked_preparation, "average_windows", averaged)
     found = estimate_units(recordings, [Options()] * 6)
-    assert sizes == [6]
+    assert sizes == [6, 6]
     for recording, own in zip(recordings, found, strict=True):
         alone = srt.calibrate(recording, "closed-form", checks=False)
         assert (own.status, own.message) == (alone.status, alone.message)
