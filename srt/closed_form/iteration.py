@@ -5,8 +5,9 @@ correction δ = G z. Two steps are available:
 
 * Jacobian (default): the full Jacobian at the estimate; δ is added. This is a Gauss-Newton step, and its fixed point
   is that of the closed form. What the next iteration takes from this one, U and the biases of the sequences, is that of
-  the corrected errors (:meth:`SrtProcessor.after`). So a correction is followed by one of its square, and of a
-  hundredth of it: the Jacobian neglects that the Earth's rate refers to the measured vertical.
+  the corrected errors (:meth:`SrtProcessor.after`). So a correction is followed by one of its square, and of less than
+  a hundredth of it: the Jacobian neglects that the Earth's rate refers to the measured vertical. The iteration ends
+  when what would follow is negligible.
 * Coefficients: those of [P] eq. 13, the Jacobian at zero error. δ is then an error of the compensated data and is
   composed with the estimate: Mg ← Mg (I + δκ).
 """
@@ -28,6 +29,7 @@ from srt.closed_form.measurement_covariance import (
     through,
 )
 from srt.closed_form.solution import Solution, residuals_of_units
+from srt.constants import EARTH_RATE_RAD_S
 from srt.estimation.convergence import CONVERGED_CORRECTION, CONVERGED_SIGMAS, MAX_STEP, PARAMETER_UNITS
 from srt.estimation.error_sources import earth_rate_sigma
 from srt.estimation.g_sensitivity import LEAST_SCATTER
@@ -53,6 +55,9 @@ if TYPE_CHECKING:
 
 _NEAR: Final = 1e-3
 """Correction, in ``PARAMETER_UNITS``, below which the covariance is computed: it changes with the estimate by 1e-3."""
+
+_LEAST_RATE: Final = 0.01
+"""Smallest ratio of a correction to the one before that is relied upon: the latter may have been small by chance."""
 
 _COVARIANCES: Final = 16
 """Units whose covariances are computed together: with more, they no longer fit into a processor's cache."""
@@ -137,7 +142,7 @@ class _Iteration:
         settled = self._update_offsets(ahead)
         tolerance = np.maximum(CONVERGED_CORRECTION * PARAMETER_UNITS, CONVERGED_SIGMAS * self.sigma)
         # A comparison with the NaN of a sigma that is not known yet is false.
-        settled &= np.all(np.abs(correction) <= tolerance, axis=1)
+        settled &= np.all(np.minimum(np.abs(correction), self._following(measurements)) <= tolerance, axis=1)
         if not settled.any():
             return
         moving = self._moving(measurements, settled)
@@ -156,6 +161,17 @@ class _Iteration:
             ["Converged after {count} iterations."] * len(done),
         )
         self._keep(np.flatnonzero(~settled))
+
+    def _following(self, measurements: SrtMeasurements) -> Array:
+        """Largest sum of the corrections that would follow the last one, (units, 27), by the rate of convergence."""
+        if self.corrections.shape[1] < 2:
+            return np.full(self.vector.shape, np.inf)
+        before, last = self.corrections[:, -2:].T
+        # An error tilts the vertical, which the Earth's rate refers to, while the Earth turns.
+        turned = EARTH_RATE_RAD_S * float(measurements.integrals.weight_s.max())
+        rate = np.clip(last / before, max(_LEAST_RATE, turned), 1.0)
+        with np.errstate(divide="ignore"):
+            return np.asarray((last * rate / (1.0 - rate))[:, None] * PARAMETER_UNITS)
 
     def _keep(self, which: Indices) -> None:
         """Continue with some of the units."""

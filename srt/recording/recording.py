@@ -255,7 +255,7 @@ class Recording(Presented):
             require_type("The field sequences of a recording", _FIELDS["sequences"][0], label, SequenceLabel)
         if self.sequences:
             limits = [own for label in self.sequences for own in (label.start_static_s, label.end_static_s)]
-            self._memo[_WINDOWS] = dict(zip(limits, self._windows(limits), strict=True))
+            self._memo[_WINDOWS] = dict(zip(limits, self.windows(limits), strict=True))
         self._check_overlap([self._checked_rotation(label) for label in self.sequences])
 
     def _check_readings(self) -> None:
@@ -354,9 +354,10 @@ class Recording(Presented):
         Adjacent windows have no sample in common and none between them, whatever the rounding of stamps and limits.
         """
         of_labels: dict[tuple[float, float], slice] = self.memo(_WINDOWS, dict)
-        return of_labels.get((a, b)) or self._windows([(a, b)])[0]
+        return of_labels.get((a, b)) or self.windows([(a, b)])[0]
 
-    def _windows(self, limits: Sequence[tuple[float, float]]) -> list[slice]:
+    def windows(self, limits: Sequence[tuple[float, float]]) -> list[slice]:
+        """:meth:`window_indices` of several windows, by their limits."""
         edge = (0.5 + WINDOW_TOLERANCE) * self.nominal_interval_s
         found = np.searchsorted(self.time, np.reshape(limits, (-1, 2)) + edge, side="right")
         return [slice(start, max(start, stop)) for start, stop in found.tolist()]

@@ -94,10 +94,10 @@ def _gaps(recording: Recording, labels: tuple[SequenceLabel, ...]) -> list[int |
     """First sample after a gap inside each sequence; None without a gap."""
     if not recording.gaps.size:
         return [None] * len(labels)
-    parts = [_part(recording, label) for label in labels]
-    at = np.searchsorted(recording.gaps, [part.start for part in parts], side="right")
+    windows = recording.windows([own for label in labels for own in (label.start_static_s, label.end_static_s)])
+    at = np.searchsorted(recording.gaps, [window.start for window in windows[::2]], side="right")
     first = np.append(recording.gaps, len(recording.time))[at].tolist()
-    return [gap if gap < part.stop else None for gap, part in zip(first, parts, strict=True)]
+    return [gap if gap < end.stop else None for gap, end in zip(first, windows[1::2], strict=True)]
 
 
 def _part(recording: Recording, label: SequenceLabel) -> slice:

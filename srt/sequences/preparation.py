@@ -445,18 +445,18 @@ def windows_of_labels(recording: Recording, labels: Sequence[SequenceLabel]) -> 
     DataError
         If a window holds less than 2 samples.
     """
+    limits = [bounds for label in labels for bounds in (label.start_static_s, label.end_static_s)]
     slices: dict[tuple[int, int], int] = {}
-    ends: list[list[int]] = [[], []]
-    for label in labels:
-        for which, bounds in enumerate((label.start_static_s, label.end_static_s)):
-            s = recording.window_indices(*bounds)
-            if s.stop - s.start < 2:
-                raise DataError(
-                    f"The window from {bounds[0]:g} s to {bounds[1]:g} s of sequence {label.id or 'without id'} holds "
-                    f"{s.stop - s.start} samples; a stationary window needs at least 2: correct its times."
-                )
-            ends[which].append(slices.setdefault((s.start, s.stop), len(slices)))
-    return np.array(list(slices), dtype=np.intp), np.array(ends, dtype=np.intp)
+    ends = np.empty(len(limits), dtype=np.intp)
+    for number, (bounds, s) in enumerate(zip(limits, recording.windows(limits), strict=True)):
+        if s.stop - s.start < 2:
+            raise DataError(
+                f"The window from {bounds[0]:g} s to {bounds[1]:g} s of sequence "
+                f"{labels[number // 2].id or 'without id'} holds {s.stop - s.start} samples; a stationary window needs "
+                "at least 2: correct its times."
+            )
+        ends[number] = slices.setdefault((s.start, s.stop), len(slices))
+    return np.array(list(slices), dtype=np.intp), ends.reshape(-1, 2).T
 
 
 def _prepare(
