@@ -15,6 +15,7 @@ from srt.closed_form.fixture_accuracy import fixture_excess
 from srt.closed_form.formulas import SelectedFormulas
 from srt.closed_form.iteration import iterate, iterate_units
 from srt.constants import DEG_PER_H, DEG_PER_SQRT_H, MICRO_G
+from srt.estimation.convergence import CONVERGED_CORRECTION, CONVERGED_SIGMAS, PARAMETER_UNITS
 from srt.estimation.error_sources import NO_ERRORS
 from srt.estimation.initial_estimates import initial_estimate
 from srt.estimation.options import Options
@@ -118,6 +119,23 @@ def test_errors_are_within_their_sigmas():
         nees += off @ np.linalg.solve(solution.covariance, off)
     freedom = N_PARAMETERS * COUNT
     assert abs(nees - freedom) < 3.5 * np.sqrt(2.0 * freedom)
+
+
+@pytest.mark.parametrize("step", ["jacobian", "coefficients"])
+@pytest.mark.parametrize("imu", [IMU, ImuModel()], ids=["noise", "noise-free"])
+def test_what_would_follow_the_last_correction_is_negligible(imu, step):
+    """Iterations from the result change it by at most the tolerance."""
+    _, truth = units()
+    options, rng = Options(step=step), np.random.default_rng(4)
+    data = together([prepared(read_out(motion(), errors, imu, rng)) for errors in truth])
+    formulas, (first, U) = SelectedFormulas(data.units[0], options), starts(truth)
+    found = iterate_units(data, options, formulas, first, U)
+    assert {solution.status for solution in found} == {"converged"}
+    reached, U = np.stack([solution.errors.vector for solution in found]), np.stack([solution.U for solution in found])
+    sigma = np.stack([np.sqrt(np.diag(solution.covariance)) for solution in found])
+    further = np.stack([solution.errors.vector for solution in iterate_units(data, options, formulas, reached, U)])
+    tolerance = np.maximum(CONVERGED_CORRECTION * PARAMETER_UNITS, CONVERGED_SIGMAS * sigma)
+    assert np.all(np.abs(further - reached) <= tolerance)
 
 
 def test_a_unit_that_diverges_leaves_the_others():
