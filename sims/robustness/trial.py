@@ -116,6 +116,8 @@ def _run(campaign: Campaign, tasks: Sequence[tuple[int, int]]) -> list[list[Row]
         own = [simulations[u] for u in possible]
         for u, found in zip(possible, scores(own, choice, sampled, fixed_point=campaign.fixed_point), strict=True):
             out[u][column] = rows[u] | found
+    for simulation in simulations:
+        simulation.recording.forget()
     return out
 
 

@@ -6,6 +6,7 @@ A unit that fails has no calibration in the result; the others are calibrated al
 from __future__ import annotations
 
 import csv
+import gc
 import json
 from collections import Counter
 from collections.abc import Mapping
@@ -314,6 +315,8 @@ def calibrate_unit(task: UnitTask) -> tuple[int, FleetUnit]:
             "report it as a defect.",
             DataError.exit_code,
         )
+    finally:
+        gc.collect()  # by itself it waits for many objects, and few of a recording are gigabytes
     code = 0 if result.status in USABLE else DataError.exit_code
     return task.number, unit(serial, result.status, result.message, code, result)
 

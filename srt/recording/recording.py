@@ -320,6 +320,13 @@ class Recording(Presented):
         value: Derived = self._memo[key]
         return value
 
+    def forget(self) -> None:
+        """Drop the derived values, which refer to the recording in turn: both would wait for the garbage collector.
+
+        It counts objects, not bytes, so that those of hundreds of recordings would stay in memory.
+        """
+        self._memo.clear()
+
     def __getstate__(self) -> dict[str, Any]:
         """Fields without the derived values, which another process recomputes."""
         return {f.name: getattr(self, f.name) for f in fields(self) if f.name != "_memo"}

@@ -1,5 +1,6 @@
 """Batches of a campaign: units of one motion as arrays, with the results of each by itself."""
 
+import gc
 from dataclasses import replace
 from itertools import chain
 
@@ -94,6 +95,22 @@ def test_disputed_results_are_those_of_single_runs(tmp_path):
     found = estimate_units(recordings, [Options()] * len(recordings))
     statuses = {assert_as_alone(*pair) for pair in zip(recordings, found, strict=True)}
     assert {"converged", "partial", "inconsistent"} <= statuses
+
+
+@pytest.mark.parametrize("motion", ["", ONE_MOTION], ids=["each", "one"])
+def test_a_batch_leaves_no_recording_in_memory(tmp_path, motion):
+    """Without the collector of circular references, which counts objects, not bytes."""
+    campaign = small_campaign(tmp_path, trials="8" + motion)
+    by_batches(campaign, 4)
+    gc.collect()
+    gc.disable()
+    try:
+        before = sum(isinstance(own, srt.Recording) for own in gc.get_objects())
+        by_batches(campaign, 4)
+        after = sum(isinstance(own, srt.Recording) for own in gc.get_objects())
+    finally:
+        gc.enable()
+    assert after == before
 
 
 def test_readings_of_one_schedule_are_averaged_together(tmp_path, monkeypatch):
