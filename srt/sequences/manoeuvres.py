@@ -77,17 +77,16 @@ def rotation_angles(stream: GyroStream, k: int, sequence: RotationSequence, bias
     Returns None if the pauses between the rotations cannot be found. Only pauses separate the rotations; axes are not
     used, because raw axes may be far from those of the table.
     """
-    s, e = stream.rotation[k]
-    increments = stream.increments[:, s:e] - bias[:, None] * stream.interval_s[s:e]
-    m = len(sequence.rotations)
-    if m == 1:
-        whole: Array = increments.sum(axis=1)[None]
-        return whole
-    speed = np.linalg.norm(stream.smooth[:, s:e] / stream.interval_s[s:e] - bias[:, None], axis=0)
-    borders = leg_borders(np.where(speed > MOVING * speed.max(), 0, -1), through_stops=False)
-    if len(borders) != m + 1:
+    own = slice(*stream.rotation[k].tolist())
+    rate = stream.smooth[:, own] / stream.interval_s[own] - bias[:, None]
+    square = np.einsum("an,an->n", rate, rate)
+    borders = leg_borders(np.where(square > MOVING**2 * square.max(), 0, -1), through_stops=False)
+    if len(borders) != len(sequence.rotations) + 1:
         return None
-    return np.stack([increments[:, a:b].sum(axis=1) for a, b in pairwise(borders.tolist())])
+    turned, seconds = (
+        np.add.reduceat(part, borders[:-1], axis=-1) for part in (stream.increments[:, own], stream.interval_s[own])
+    )
+    return np.asarray((turned - bias[:, None] * seconds).T)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
