@@ -197,7 +197,7 @@ SUBJECTS = (
         (
             ("off > _GROSS_RAD", "off > 1e3 * _GROSS_RAD"),
             ("not is_move[worst] or probability", "is_move[worst] and probability"),
-            ("probability > SUSPECT_PROBABILITY", "probability > 0.0 * SUSPECT_PROBABILITY"),
+            ("probability > CONTRADICTION_PROBABILITY", "probability > 0.0 * CONTRADICTION_PROBABILITY"),
             ("scale = max(1.0,", "scale = max(1e9,"),
         ),
     ),
@@ -310,7 +310,7 @@ SUBJECTS = (
         "srt/closed_form/iteration.py",
         ("tests/estimation/test_noise_sources.py",),
         (),
-        (("by_fixed = measurements.H * np", "by_fixed = 0.9 * measurements.H * np"),),
+        (("held = measurements.H * np", "held = 0.9 * measurements.H * np"),),
     ),
     Subject(
         "fixed values of the joint model",

@@ -17,7 +17,7 @@ from srt.closed_form.iteration import iterate, iterate_units
 from srt.closed_form.leave_one_out import sequence_diagnostics
 from srt.closed_form.measurement_covariance import accel_drift, covariance, covariance_by_source, disturbances, effect
 from srt.estimation import g_sensitivity_report
-from srt.estimation.calibration_builder import build_calibration, reported_covariance, usable_status
+from srt.estimation.calibration_builder import build_calibration, partial_or_converged, reported_covariance
 from srt.estimation.drift_model import DriftEstimate, change, gyro_statistics, most_likely, possible_sigma
 from srt.estimation.error_sources import NO_ERRORS, as_found
 from srt.estimation.fixed_parameters import fixed_sigma, fixed_values, reason_on_request, value_of_fixed
@@ -308,7 +308,9 @@ class _FinalSolution:
             if is_misfit(*fit) or contradicting_group(solution.sequence_tests, *fit) is not None:
                 return None
             by_unseen = _unseen(self.data, solution)[1]
-            status, message = usable_status(message, (*self.unit.options.fixed_names, *self.unit.formulas.missing))
+            status, message = partial_or_converged(
+                message, (*self.unit.options.fixed_names, *self.unit.formulas.missing)
+            )
         if status == "outside_model":
             observed = np.zeros(N_PARAMETERS, dtype=np.bool_)
         covariance = reported_covariance(self.stated, solution.covariance + by_unseen, observed)

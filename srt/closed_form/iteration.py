@@ -117,14 +117,14 @@ class _Iteration:
             self.corrections = np.column_stack([self.corrections, size])
             if progress is not None and size.size:
                 progress(self.corrections.shape[1], float(size.max()))
-            self._end(measurements, correction, failures)
+            self._test_convergence(measurements, correction, failures)
         message = (
             "Not converged after {count} iterations: the last correction was {last:.2e} "
             "(largest component: ratios, rad; accelerometer biases in g)."
         )
         self._finish_inside(np.arange(len(self.number)), "not_converged", [message] * len(self.number))
 
-    def _end(self, measurements: SrtMeasurements, correction: Array, failures: list[str | None]) -> None:
+    def _test_convergence(self, measurements: SrtMeasurements, correction: Array, failures: list[str | None]) -> None:
         """Take the units out that failed or converged; update what the others follow."""
         count = self.corrections.shape[1]
         sound = np.array([reason is None for reason in failures])

@@ -19,6 +19,7 @@ from srt.comparison.merge_model import (
     repeatability,
     stack_estimates,
 )
+from srt.estimation.calibration_builder import partial_or_converged
 from srt.estimation.leave_one_out import SequenceDiagnostics, consistency_tests, leave_one_out_estimates, verdict
 from srt.exceptions import DataError, InputError
 from srt.model.rotations import rotation_vector
@@ -116,11 +117,12 @@ def _merged(
     p_value = float(chdtrc(freedom, statistic)) if freedom else None
     unseen = tuple(dict.fromkeys(row for c in members for row in c.diagnostics.unseen_errors or ()))
     lacking = {name for c in members for name in c.diagnostics.not_shown or ()}
-    message = f"Merged from {len(members)} recording{'s' if len(members) > 1 else ''}."
+    merged = f"Merged from {len(members)} recording{'s' if len(members) > 1 else ''}."
+    status, message = partial_or_converged(merged, held)
     return Calibration(
         estimator=ESTIMATOR,
-        status="partial" if held else "converged",
-        message=message + (f" Fixed, not observed: {', '.join(held)}." if held else ""),
+        status=status,
+        message=message,
         errors=SensorErrors(vector),
         covariance=covariance,
         held=held,

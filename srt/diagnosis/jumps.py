@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from srt.types import Array, Indices, Mask
 
 _JERK: Final = 3.0
-"""Smallest deviation of a spike, in units of the range of the slopes of its neighbours; a step or a kink of the motion
-gives at most 1."""
+"""Smallest deviation of a spike that also exceeds the limit of false alarms, in units of the range of the slopes of its
+neighbours; a step or a kink of the motion gives at most 1."""
 _QUANTILE: Final = 0.9
 """Quantile of the magnitudes of the deviations from which the noise is taken, as larger ones may be spikes."""
 _FOR_NOISE: Final = 200

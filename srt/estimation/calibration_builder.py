@@ -112,8 +112,8 @@ def reported_covariance(data: PreparedRecording, total: Array, observed: Mask, i
     return np.asarray(0.5 * (covariance + covariance.T))
 
 
-def usable_status(message: str, fixed: Collection[str]) -> tuple[str, str]:
-    """Status and message of a converged result that nothing contradicts."""
+def partial_or_converged(message: str, fixed: Collection[str]) -> tuple[str, str]:
+    """Status and message of a converged result that nothing contradicts, by the parameters that are fixed."""
     return ("partial", f"{message} Fixed, not observed: {', '.join(fixed)}.") if fixed else ("converged", message)
 
 
@@ -222,7 +222,7 @@ def _status(
             f"a wrong minimum, {'a parameter fixed at a wrong value, ' if fixed else ''}noise stated far too small, or "
             "a unit that the sensor model does not describe."
         )
-    return usable_status(result.message, fixed)
+    return partial_or_converged(result.message, fixed)
 
 
 def _unmodelled_drift(result: SolverResult) -> str:

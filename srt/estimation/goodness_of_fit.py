@@ -18,10 +18,11 @@ if TYPE_CHECKING:
     from srt.types import Array
 
 
-SUSPECT_PROBABILITY: Final = 1e-4
+CONTRADICTION_PROBABILITY: Final = 1e-4
 """p-value below which a sequence contradicts the others: over 17 sequences, one false alarm in about 600 recordings.
 
-In hand no label and no fixture can be wrong, and it is that of all turns together."""
+For units turned by hand, where neither a label nor the fixture can be wrong, it is the p-value of all turns together.
+"""
 _ONE_FAULT: Final = 0.05
 """A group explains the misfit if the other measurements have a smaller share of chi-square than this.
 
@@ -90,7 +91,7 @@ def contradicting_group(
     free : bool
         The unit was turned by hand.
     """
-    limit = SUSPECT_PROBABILITY / (len(tests) if free and tests else 1)
+    limit = CONTRADICTION_PROBABILITY / (len(tests) if free and tests else 1)
     worst: tuple[int, float] | None = None
     for number, (own, freedom) in enumerate(tests):
         rest, others = max(chi_square - own, 0.0), degrees_of_freedom - freedom

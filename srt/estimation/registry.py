@@ -38,7 +38,7 @@ BUILT_IN: Final = {
     "closed-form": "srt.closed_form.estimator:estimate",
     "least-squares": "srt.joint.least_squares:estimate",
 }
-"""Estimators of ``srt``; the residuals of both are those of :func:`srt.closed_form.iteration.iterate`."""
+"""Estimators of ``srt`` itself."""
 ESTIMATORS: Final = (*BUILT_IN, "ekf", "graph")
 """Estimators of this distribution, the least efficient first: compared by default, with fixed colours in figures."""
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from scipy.special import chdtrc
 
-from srt.estimation.goodness_of_fit import SUSPECT_PROBABILITY
+from srt.estimation.goodness_of_fit import CONTRADICTION_PROBABILITY
 from srt.estimation.initial_estimates import initial_estimate
 from srt.estimation.srt_measurements import SrtProcessor
 from srt.exceptions import DataError
@@ -120,7 +120,7 @@ def contradicting_move(tests: Sequence[tuple[float, int]], is_move: Mask) -> dic
     excess = np.where(tested, (chi_square / scale - freedom) / np.sqrt(2.0 * np.maximum(freedom, 1.0)), -np.inf)
     worst = int(np.argmax(excess))
     probability = float(chdtrc(freedom[worst], chi_square[worst] / scale))
-    if not is_move[worst] or probability > SUSPECT_PROBABILITY:
+    if not is_move[worst] or probability > CONTRADICTION_PROBABILITY:
         return {}
     return {
         worst: f"it contradicts the other measurements (chi-square {chi_square[worst]:.3g} for {freedom[worst]:.0f} "

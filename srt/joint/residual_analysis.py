@@ -9,7 +9,7 @@ from scipy.sparse.linalg import splu
 from scipy.special import chdtri
 
 from srt.estimation.error_sources import EXCESSES, LARGEST_FIXTURE_RAD, UnmodelledErrors, shared_edges
-from srt.estimation.goodness_of_fit import SUSPECT_PROBABILITY, chi_square_probability
+from srt.estimation.goodness_of_fit import CONTRADICTION_PROBABILITY, chi_square_probability
 from srt.estimation.leave_one_out import (
     ConsistencyTest,
     LeaveOneOutEstimate,
@@ -108,7 +108,7 @@ def contradicting_rests(joint: JointModel, solution: BlockSolution) -> Mask:
     tested = np.linalg.eigvalsh(own)[:, 0] > LEAST_PREDICTED_SHARE
     own[~tested] = np.eye(3)
     statistic = np.einsum("wa,wa->w", residual, np.linalg.solve(own, residual[:, :, None])[:, :, 0])
-    return np.asarray(tested & (statistic > chdtri(3, SUSPECT_PROBABILITY / len(own))))
+    return np.asarray(tested & (statistic > chdtri(3, CONTRADICTION_PROBABILITY / len(own))))
 
 
 def deletion_table(

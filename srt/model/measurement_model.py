@@ -18,7 +18,9 @@ force and the mean rate of a window, and the rotation between two windows (:func
 :func:`start_attitude_residual`). ``A`` takes B-components to the local level frame L (z down), which turns with the
 Earth. Attitude errors are small rotations of B, ``A exp(a×)``.
 
-Closed form, least squares, Kalman filter and factor graph all take their Jacobians from this module.
+All estimators take their Jacobians from this module: the closed form :func:`horizontal_jacobian`,
+:func:`down_jacobian` and :func:`rate_error_jacobian`; least squares, Kalman filter and factor graph those of the
+residuals.
 """
 
 from __future__ import annotations
