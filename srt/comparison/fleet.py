@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from srt.comparison.outliers import FALSE_ALARMS, MINIMUM_UNITS, FleetOutliers, find_outliers
+from srt.comparison.outliers import EXPECTED_FALSE_FLAGS, MINIMUM_UNITS, FleetOutliers, find_outliers
 from srt.exceptions import DataError, InputError, SrtError
 from srt.model.platform_steps import many_recordings
 from srt.recording.atomic_file import atomic_path
@@ -167,7 +167,7 @@ class Fleet:
             "version": VERSION,
             "judgement": {
                 "method": "each unit against the median and the pairwise scatter of all the others",
-                "expected_false_flags": FALSE_ALARMS,
+                "expected_false_flags": EXPECTED_FALSE_FLAGS,
                 "minimum_units": MINIMUM_UNITS,
             },
             "units": [self._unit(number) for number in range(len(self.units))],

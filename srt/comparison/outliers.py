@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     from srt.types import Array, Counts, Mask
 
 
-FALSE_ALARMS: Final = 0.01
+EXPECTED_FALSE_FLAGS: Final = 0.01
 """Expected number of false flags in a table of 27 parameters; it bounds the probability of one."""
 
 MINIMUM_UNITS: Final = 6
@@ -212,7 +212,7 @@ def tail_probability(units: int, limits: ArrayLike, rng: np.random.Generator, dr
 
 
 def _normal_limit(units: Array | np.float64) -> Array:
-    out: Array = -ndtri(0.5 * FALSE_ALARMS / (N_PARAMETERS * units))
+    out: Array = -ndtri(0.5 * EXPECTED_FALSE_FLAGS / (N_PARAMETERS * units))
     return out
 
 

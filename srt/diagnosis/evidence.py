@@ -227,8 +227,7 @@ class Evidence:
         """True for each sequence without a gap between its first and last sample, shape (K,)."""
         data = self._data
         first, last = data.windows.samples[data.start, 0], data.windows.samples[data.end, 1]
-        gaps = self.recording.gaps
-        return np.asarray(np.searchsorted(gaps, first, side="right") == np.searchsorted(gaps, last, side="left"))
+        return np.asarray(self.recording.gaps_inside(np.column_stack([first, last])) < 0)
 
     @property
     def _data(self) -> PreparedRecording:

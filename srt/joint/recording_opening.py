@@ -18,7 +18,6 @@ from srt.joint.joint_model import JointModel
 from srt.model.rotations import rotation_vector
 from srt.sequences.checked_preparation import prepare_checked
 from srt.sequences.moves import recorded_moves
-from srt.sequences.plausibility import gap_inside
 from srt.sequences.stationary_windows import find_turns
 
 if TYPE_CHECKING:
@@ -57,8 +56,8 @@ def open_joint_model(recording: Recording, options: Options) -> JointModel:
 def _rotation_is_incomplete(recording: Recording, label: SequenceLabel) -> bool:
     """True if samples are missing after a complete start window."""
     first, last = recording.window_indices(*label.start_static_s), recording.window_indices(*label.end_static_s)
-    lost = gap_inside(recording, slice(first.start, last.stop)).size > 0
-    return lost and gap_inside(recording, first).size == 0
+    whole, window = recording.gaps_inside([(first.start, last.stop), (first.start, first.stop)]).tolist()
+    return bool(whole >= 0 and window < 0)
 
 
 def _end_is_missing(recording: Recording, label: SequenceLabel) -> bool:

@@ -20,7 +20,7 @@ from srt.recording.recording import Fixture
 from srt.result.calibration import software
 from srt.sensor_errors import GROUP_SLICES, NAMES
 from srt.sequences.clipping import clipped_samples, clipping_levels
-from srt.sequences.plausibility import check_interval, check_rest, gap_inside
+from srt.sequences.plausibility import check_interval, check_rest
 from srt.sequences.stationary_windows import find_windows, window_times
 from srt.sequences.window_means import average_windows
 
@@ -189,7 +189,7 @@ def _check_samples(recording: Recording, samples: Indices, used: Indices, names:
         part = slice(*samples[i].tolist())
         if part.stop - part.start < 2:
             raise DataError(f"{names[i]} holds one sample; a pose needs at least two: widen its window.")
-        if gap_inside(recording, part).size:
+        if (recording.gaps_inside(samples[i]) >= 0).any():
             raise DataError(f"{names[i]} has samples missing: the unit may have moved meanwhile; record it again.")
         clipped = [c for c in clipped_samples(recording, part, levels) if c.channel.startswith("accel")]
         if clipped:

@@ -28,6 +28,8 @@ from srt.recording.timing import SampleTiming, sample_timing
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Iterator, Sequence
 
+    from numpy.typing import ArrayLike
+
     from srt.recording.applied import AppliedCorrection
     from srt.recording.protocol import Protocol
     from srt.types import Array, Indices
@@ -354,6 +356,15 @@ class Recording(Presented):
     def gaps(self) -> Indices:
         """Indices of the first samples after interruptions; empty without interruptions."""
         return self.timing.gaps
+
+    def gaps_inside(self, spans: ArrayLike) -> Indices:
+        """First sample after an interruption inside each span of samples (n, 2), -1 without one, shape (n,).
+
+        One right before a span is outside it.
+        """
+        start, stop = np.reshape(spans, (-1, 2)).T
+        first = np.append(self.gaps, len(self.time))[np.searchsorted(self.gaps, start, side="right")]
+        return np.where(first < stop, first, -1)
 
     def window_indices(self, a: float, b: float) -> slice:
         """Samples of the window [a, b], s: those with a + dt/2 < t <= b + dt/2; an empty slice if there are none.

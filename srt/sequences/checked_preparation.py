@@ -65,7 +65,7 @@ def _prepare_checked(
     voided: dict[str, str] = {}
     whole = []
     for label, gap in zip(labels, _gaps(recording, labels), strict=True):
-        if gap is None:
+        if gap < 0:
             whole.append(label)
         else:
             voided[label.title] = f"samples are missing before {recording.time[gap]:.6g} s"
@@ -90,14 +90,12 @@ def _prepare_checked(
     return data
 
 
-def _gaps(recording: Recording, labels: tuple[SequenceLabel, ...]) -> list[int | None]:
-    """First sample after a gap inside each sequence; None without a gap."""
-    if not recording.gaps.size:
-        return [None] * len(labels)
+def _gaps(recording: Recording, labels: tuple[SequenceLabel, ...]) -> list[int]:
+    """First sample after a gap inside each sequence; -1 without a gap."""
     windows = recording.windows([own for label in labels for own in (label.start_static_s, label.end_static_s)])
-    at = np.searchsorted(recording.gaps, [window.start for window in windows[::2]], side="right")
-    first = np.append(recording.gaps, len(recording.time))[at].tolist()
-    return [gap if gap < end.stop else None for gap, end in zip(first, windows[1::2], strict=True)]
+    spans = [(first.start, last.stop) for first, last in zip(windows[::2], windows[1::2], strict=True)]
+    out: list[int] = recording.gaps_inside(spans).tolist()
+    return out
 
 
 def _part(recording: Recording, label: SequenceLabel) -> slice:

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from srt.recording.recording import SequenceLabel
-from srt.sequences.plausibility import gap_inside
 from srt.sequences.stationary_windows import MIN_TURN_RAD
 
 if TYPE_CHECKING:
@@ -57,7 +56,7 @@ def _is_move(recording: Recording, before: SequenceLabel, after: SequenceLabel) 
     first, last = (recording.window_indices(*w) for w in (before.end_static_s, after.start_static_s))
     if min(first.stop - first.start, last.stop - last.start) < 2 or last.start <= first.stop:
         return False
-    if gap_inside(recording, slice(first.start, last.stop)).size:
+    if (recording.gaps_inside((first.start, last.stop)) >= 0).any():
         return False
     rest = 0.5 * (recording.gyro[first].mean(axis=0) + recording.gyro[last].mean(axis=0))
     angle = (recording.gyro[first.stop : last.start] - rest).sum(axis=0)

@@ -154,24 +154,6 @@ def check_turns(
     raise DataError(f"{labels[k]}: {found}, and the other turns are like it: {cause}; correct gyro_unit or kind.")
 
 
-def gap_inside(recording: Recording, part: slice) -> Indices:
-    """Find the interruptions inside a part of a recording, across which nothing can be integrated.
-
-    Parameters
-    ----------
-    part : slice
-        Samples of a sequence.
-
-    Returns
-    -------
-    ndarray of int
-        Indices of the samples that follow an interruption; one right before the part is outside it.
-    """
-    gaps = recording.gaps
-    inside: Indices = gaps[(gaps > part.start) & (gaps < part.stop)]
-    return inside
-
-
 def _is_legal(ratio: float, sensor: Sensor) -> bool:
     low, high = LEGAL_RATIO[sensor]
     return low <= ratio <= high

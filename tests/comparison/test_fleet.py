@@ -13,7 +13,7 @@ from scipy.special import ndtr
 import srt
 from srt.comparison.fleet import COLUMNS, calibrate_fleet
 from srt.comparison.outliers import (
-    FALSE_ALARMS,
+    EXPECTED_FALSE_FLAGS,
     MINIMUM_UNITS,
     critical_value,
     find_outliers,
@@ -47,7 +47,7 @@ def check_rate(flags, expected):
 @pytest.mark.parametrize(("units", "fleets"), [(6, 3000), (9, 3000), (21, 1500)])
 def test_sound_fleets_are_flagged_as_often_as_stated(units, fleets):
     """The worst case, no measurement errors; the limits, one of them between knots, are those of the program."""
-    check_rate(flags_of_fleets(np.random.default_rng(units), units, fleets), FALSE_ALARMS)
+    check_rate(flags_of_fleets(np.random.default_rng(units), units, fleets), EXPECTED_FALSE_FLAGS)
 
 
 @pytest.mark.slow
@@ -55,7 +55,7 @@ def test_sound_fleets_are_flagged_as_often_as_stated(units, fleets):
 def test_sound_fleets_are_flagged_as_often_as_stated_in_full(units):
     rng = np.random.default_rng(units)
     flags = [flags_of_fleets(rng, units, 500) for _ in range(20)]
-    check_rate(np.concatenate(flags), FALSE_ALARMS)
+    check_rate(np.concatenate(flags), EXPECTED_FALSE_FLAGS)
 
 
 @pytest.mark.parametrize("units", [7, 14])
@@ -79,7 +79,7 @@ def test_limits_solve_their_equation(units):
     rng = np.random.default_rng(units)
     draws = {6: 40_000, 8: 40_000, 15: 10_000, 24: 3_000, 45: 1_000, 120: 100}[units]
     parts = [tail_probability(units, critical_value(units), rng, draws) for _ in range(20)]
-    expected = FALSE_ALARMS / N_PARAMETERS / units
+    expected = EXPECTED_FALSE_FLAGS / N_PARAMETERS / units
     # The table has three decimals and comes from draws of its own, which show beyond 1 % of the chance.
     assert abs(np.mean(parts) - expected) < 3.5 * np.std(parts, ddof=1) / math.sqrt(20) + 0.01 * expected
 
@@ -87,8 +87,10 @@ def test_limits_solve_their_equation(units):
 def test_limit_goes_to_that_of_a_known_fleet():
     """Five million units: the normal quantile of 0.01 / 27 / n on both sides, which the limit never falls below."""
     for units in (6, 30, 300, 5_000_000):
-        assert units * N_PARAMETERS * 2.0 * ndtr(-critical_value(units)) < FALSE_ALARMS * (1.0 + 1e-9)
-    assert 5_000_000 * N_PARAMETERS * 2.0 * ndtr(-critical_value(5_000_000)) == pytest.approx(FALSE_ALARMS, rel=1e-3)
+        assert units * N_PARAMETERS * 2.0 * ndtr(-critical_value(units)) < EXPECTED_FALSE_FLAGS * (1.0 + 1e-9)
+    assert 5_000_000 * N_PARAMETERS * 2.0 * ndtr(-critical_value(5_000_000)) == pytest.approx(
+        EXPECTED_FALSE_FLAGS, rel=1e-3
+    )
     assert 5.0 < critical_value(1000) < critical_value(100_000)
 
 
@@ -106,7 +108,7 @@ def test_sigmas_of_all_kinds_flag_no_more_than_stated(kind, spread):
     rng = np.random.default_rng(8)
     flags = flags_of_fleets(rng, 8, 800, spread=spread, sigma=unequal(rng)[kind])
     # Counts are close to Poisson's: 3.5 standard errors of the stated rate.
-    assert np.mean(flags) < FALSE_ALARMS + 3.5 * math.sqrt(FALSE_ALARMS / len(flags))
+    assert np.mean(flags) < EXPECTED_FALSE_FLAGS + 3.5 * math.sqrt(EXPECTED_FALSE_FLAGS / len(flags))
 
 
 def test_power():

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.comparison.outliers import FALSE_ALARMS, MINIMUM_UNITS
+from srt.comparison.outliers import EXPECTED_FALSE_FLAGS, MINIMUM_UNITS
 from srt.reports.parameters import group_heads, value_text
 from srt.reports.tables import decimals_for, fixed, text_table, wrap
 from srt.result.verdict import probability_text
@@ -103,7 +103,7 @@ def outlier_test_text(fleet: Fleet) -> str:
     few = int(np.sum(np.isnan(fleet.outliers.limit)))
     return (
         f"Each unit is compared with all others; a z beyond {reach} is outlying. In a fleet of {sound} units without "
-        f"outliers, the probability of any flag is at most {100.0 * FALSE_ALARMS:.0f} %."
+        f"outliers, the probability of any flag is at most {100.0 * EXPECTED_FALSE_FLAGS:.0f} %."
         + (f" {few} parameters are not tested: fewer than {MINIMUM_UNITS} units have them." if few else "")
     )
 
