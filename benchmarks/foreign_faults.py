@@ -1,7 +1,7 @@
 """Faults of a laboratory, by a generator that shares nothing with the checks: units, wiring, logger, operator, fixture.
 
 Each kind changes the plan of a test, the true motion, or the readings, of ``foreign_fixture.py`` and
-``foreign_motion.py``; its size and place are drawn. :mod:`fault_verdicts` measures what is said of them.
+``foreign_motion.py``; its size and place are drawn. :mod:`faults` measures what is said of them.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from foreign_fixture import Trial
-from foreign_motion import DEG, drawn_errors
+from foreign_fixture import LATITUDE_DEG, Motion, Trial, on_fixture, table_1
+from foreign_motion import DEG, GRADES, PROFILES, START_DEG, attitudes, drawn_errors, hand_turns, true_samples
 from scipy.signal import butter, lfilter, lfilter_zi
 from scipy.spatial.transform import Rotation
 
@@ -456,3 +456,44 @@ for _n, _name in enumerate(("gyro", "accel")):
         "of one polarity": Kind(f"{_name}_one_polarity", 1, 1, _P(one_polarity, sensor=_n)),
     }.items()}
 # fmt: on
+
+
+def trial(kind: Kind, size: float, seed: tuple[int, ...]) -> Trial:
+    """Recording of a unit with the fault."""
+    rng = np.random.default_rng((*seed, 1))
+    needs = kind.needs.split()
+    grade = str(rng.choice([name for name in GRADES if name in needs] or list(GRADES)))
+    fixture = bool(rng.random() < 0.7) or bool({"fixture", "labelled"} & {*needs})
+    labelled = fixture and (bool(rng.random() < 0.6) or "labelled" in needs)
+    stated = bool(rng.random() < 0.5) or "stated" in needs
+    dt = 1.0 / float(rng.choice([50.0, 100.0]))
+    if fixture:
+        rate = float(rng.uniform(40.0, 90.0)) * DEG
+        motion = on_fixture(table_1(), rng, rest_s=float(rng.uniform(5.0, 12.0)), rate_rad_s=rate, sigma_rad=1e-3)
+        profile = str(rng.choice(PROFILES[:2]))
+    else:
+        start = Rotation.from_euler("ZYX", START_DEG, degrees=True)
+        motion, profile = Motion(start, 5.0, hand_turns(rng, shortest_s=1.0, rest_s=5.0)), "hand"
+    t = Trial(grade, motion, fixture, labelled, stated, dt, np.random.default_rng((*seed, 2)), (*seed, 3), {})
+    t.errors = drawn_errors(t.unit, rng)
+    if kind.stage == "plan":
+        kind.change(t, size)
+    body = attitudes(motion.turns, motion.start, motion.first_rest_s, dt, profile, rng)
+    t.rate, t.force = true_samples(body, dt, LATITUDE_DEG * DEG)
+    if kind.stage == "motion":
+        kind.change(t, size)
+    t.read()
+    if kind.stage == "readings":
+        kind.change(t, size)
+    return t
+
+
+def drawn_fault(number: int, seed: int) -> tuple[str, tuple[str, ...], Trial]:
+    """Title of a recording with a fault of drawn kind and size, the right causes, and the recording."""
+    rng = np.random.default_rng((seed, number))
+    name = str(rng.choice(list(KINDS)))
+    kind = KINDS[name]
+    size = float(np.exp(rng.uniform(math.log(kind.low), math.log(kind.high))))
+    t = trial(kind, size, (seed, number))
+    test = ("labelled " if t.labelled else "") + ("fixture" if t.fixture else "by hand")
+    return f"{number}: {name} {size:.3g}, {t.grade}, {test}, {1.0 / t.dt:.0f} Hz", tuple(kind.causes.split()), t

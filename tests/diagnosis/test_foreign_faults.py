@@ -1,17 +1,15 @@
 """Faults and defects of generators that are no part of the simulator, and false alarms."""
 
-import functools
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from fault_outcomes import OUTCOMES, outcome_of
-from fault_severities import KINDS as INJECTED
-from fault_severities import Units, halvings
-from fault_verdicts import trial
-from foreign_faults import KINDS
+from faults import KINDS as INJECTED
+from faults import case_of, severity_at
+from foreign_faults import KINDS, trial
 from honesty import STUDIES
 from honesty_recordings import DEFECTS
-from injected_faults.injection import Case
+from injected_faults.injection import GRADES, Case
 from scipy import stats
 
 import srt
@@ -23,9 +21,24 @@ from srt.sequences import clipping, vibration
 SEED = 20261410
 
 
-@functools.cache
-def units():
-    return Units(SEED)
+def injected(kind, grade, rung, severity=None):
+    """Recording of the unit of a grade and a step, of a severity or of the stated one halved ``rung`` times."""
+    made = INJECTED[kind]
+    if severity is None:
+        made = replace(made, severity={grade: made.severity.get(grade, next(iter(made.severity.values())))})
+        steps = (severity_at(made, grade, step) for step in range(rung, -1, -1))
+        severity = next(step for step in steps if step is not None)
+    return made.recording(case_of(grade, SEED + 10 * GRADES.index(grade) + rung), severity)
+
+
+def first_cause(kind, *unit):
+    """First cause named, a note if it is the right one; that of the refusal where the recording is not made."""
+    try:
+        found = diagnose(injected(kind, *unit), INJECTED[kind].options)
+    except srt.InputError as error:
+        return error.fault
+    first = found.first or next((f for f in found.findings if f.fault in INJECTED[kind].causes), None)
+    return first and first.fault
 
 
 def case(kind, grade, rung=0, *, slow=True):
@@ -70,9 +83,7 @@ def case(kind, grade, rung=0, *, slow=True):
     ],
 )
 def test_named_first(kind, grade, rung):
-    injection = INJECTED[kind]
-    severity = halvings(injection, grade)[rung]
-    assert outcome_of(injection, units(), grade, rung, severity).outcome == OUTCOMES[0]
+    assert first_cause(kind, grade, rung) in INJECTED[kind].causes
 
 
 @pytest.mark.parametrize(
@@ -95,7 +106,7 @@ def test_named_first(kind, grade, rung):
     ],
 )
 def test_named_first_at_a_severity(kind, grade, severity):
-    assert outcome_of(INJECTED[kind], units(), grade, 1, severity).outcome == OUTCOMES[0]
+    assert first_cause(kind, grade, 1, severity) in INJECTED[kind].causes
 
 
 @pytest.mark.parametrize(
@@ -120,20 +131,20 @@ def test_named_first_at_a_severity(kind, grade, severity):
     ],
 )
 def test_drawn_fault_is_first(kind, size, number):
-    recording = trial(KINDS[kind], size, (20261144, number), faulty=True).recording()
+    recording = trial(KINDS[kind], size, (20261144, number)).recording()
     found = diagnose(recording)
     assert found.first.fault in KINDS[kind].causes.split()
     assert found.judgement is None or found.judgement.word != "sound"
 
 
 def test_parts_of_rotations_that_jitter_overlap():
-    recording = trial(KINDS["jitter"], 0.0763, (20261147, 192), faulty=True).recording()
+    recording = trial(KINDS["jitter"], 0.0763, (20261147, 192)).recording()
     assert srt.calibrate(recording).judgement.word == "doubtful"
 
 
 @pytest.mark.parametrize("kind", ["sensors askew in their housing", "gyro scale drifts"])
 def test_mixed_pulses_are_no_dead_band(kind):
-    recording = INJECTED[kind].recording(units().case("navigation-rlg", 1))
+    recording = injected(kind, "navigation-rlg", 1)
     assert "gyro_dead_band" not in {f.fault for f in diagnose(recording, calibrating=False).findings}
 
 
