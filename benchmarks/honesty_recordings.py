@@ -14,18 +14,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from foreign_motion import DEG, GRADES, PROFILES, drawn_errors, drift_course, drifting, hand_turns, recording, windows
+from foreign_motion import DEG, GRADES, PROFILES, drawn_errors, drifting, hand_turns, recording, windows
 from scipy.signal import lfilter
 
 sys.path.append(str(Path(__file__).parents[1] / "tests"))  # injected_faults
 
-from injected_faults.disturbances import tilt_step, vibrating
-from injected_faults.execution import labels_exchanged
+from injected_faults.disturbances import vibrating
 from injected_faults.injection import Case
 
 import srt
 from sims.physics.imu import read_out
-from sims.physics.sequences import TABLE_1
 from sims.physics.table_motion import run_schedule
 from sims.scenarios.simulation import schedule_of
 from srt.constants import DEG_PER_H, MICRO_G
@@ -39,8 +37,6 @@ HAND_SEED = 20261122
 CLOCK, GRAVITY = 1e-4, 342e-6
 LONG_RESTS = {"8, 570": (12, 33.0)}
 """Turns, and rest after each, s, if other than 36 and 5 s: repeated recordings of a sensor array last 500 s."""
-STATED = {"navigation-rlg": (0.2, 0.3), "tactical-fog": (4.0, 30.0), "industrial-mems": (8.0, 60.0)}
-"""Change of the accelerometer biases, mg, and of the gyro biases, °/h, over a recording on the fixture."""
 COUNTS = 32767
 """Largest count of a signed word of 16 bits."""
 
@@ -78,14 +74,6 @@ def ramp(ug_per_h: float) -> Change:
         return replace(unit, accel=unit.accel + slope * time * per_sample(case), data_sha256=None)
 
     return change
-
-
-def slip(case: Case, rng: np.random.Generator) -> srt.Recording:
-    """The unit slips by 1 mrad in its mount between the windows of one sequence."""
-    run = case.simulation
-    label = run.recording.sequences[rng.integers(len(run.recording.sequences))]
-    middle = 0.5 * (label.start_static_s[1] + label.end_static_s[0])
-    return read_again(case, tilt_step(run.motion, middle, 1e-3 * unit_vector(rng)), rng)
 
 
 def vibration(frequency_hz: float, angle_rad: float, force_mg: float) -> Change:
@@ -156,18 +144,6 @@ def gravity(*, stated: bool) -> Change:
     return change
 
 
-FAULTS: dict[str, Change] = {
-    "none": as_recorded,
-    "no [imu] table": lambda case, _: replace(case.recording, noise=srt.ImuNoise()),
-    "sequence 6 missing": lambda case, _: (
-        case.changed(schedule={"sequences": tuple(name for name in TABLE_1 if name != "6")}).recording
-    ),
-    "labels exchanged": lambda case, rng: labels_exchanged(case, 2.0, rng),
-    "accelerometer ramp, 1000 µg/h": ramp(1000.0),
-    "slip, 1 mrad": slip,
-}
-
-
 @dataclass(frozen=True)
 class SilentError:
     """Error of a test, and what tells it: faults of the checks, a source of unseen errors, the sensor of a drift."""
@@ -190,30 +166,6 @@ SILENT_ERRORS = {
     "gravity off by 342 ppm": SilentError(gravity(stated=False), ("gravity",)),
     "gravity off by 342 ppm, sigma stated": SilentError(gravity(stated=True)),
 }
-
-
-def fixture_drift(case: Case, form: str, change: str, rng: np.random.Generator) -> srt.Recording:
-    """Recording of a case with a drift of both triads by "mg, °/h"; zero on average over the stationary windows.
-
-    The form "temperature" is a warm-up and one cycle of the air in the room, which is recorded.
-    """
-    unit, time, temperature = case.recording, case.recording.time, None
-    if change == "0, 0":
-        return unit
-    rests = [span for label in unit.sequences for span in (label.start_static_s, label.end_static_s)]
-    direction = rng.normal(size=(2, 3))
-    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    if form == "temperature":
-        share = time / time[-1]
-        cycle = np.sin(2.0 * np.pi * (rng.uniform(1.0, 3.0) * share + rng.uniform()))
-        temperature = 25.0 - 4.0 * np.exp(-share / rng.uniform(0.1, 0.5)) + 2.0 * cycle
-        at_rest = np.any([(time > a) & (time <= b) for a, b in rests], axis=0)
-        courses = [(temperature - temperature[at_rest].mean()) / np.ptp(temperature)] * 2
-    else:
-        courses = [drift_course(form, time, rests, rng) for _ in range(2)]
-    sizes = np.array([float(x) for x in change.split(", ")]) * per_sample(case) * [1e3 * MICRO_G, DEG_PER_H]
-    accel, gyro = (size * course[:, None] * d for size, course, d in zip(sizes, courses, direction, strict=True))
-    return replace(unit, accel=unit.accel + accel, gyro=unit.gyro + gyro, temperature=temperature, data_sha256=None)
 
 
 def truth_of(errors: dict[str, float]) -> np.ndarray:
@@ -244,15 +196,6 @@ def drifting_unit(
     unit = recording(turns, rest_s, errors, GRADES[grade], rng, profile=profile)
     accel_mg, gyro_deg_h = map(float, change.split(", "))
     unit = drifting(unit, turns, rest_s, rng, form=form, accel_mg=accel_mg, gyro_deg_h=gyro_deg_h)
-    return unit, truth_of(errors)
-
-
-def asymmetric_unit(seed: int, grade: str, share: float) -> tuple[srt.Recording, np.ndarray]:
-    """Unit of nine turns whose asymmetries are a share of its scale errors, and its errors."""
-    rng = np.random.default_rng((HAND_SEED, 11, seed))
-    errors = drawn_errors(GRADES[grade], rng)
-    errors |= {name: 10.0 * share * value for name, value in errors.items() if "asymmetry" in name}
-    unit = recording(hand_turns(rng, shortest_s=1.0, count=9), 5.0, errors, GRADES[grade], rng)
     return unit, truth_of(errors)
 
 

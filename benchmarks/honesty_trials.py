@@ -7,29 +7,27 @@ are those of the modules that make the recordings.
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from time import process_time
 from typing import Any
 
 import numpy as np
-from accuracy_trials import GRADES as SIMULATED_GRADES
 from accuracy_trials import fixture_recording, noisy_recording
 from efficiency import bound_si
+from foreign_motion import DEG, GRAVITY_M_S2, NINETEEN_START_DEG, PSINS_EXTRAS, Grade, drawn_errors, recording
 from foreign_motion import GRADES as HAND_GRADES
+from foreign_motion import nineteen_positions as nineteen_turns
 from honesty_recordings import (
     DEFECTS,
-    FAULTS,
     SILENT_ERRORS,
-    asymmetric_unit,
     defective_unit,
     drifting_unit,
-    fixture_drift,
     hand_unit,
     truth_of,
 )
 from injected_faults.injection import Case
-from nineteen_positions import CASES as NINETEEN_POSITIONS
-from nineteen_positions import bound as bound_of_nineteen
-from nineteen_positions import unit_of as unit_of_nineteen
+from motion_bound import Chain, Conditions, Leg, motion_bound
+from scipy.spatial.transform import Rotation
 from studies import Score, scored
 from worse_recordings import CASES, HAND_RESTS_S, unit_of, unstated_unit
 
@@ -38,7 +36,7 @@ from srt.comparison.estimator_comparison import compare
 from srt.constants import DEG_PER_H, STANDARD_GRAVITY_M_S2
 from srt.diagnosis.staged_diagnosis import diagnose
 from srt.result.verdict import OF_FIXTURE
-from srt.sensor_errors import GROUP_SLICES, NAMES
+from srt.sensor_errors import NAMES
 
 Cell = tuple[Any, ...]
 Rows = dict[str, Score]
@@ -52,12 +50,14 @@ SIMULATED = {
     "g-sensitivity": {"g_sensitivity": DEG_PER_H / STANDARD_GRAVITY_M_S2},
 }
 """Units of the simulator; g-sensitivity in units of that of the grade."""
-RULES = {"estimated": 1.0, "where p < 0.05": 0.05, "where p < 0.001": 1e-3, "never": 0.0}
-"""Probability of the test below which a group of asymmetries is estimated."""
 
-
-ASYMMETRIES = {"none": 0.0, "a tenth of the scale error": 0.1, "three tenths": 0.3, "as large": 1.0}
-"""Asymmetries, 1-sigma, in units of the scale errors."""
+NINETEEN_SEED = 20261122
+NINETEEN_GRADE = Grade(0.001 * DEG / 60.0, 10e-6 * 9.80665, 3e-5, 1.5e-4, 0.2 * DEG / 3600.0, 2e-3)
+NINETEEN_POSITIONS = {  # extras, parameters fixed
+    "no extras": (None, ("gyro_asymmetry", "accel_asymmetry")),
+    # At 1 g, |f| takes up what a quadratic term adds.
+    "quadratic terms, lever arms, lag": (PSINS_EXTRAS, ("gyro_asymmetry",)),
+}
 
 
 def calibrated(unit: srt.Recording, truth: np.ndarray, estimators: list[str]) -> Rows:
@@ -91,6 +91,29 @@ def on_the_fixture(cell: Cell, unit: int, estimators: list[str], *, moves: str) 
     return {name: replace(scored(each, truth.vector), bound=bound, named=differ) for name, each in found.items()}
 
 
+@cache
+def bound_of_nineteen(fixed: tuple[str, ...]) -> np.ndarray:
+    """Cramér-Rao bound of the 27 errors, 1-sigma, zero for those that are fixed."""
+    turns, first_rest_s = nineteen_turns()
+    chain = Chain(
+        Rotation.from_euler("ZYX", NINETEEN_START_DEG, degrees=True),
+        [first_rest_s, *(turn.rest_s for turn in turns)],
+        [[Leg(np.array(turn.axis), turn.angle_rad, turn.duration_s)] for turn in turns],
+    )
+    conditions = Conditions(
+        NINETEEN_GRADE.gyro_rad_per_sqrt_s, NINETEEN_GRADE.accel_m_s2_sqrt_s, GRAVITY_M_S2, 5e-6, 34.0 * DEG
+    )
+    return motion_bound([chain], conditions, [n for n in NAMES if not n.startswith(fixed)])
+
+
+def unit_of_nineteen(case: str, number: int, *, noise: bool = True) -> tuple[srt.Recording, np.ndarray]:
+    """One unit of a case, and its errors."""
+    rng = np.random.default_rng((NINETEEN_SEED, number))
+    errors, grade = drawn_errors(NINETEEN_GRADE, rng, asymmetry=False), NINETEEN_GRADE if noise else None
+    turned = {"start_deg": NINETEEN_START_DEG, "extras": NINETEEN_POSITIONS[case][0]}
+    return recording(*nineteen_turns(), errors, grade, rng, **turned), truth_of(errors)
+
+
 def nineteen_positions(cell: Cell, unit: int, estimators: list[str]) -> Rows:
     recording, truth = unit_of_nineteen(cell[0], unit)
     fixed, rows = NINETEEN_POSITIONS[cell[0]][1], {}
@@ -100,16 +123,6 @@ def nineteen_positions(cell: Cell, unit: int, estimators: list[str]) -> Rows:
         spent = process_time() - started
         rows[name] = replace(scored(found, truth), bound=bound_of_nineteen(fixed), seconds=spent)
     return rows
-
-
-def verdicts(cell: Cell, unit: int, estimators: list[str]) -> Rows:
-    grade, fault = cell
-    case = Case(grade, 20261122 + unit)
-    recording = FAULTS[fault](case, np.random.default_rng((20261122, unit)))
-    found = diagnose(recording, calibrating=False)
-    checks = "refused" if found.refusal else "warned" if found.first else "passed"
-    rows = calibrated(recording, case.simulation.truth.vector, estimators)
-    return {name: replace(row, checks=checks) for name, row in rows.items()}
 
 
 def silent_errors(cell: Cell, unit: int, estimators: list[str]) -> Rows:
@@ -126,19 +139,6 @@ def silent_errors(cell: Cell, unit: int, estimators: list[str]) -> Rows:
     return rows
 
 
-def drift_on_the_fixture(cell: Cell, unit: int, estimators: list[str]) -> Rows:
-    case = Case(cell[0], 20261124 + unit)
-    recording = fixture_drift(case, *cell[1:], np.random.default_rng((20261124, unit)))
-    return calibrated(recording, case.simulation.truth.vector, estimators)
-
-
-def false_drift(cell: Cell, unit: int, estimators: list[str]) -> Rows:
-    grades = list(SIMULATED_GRADES)
-    seed = 500_000 + len(grades) * unit + grades.index(cell[0])
-    recording, truth = noisy_recording(seed, cell[0], sample_rate_hz=20.0, instability=True)
-    return calibrated(recording, truth.vector, estimators)
-
-
 def by_hand(cell: Cell, unit: int, estimators: list[str], *, stated: bool) -> Rows:
     seed = 1000 * list(HAND_GRADES).index(cell[0]) + unit
     return calibrated(*hand_unit(seed, *cell, stated=stated), estimators)
@@ -146,30 +146,6 @@ def by_hand(cell: Cell, unit: int, estimators: list[str], *, stated: bool) -> Ro
 
 def drift_by_hand(cell: Cell, unit: int, estimators: list[str]) -> Rows:
     return calibrated(*drifting_unit(unit, *cell), estimators)
-
-
-def asymmetry(cell: Cell, unit: int, estimators: list[str]) -> Rows:
-    """Errors under each rule, of gyro scale, accelerometer bias and accelerometer scale."""
-    recording, truth = asymmetric_unit(unit, cell[0], ASYMMETRIES[cell[1]])
-    rows = {}
-    for estimator in estimators:
-        found = srt.calibrate(recording, estimator, checks=False)
-        tests = found.diagnostics.asymmetry or {}
-        for rule, limit in RULES.items():
-            score = Score(found.status, found.judgement.word)
-            for group in ("gyro_scale", "accel_bias", "accel_scale"):
-                test = tests.get(f"{group.split('_')[0]}_asymmetry")
-                for name in NAMES[GROUP_SLICES[group]]:
-                    k = NAMES.index(name)
-                    if test is None or not score.usable or not found.observed[k]:
-                        continue
-                    other = test.without[name]
-                    own = test.probability <= limit and limit > 0.0
-                    value, sigma = (found.errors[name], found.sigma[k]) if own else (other.value, other.sigma)
-                    score.error[k] = value - truth[k]
-                    score.z[k] = score.error[k] / sigma
-            rows[f"{estimator}, {rule}"] = score
-    return rows
 
 
 def defects(cell: Cell, unit: int, _estimators: list[str]) -> Rows:
