@@ -11,7 +11,6 @@ nineteen-positions the 19-position test, no labels, over the bound, without and 
 silent-errors      errors that gave wrong results without a word
 hand, hand-stated  turned by hand, no labels: rms of the normalised errors; no noise stated, or the white noise
 hand-drift         turned by hand, with drifts
-defects            defects of real logs, through ``srt calibrate``
 worse-than-stated  fixture, biases or readings worse than stated, through ``srt calibrate``; what the result names
 unstated-noise     nothing stated, of units without and with bias instability, and all stated; on a fixture, by hand
 """
@@ -30,14 +29,13 @@ import studies
 from accuracy_trials import GRADES as SIMULATED_GRADES
 from foreign_motion import DRIFT_FORMS, PROFILES
 from foreign_motion import GRADES as HAND_GRADES
-from honesty_recordings import DEFECTS, SILENT_ERRORS
 from honesty_trials import (
     NINETEEN_POSITIONS,
+    SILENT_ERRORS,
     SIMULATED,
     Cell,
     Rows,
     by_hand,
-    defects,
     drift_by_hand,
     nineteen_positions,
     on_the_fixture,
@@ -123,7 +121,6 @@ COLUMNS: dict[str, Callable[[Scores, int], str]] = {
     "status": lambda scores, _: counts(s.status.replace("_", " ") for s in scores),
     "verdict": lambda scores, _: counts(s.word.replace("_", " ") for s in scores),
     "what is named": lambda scores, _: counts(what for s in scores for what in sorted(set(s.faults))),
-    "first finding": lambda scores, _: counts((*s.faults, "none")[0] for s in scores),
     "NEES / n": lambda scores, _: f"{pooled_nees(scores):.2f}",
     "NEES/27": lambda scores, _: f"{np.nanmean([s.nees / s.freedom for s in scores]):.2f}",
     "band": lambda scores, tests: f"≤ {band(scores, tests):.2f}",
@@ -251,10 +248,6 @@ STUDIES = {
             for drift in (("linear", "0, 0"), *product(DRIFT_FORMS, ("0.1, 10", "4, 300", "10, 1000")))
         ],
         drift_by_hand, (*NAMED_DRIFT, "scale, ppm"), not_in_band,
-    ),
-    "defects": Study(
-        ("defect",), [(name,) for name in DEFECTS], defects, ("status", "first finding", "rms", "largest"),
-        lambda scores, _: not all(s.named for s in scores), ("default",),
     ),
     "worse-than-stated": Study(
         ("case",), [(name,) for name in CASES], worse_than_stated, ("NEES / n", "largest", "verdict", "what is named"),

@@ -125,7 +125,7 @@ def test_what_is_told_without_a_cause():
 
 @pytest.mark.parametrize("study", ["drawn", "clean"])
 def test_the_other_studies(study, capsys):
-    """A recording of each that is named, or silent, as it must be."""
+    """A recording that is named, or silent, as it must be."""
     assert main(study, units=1, first=1, seed=20261147, jobs=1) == 0
     assert (
         capsys.readouterr()
