@@ -1,11 +1,10 @@
 """Accuracy figures of the README: the claims of the closed form over their full number of draws.
 
 Run all, or name some: ``python benchmarks/accuracy.py exact fixture large``. ``--fraction 0.1``
-takes a tenth of the draws, ``--workers N`` that many processes. ``defaults`` compares the default options with others.
+takes a tenth of the draws, ``--workers N`` that many processes.
 """
 
 from collections import Counter
-from collections.abc import Iterator
 from functools import partial
 from typing import Any
 
@@ -13,22 +12,13 @@ import accuracy_trials
 import harness
 import numpy as np
 from accuracy_trials import Trial, run
-from studies import markdown, rms
+from studies import rms
 
 from srt.constants import DEG
 from srt.sensor_errors import GROUP_SLICES
 
 ERRORS = slice(0, 24)
 """Sensor errors of the test, without the gyro bias."""
-ALTERNATIVES: tuple[dict[str, Any], ...] = (
-    {}, {"average": "overlapping"}, {"down": "paper"}, {"window_attitude": "integrated"}, {"gyro_bias": "pooled"},
-    {"gyro_bias": "per-sequence"}, {"step": "coefficients", "max_playbacks": 20}, {"measured_vertical": False},
-    {"measured_vertical": False, "down": "paper"},
-)  # fmt: skip
-"""Options of the closed form, the default first."""
-SHOWN = {
-    "κ": "gyro_scale", "υ": "gyro_orthogonality", "λ": "accel_bias", "λii": "accel_scale", "μ": "accel_misalignment",
-}  # fmt: skip
 
 
 class Draws:
@@ -89,35 +79,13 @@ def large(draws: Draws) -> None:
     print("iterations of units:", dict(sorted(Counter(t.playbacks for t in trials).items())))
 
 
-def defaults(draws: Draws) -> None:
-    """Alternatives to the default options: noise-free errors on fixtures of 1 and 10 mrad, and noise sigma."""
-
-    def rows() -> Iterator[list[str]]:
-        for choice in ALTERNATIVES:
-            one, ten = (draws(accuracy_trials.fixture_trial, 60, sigma_rad=s, **choice) for s in (1e-3, 1e-2))
-            noisy = draws(accuracy_trials.noisy_trial, 60, first=1000, grade="navigation", calibration=choice)
-            size = np.sqrt(np.mean([t.error**2 for t in noisy], axis=0))
-            yield [
-                ", ".join(f"{k}={v}" for k, v in choice.items() if k != "max_playbacks") or "default",
-                *(f"{worst(trials, part):.1e}" for trials, part in
-                  ((one, ERRORS), (ten, ERRORS), (ten, GROUP_SLICES["accel_scale"]))),
-                f"{max(t.playbacks for t in one)}",
-                *(f"{rms(size[GROUP_SLICES[g]]) * 1e6:.2f}" for g in SHOWN.values()),
-                f"{np.mean([t.nees for t in noisy]):.2f}",
-            ]  # fmt: skip
-
-    columns = ("option", "1 mrad", "10 mrad", "λii 10 mrad", "iterations", *SHOWN, "NEES/27")
-    print(f"{draws.number(60)} draws each\n", *markdown(columns, rows()), sep="\n")
-
-
 CLAIMS = {f.__name__: f for f in (exact, fixture, large)}
-STUDIES = CLAIMS | {"defaults": defaults}
 
 
 def main(studies: tuple[str, ...] = tuple(CLAIMS), *, fraction: float = 1.0, workers: int = 2) -> None:
     for name in studies:
-        print(f"\n## {name}: {STUDIES[name].__doc__}\n")
-        STUDIES[name](Draws(fraction, workers))
+        print(f"\n## {name}: {CLAIMS[name].__doc__}\n")
+        CLAIMS[name](Draws(fraction, workers))
 
 
 if __name__ == "__main__":

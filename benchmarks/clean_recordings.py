@@ -1,24 +1,19 @@
-"""False alarms: findings in recordings without a fault, of all grades, protocols, profiles and forms of processing.
+"""Recordings without a fault, of all grades, protocols, profiles and forms of processing, for ``faults.py clean``.
 
-``python benchmarks/clean_recordings.py --count 2000 --seed 0`` draws each recording from its number: grade of the unit,
-kind of test (17 sequences on the fixture, a shipped protocol on a fixture or without one, or turns by hand in one of
-the profiles), sample rate, labels, and what was done to the readings: nothing, our own correction (``srt apply``), a
-moving
-average, or rounding of 1e-12 that takes them off their grid. By design all checks together raise a finding in at most
-1e-4 of the recordings. The exit code is 1 if any is raised. The verdicts on the calibrations are counted.
+Each is drawn from its number: grade of the unit, kind of test (17 sequences on the fixture, a shipped protocol on a
+fixture or without one, or turns by hand in one of the profiles), sample rate, labels, and what was done to the
+readings: nothing, our own correction (``srt apply``), a moving average, or rounding of 1e-12 that takes them off their
+grid. By design all checks together raise a finding in at most 1e-4 of the recordings.
 """
 
 from __future__ import annotations
 
 import sys
-import time
-from collections import Counter
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
-import harness
 import numpy as np
 from protocols import PROTOCOLS
 from scipy.ndimage import uniform_filter1d
@@ -109,7 +104,7 @@ def processed(recording: Recording, form: str, rng: np.random.Generator) -> Reco
     return recording
 
 
-def examined(number: int, seed: int) -> tuple[str, list[str], str]:
+def clean_recording(number: int, seed: int) -> tuple[str, list[str], str]:
     """Title of a recording, the findings in it, and the verdict; a refusal counts as a finding."""
     rng = np.random.default_rng([seed, number])
     values, title = tables(rng, number)
@@ -127,24 +122,3 @@ def examined(number: int, seed: int) -> tuple[str, list[str], str]:
     found = srt.diagnose(recording)
     word = "none" if found.judgement is None else found.judgement.word
     return title, [finding.fault for finding in found.findings if finding.fault not in EXPECTED], word
-
-
-def main(*, count: int = 2000, first: int = 0, seed: int = 0) -> int:
-    alarms, verdicts = Counter[str](), Counter[str]()
-    began = time.process_time()
-    for number in range(first, first + count):
-        title, faults, word = examined(number, seed)
-        if faults or word not in ("sound", "partial"):
-            print(f"{title}: {', '.join((*faults, word))}", flush=True)
-        alarms.update(faults[:1])
-        verdicts[word] += 1
-    seconds = time.process_time() - began
-    print(f"{alarms.total()} of {count} clean recordings raise a finding ({seconds:.0f} s of CPU time)")
-    for fault, times in alarms.most_common():
-        print(f"  {fault}: {times}")
-    print(f"verdicts: {', '.join(f'{n} {word}' for word, n in verdicts.most_common())}")
-    return 1 if alarms else 0
-
-
-if __name__ == "__main__":
-    harness.run(main, __doc__)

@@ -8,8 +8,7 @@ The claims are :func:`criteria`, each with its limits and the standard error at 
 beyond a limit by more than 3.5 standard errors.
 
 ``python benchmarks/efficiency.py`` runs 2,000 units of each grade; ``--units N`` that many, ``--grade NAME ...`` some
-grades, ``--workers N`` in N processes. The last table of each grade gives the gain of the closed form from
-the components that it does not use. ``honesty.py fixture`` studies fixtures whose axes lean, and recorded moves. The
+grades, ``--workers N`` in N processes. ``honesty.py fixture`` studies fixtures whose axes lean, and recorded moves. The
 exit code is 1 if a criterion fails.
 """
 
@@ -26,18 +25,11 @@ from studies import markdown
 
 import srt
 from sims.accuracy.bound import bayesian_bound
-from sims.physics.imu import read_out
 from sims.physics.sequences import TABLE_1, table_sequences
-from sims.physics.table_motion import Schedule, table1_motion
-from srt.closed_form.formulas import SelectedFormulas
-from srt.closed_form.iteration import iterate
+from sims.physics.table_motion import Schedule
 from srt.constants import DEG_PER_H
-from srt.estimation.initial_estimates import initial_estimate
-from srt.estimation.options import Options
 from srt.model.prior import Prior
-from srt.recording.recording import Fixture
-from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, GROUP_SLICES, N_PARAMETERS, SYMBOLS, SensorErrors
-from srt.sequences.checked_preparation import prepare_checked
+from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, GROUP_SLICES, N_PARAMETERS, SYMBOLS
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
@@ -259,42 +251,13 @@ def criteria_table(claims: list[Criterion]) -> Iterator[str]:
     return markdown(("criterion", "value", "standard error", "limits", "holds"), rows)
 
 
-def component_table(grade: str) -> Iterator[str]:
-    """Sigma over the bound from more and more of the 68 components, about a unit and a fixture without errors."""
-    motion = table1_motion(site=SITE, sample_rate_hz=100.0, stated_fixture=Fixture(0.0, 1e-3, 1e-3))
-    recording = read_out(motion, SensorErrors(), GRADES[grade], np.random.default_rng(FIRST_SEED[grade]))
-    options = Options()
-    data = prepare_checked(recording, recording.sequences, options.average)
-    solution = iterate(data, options, SelectedFormulas(data, options), *initial_estimate(data, options))
-    H, R = solution.measurements.H, solution.measurement_covariance
-
-    def sigma(read: np.ndarray) -> np.ndarray:
-        A = np.linalg.solve(np.linalg.cholesky(R[np.ix_(read, read)]), H[read])
-        scale = np.linalg.norm(A, axis=0)
-        return np.asarray(np.sqrt(np.diag(np.linalg.inv((A / scale).T @ (A / scale)))) / scale)
-
-    # Two horizontal components of every sequence, Down of every window, and the pooled rest rate, which all have.
-    place = np.arange(len(R))
-    horizontal, rest = place < 2 * data.K, place >= len(R) - 3
-    own = SelectedFormulas(data, options).selection.any(axis=0)
-    columns = {
-        "closed form's 24": own,
-        "and all Down": own | ~horizontal,
-        "and all horizontal": own | horizontal | rest,
-        "all 68": np.ones_like(own),
-    }
-    ratios = np.array([sigma(np.flatnonzero(read)) / bound_si(grade) for read in columns.values()])
-    rows = ([symbol, *(f"{ratio:.3f}" for ratio in row)] for symbol, row in zip(SYMBOLS, ratios.T, strict=True))
-    return markdown(("sigma over the bound", *columns), rows)
-
-
 def main(*, units: int = 2000, workers: int = 2, grade: tuple[str, ...] = tuple(GRADES)) -> int:
     missed = 0
     for name in grade:
         seeds = range(FIRST_SEED[name], FIRST_SEED[name] + units)
         found, claims = summarise(name, run(partial(calibrate_unit, grade=name), seeds, workers=workers))
         print(f"## {name}, {units} units")
-        for table in (parameter_table(name, found), criteria_table(claims), component_table(name)):
+        for table in (parameter_table(name, found), criteria_table(claims)):
             print("", *table, sep="\n", flush=True)
         missed += sum(not c.holds for c in claims)
     return 1 if missed else 0

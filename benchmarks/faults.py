@@ -1,256 +1,339 @@
-"""Detection rate of every fault and false-alarm rate of clean recordings: docs/fault-detection.md.
+"""First cause named, verdict and error of recordings with a fault, and false alarms (docs/fault-detection.md).
 
-``python benchmarks/faults.py`` injects every fault into 200 units of every grade, halves its severity while all of 40
-units are named, diagnoses 200 clean recordings of every grade, and prints the tables of the page as Markdown. A trial
-is a function of fault, grade, severity and seed; its result is stored in a file, from which an interrupted run
-resumes: add ``--fresh`` after a change of the checks. The exit code is 1 if a fault is named in fewer than 99 % of its
-injections, or if more than 1 % of the clean recordings raise a finding.
+``python benchmarks/faults.py`` injects every fault of the catalogue into 200 units of every grade, and halves its
+severity while all of 40 units are named. A row of the table is printed when it is done: ``--kinds`` takes the others
+after an interruption, or variants in the forms of foreign loggers and operators. ``faults.py drawn`` draws grade, test,
+kind of fault and place of each recording; its units are those of a generator that shares nothing with the
+simulator or the checks, on a fixture or turned by hand, with labels or without, unless the fault is one of the motion.
+``faults.py clean`` draws recordings without a fault (:mod:`clean_recordings`). ``--units N`` takes that many, from
+``--first`` on.
+
+A fault is harmless if nothing is named, the verdict is sound or partial, and no error is beyond 4 sigma. The exit code
+is 1 if a fault of the catalogue is named in fewer than 99 % of its injections, if the right cause is first in less than
+85 % of the drawn faults that do harm, if a drawn one leaves a sound result beyond 4 sigma, or if a recording without a
+fault raises a finding.
 """
 
-import itertools
-import sqlite3
-import time
-from collections import Counter, defaultdict
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+import math
+import sys
+from collections import Counter
+from collections.abc import Callable, Collection, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
 from pathlib import Path
+from typing import NamedTuple, NoReturn
 
 import harness
-from fault_severities import ALL_OR_NOTHING, severity_at
-from injected_faults.injection import GRADES, INJECTIONS, Case
+import numpy as np
+from clean_recordings import clean_recording
+from foreign_fixture import on_fixture, table_1
+from foreign_motion import DEG, PROFILES, drawn_errors, hand_turns, recording
+from foreign_motion import GRADES as FOREIGN_GRADES
 from studies import counts, in_processes, markdown
 
-from srt.diagnosis.faults import FAULTS
-from srt.diagnosis.staged_diagnosis import diagnose
-from srt.exceptions import InputError
+sys.path.append(str(Path(__file__).parents[1] / "tests"))  # injected_faults
 
-RESULTS = Path("build") / "fault-study.sqlite"
-SEEN = 0.99
-"""Share of the injections that must be named for a fault to count as detected."""
+from injected_faults import execution, foreign_operators, logger, site_and_drift  # noqa: F401 - they register
+from injected_faults.injection import GRADES, INJECTIONS, VARIANTS, Case, Injection
+
+import srt
+from srt.diagnosis.faults import FAULTS
+from srt.estimation.options import Options
+from srt.exceptions import DataError, InputError
+from srt.sensor_errors import NAMES
+
+SEEN, SHARE, SIGMAS = 0.99, 0.85, 4.0
+"""Smallest shares of the injections, and of the drawn faults, that are named; largest error over sigma in silence."""
 LADDER_UNITS = 40
 """Units of each severity below the stated one; 40 of 40 give a lower limit of 92.8 % at 95 % confidence."""
 FIRST_UNITS = 8
 """Units run first at each step: an undetected severity mostly shows within these."""
 MOST_RUNGS = 12
 """Largest number of halvings: a factor of 4096."""
-CLEAN = ""
-"""Fault name of a clean recording."""
-NOTHING = "nothing"
-"""Cause named in a recording without a finding other than notes."""
+LEAST_ONE = ("sequences", "samples", "columns", "channels", "windows")
+"""Severity units that are counts: a step halves them, rounded up; one is the last."""
+FACTORS = ("times", "times the noise")
+"""Severity units that are factors: a step takes the square root."""
+SHARES = ("of the planned length",)
+"""Severity units that are a remaining share of the whole: a step halves the missing part."""
+ALL_OR_NOTHING = ("", "-")
+"""Severity units of a fault that is present or absent: there is no smaller severity."""
+MOVED = {
+    "gyro_lsb": ("gyro",), "accel_lsb": ("accel",), "gyro_factor": ("gyro",), "accel_factor": ("accel",),
+    "one axis of another range": ("gyro", "accel"), "gyro_bias_drift": ("gyro_bias",),
+    "gyro bias steps": ("gyro_bias",), "accel_bias_drift": ("accel_bias",),
+    "wrong_angle and accel_bias_drift": ("accel_bias",), "accelerometer bias steps": ("accel_bias",),
+    "accelerometer scale drifts": ("accel_scale",), "gyro scale drifts": ("gyro_scale",),
+    "gyro_scale_drift": ("gyro_scale",), "offset subtracted twice": ("gyro_bias",),
+    "low bits lost": ("gyro_bias", "accel_bias"), "bit of a converter stuck": ("gyro_bias", "accel_bias"),
+    "bit_stuck": ("gyro_bias", "accel_bias"), "mounted at 45 deg": ("gyro", "accel"),
+    "sensors askew in their housing": ("gyro", "accel"), "accelerometer board askew": ("accel",),
+}  # fmt: skip
+"""Parameters that a fault changes in truth, by the beginning of their names: calibration finds them, and should."""
+CANNOT_BE_SEEN = (
+    "gravity", "gravity of another country", "sample_rate", "clock fast", "nominal rate of a chip", "time_unit",
+    "rate_contradicts_stamps", "stamps in minutes", "sample_rate and spikes", "time_unit and gyro_lsb", "low bits lost",
+)  # fmt: skip
+"""Kinds of which some severities are within the scale errors or asymmetries of a sound unit: no check tells them."""
+OF_FIXTURE = (
+    "north", "table faces the other way", "frame_turned", "east, north, up for north, east, down",
+)  # fmt: skip
+"""Faults of a heading or a frame, which units turned by hand do not have."""
+KINDS = {**INJECTIONS, **VARIANTS}
+case_of = lru_cache(LADDER_UNITS)(Case)
+"""Unit of a grade and a seed, simulated once for faults in a row."""
 
-Trial = tuple[str, str, float, int, str]
-"""Fault, grade, severity and seed, and the cause named first."""
+
+class Outcome(NamedTuple):
+    """First cause ("" for none), verdict, and largest error over sigma; NaN where nothing is calibrated."""
+
+    first: str
+    word: str
+    error: float
+
+    @property
+    def harmless(self) -> bool:
+        """True if nothing is named, and the verdict and the errors need nothing named."""
+        return not self.first and self.word in ("sound", "partial") and not self.error > SIGMAS
+
+    @property
+    def told(self) -> str:
+        """First cause, or what is said without one."""
+        if self.first or self.harmless:
+            return self.first or "nothing"
+        return f"nothing, {self.word}" + (f" beyond {SIGMAS:g} sigma" if self.error > SIGMAS else "")
 
 
-def named(fault: str, case: Case, severity: float) -> str:
-    """Cause named first in a unit with a fault of this severity, or with none."""
-    if fault == CLEAN:
-        found, note = diagnose(case.recording), False
-    else:
-        injection, note = INJECTIONS[fault], FAULTS[fault].effect == "note"
-        try:
-            found = diagnose(injection.recording(case, severity), injection.options)
-        except InputError as error:
-            return error.fault or NOTHING
-    first = found.findings[0] if note and found.first is None and found.findings else found.first
-    return NOTHING if first is None else first.fault
+def outcome_of(
+    make: Callable[[], srt.Recording],
+    causes: Collection[str],
+    truth: np.ndarray,
+    moved: tuple[str, ...] = (),
+    options: Options | None = None,
+) -> Outcome:
+    """Outcome of a recording whose making may find its fault.
+
+    ``truth``, shape (27,), SI: those that begin with ``moved`` are changed by the fault and do not count.
+    """
+    try:
+        found = srt.calibrate(make(), options=options)
+    except (DataError, InputError) as error:
+        return Outcome(error.fault or "refused", "failed", math.nan)
+    faults = found.diagnostics.faults or ()
+    # A note is a cause where it is the right one.
+    first = next((f.fault for f in faults if f.effect != "note"), "") or next(
+        (f.fault for f in faults if f.fault in causes), ""
+    )
+    seen = found.observed & np.array([not name.startswith(moved) for name in NAMES]) & (found.sigma > 0.0)
+    error = np.max(np.abs(found.errors.vector - truth)[seen] / found.sigma[seen], initial=0.0)
+    return Outcome(first, found.judgement.word, float(error))
 
 
-def trials(grade: str, seed: int, asked: Sequence[tuple[str, float]]) -> list[Trial]:
-    """Trials of one unit with one fault after another, each with its severity."""
-    case = Case(grade, seed)
-    return [(fault, grade, severity, seed, named(fault, case, severity)) for fault, severity in asked]
+def causes_of(kind: str) -> tuple[str, ...]:
+    """Names of the catalogue that are right first causes of a kind."""
+    return (kind,) if kind in FAULTS else KINDS[kind].causes
 
 
-@dataclass(frozen=True, slots=True)
-class Detection:
+def severity_at(made: Injection, grade: str, rung: int) -> float | None:
+    """Severity after ``rung`` halvings of the stated one; None if there is no such step."""
+    stated = made.severity[grade]
+    if rung == 0:
+        return stated
+    if made.unit in ALL_OR_NOTHING:
+        return None
+    if made.unit in LEAST_ONE:
+        left = math.ceil(stated / 2.0**rung)
+        return float(left) if left < math.ceil(stated / 2.0 ** (rung - 1)) else None
+    if made.unit in FACTORS:
+        return float(stated ** (0.5**rung))
+    return 1.0 - (1.0 - stated) / 2.0**rung if made.unit in SHARES else stated / 2.0**rung
+
+
+def injected(kind: str, grade: str, severity: float, seed: int) -> Outcome:
+    """Outcome of one unit with a fault of this severity."""
+    made, case = KINDS[kind], case_of(grade, seed)
+    truth, moved = case.simulation.truth.vector, MOVED.get(kind, ())
+    return outcome_of(partial(made.recording, case, severity), causes_of(kind), truth, moved, made.options)
+
+
+class Detection(NamedTuple):
     """Detection of one fault in one grade.
 
-    ``causes`` counts those named first at the stated severity, which is None if the fault cannot be detected in this
-    grade; ``smallest`` is the smallest severity detected, None if the stated one is not or smaller ones were not tried.
+    ``told`` counts what is named at the stated severity, which is None if the fault cannot be seen in this grade;
+    ``smallest`` is the smallest severity seen.
     """
 
-    fault: str
-    grade: str
+    kind: str
     severity: float | None
-    causes: Counter[str]
+    told: Counter[str]
     smallest: float | None = None
+
+    @property
+    def right(self) -> int:
+        return sum(self.told[cause] for cause in causes_of(self.kind))
 
     @property
     def seen(self) -> bool:
         """True if enough of the injections were named."""
-        return 0 < self.causes.total() * SEEN <= self.causes[self.fault]
+        return 0 < SEEN * self.told.total() <= self.right
 
     def cell(self) -> str:
         """Cell of the table."""
-        right, unit = f"{self.causes[self.fault]}/{self.causes.total()}", INJECTIONS[self.fault].unit
-        if self.severity is None or not self.causes:
-            return "unseen" if self.severity is None else "not run"
+        if self.severity is None:
+            return "unseen"
+        right, unit = f"{self.right}/{self.told.total()}", KINDS[self.kind].unit
         if unit in ALL_OR_NOTHING:
             return right
-        smallest = f"; ≥ {self.smallest:.4g}" if self.smallest is not None else "" if self.seen else "; none seen"
+        smallest = "; none seen" if self.smallest is None else f"; ≥ {self.smallest:.4g}"
         return f"{self.severity:.4g} {unit}: {right}{smallest}"
 
 
-class FaultStudy:
-    """Detection study and its results so far.
+def detection(kind: str, grade: str, seeds: range, jobs: int) -> Detection:
+    """Inject a fault at its stated severity into all units, and at its halves into the first ones."""
+    made = KINDS[kind]
+    if grade not in made.severity:
+        return Detection(kind, None, Counter())
 
-    Parameters
-    ----------
-    path : Path
-        File of the results; created if absent.
-    faults, grades : sequence of str, optional
-        Default all.
-    injections, clean : int
-        Units of each fault and grade at the stated severity, and clean recordings of each grade.
-    seed : int
-        First seed.
+    def told(severity: float, part: Sequence[int]) -> Counter[str]:
+        done = in_processes(jobs, injected, ((kind, grade, severity, seed) for seed in part))
+        return Counter(outcome.told for outcome in done)
 
-    Raises
-    ------
-    InputError
-        A file of something else.
+    def all_named(severity: float) -> bool:
+        parts = seeds[:FIRST_UNITS], seeds[FIRST_UNITS:LADDER_UNITS]
+        return all(set(told(severity, part)) <= {*causes_of(kind)} for part in parts)
+
+    found = Detection(kind, made.severity[grade], told(made.severity[grade], seeds))
+    for rung in range(MOST_RUNGS + 1):
+        severity = severity_at(made, grade, rung)
+        if severity is None or not (all_named(severity) if rung else found.seen):
+            break
+        found = found._replace(smallest=severity)
+    return found
+
+
+def catalogue(kinds: Sequence[str], grades: Sequence[str], seeds: range, jobs: int) -> bool:
+    """Print the detection of faults; True if one is missed."""
+    print(*markdown(("fault", "effect", *grades), (), 2 + len(grades)), sep="\n")
+    notes, missed = [], False
+    for kind in kinds:
+        row = {grade: detection(kind, grade, seeds, jobs) for grade in grades}
+        effect = FAULTS[causes_of(kind)[0]].effect if causes_of(kind) else ""
+        print(f"| `{kind}` | {effect} | {' | '.join(one.cell() for one in row.values())} |", flush=True)
+        for grade, one in row.items():
+            if one.severity is None:
+                notes.append(f"- `{kind}`, {grade}: {KINDS[kind].unseen.get(grade, '')}")
+            elif one.right < one.told.total():
+                others = Counter({cause: n for cause, n in one.told.items() if cause not in causes_of(kind)})
+                notes.append(f"- `{kind}`, {grade}, named otherwise: {counts(others.elements())}")
+            missed |= one.severity is not None and not one.seen
+    print("", *notes, sep="\n")
+    return missed
+
+
+@dataclass(frozen=True)
+class ForeignCase:
+    """Unit of a generator that shares nothing with the simulator or the checks, for faults of what is recorded."""
+
+    grade: str
+    seed: int
+    recording: srt.Recording
+
+    def __getattr__(self, name: str) -> NoReturn:
+        raise NotImplementedError(f"The {name} of the unit is not simulated.")
+
+
+def foreign_unit(grade: str, seed: int, rng: np.random.Generator, *, by_hand: bool) -> tuple[ForeignCase, np.ndarray]:
+    """Unit with labels, on a fixture of 1 mrad or turned by hand, and its errors, shape (27,), SI."""
+    white = list(FOREIGN_GRADES.values())[GRADES.index(grade)]
+    errors, hz = drawn_errors(white, rng), float(rng.choice([50.0, 100.0]))
+    stated = (white.gyro_rad_per_sqrt_s, white.accel_m_s2_sqrt_s) if rng.random() < 0.5 else ()
+    if by_hand:
+        turns = hand_turns(rng, shortest_s=1.0, rest_s=5.0)
+        unit = recording(turns, 5.0, errors, white, rng, profile="hand", hz=hz, labelled=True)
+        unit = replace(unit, noise=srt.ImuNoise(*stated))
+    else:
+        profile, rate = str(rng.choice(PROFILES[:2])), float(rng.uniform(40.0, 90.0)) * DEG
+        motion = on_fixture(table_1(), rng, rest_s=float(rng.uniform(5.0, 12.0)), rate_rad_s=rate, sigma_rad=1e-3)
+        unit = motion.recording(errors, white, rng, hz=hz, profile=profile, noise=srt.ImuNoise(*stated))
+    return ForeignCase(grade, seed, unit), np.array([errors.get(name, 0.0) for name in NAMES])
+
+
+def drawn_fault(number: int, seed: int) -> tuple[str, str, Callable[[], srt.Recording], np.ndarray]:
+    """Title, kind, making and true errors of a unit with a drawn fault of its stated severity.
+
+    A fault of the motion is injected into a simulated unit; any other into a foreign one, whose labels are taken away
+    in half of the recordings, unless the fault is in them.
     """
+    rng = np.random.default_rng((seed, number))
+    kind = str(rng.choice(list(KINDS)))
+    made, unlabelled = KINDS[kind], rng.random() < 0.5
+    grade, by_hand = str(rng.choice(list(made.severity))), rng.random() < 0.3 and kind not in OF_FIXTURE
+    case: ForeignCase | Case
+    case, truth = foreign_unit(grade, seed + number, rng, by_hand=by_hand)
+    test = ("by hand" if by_hand else "fixture") + (", no labels" if unlabelled else "")
 
-    def __init__(
-        self,
-        path: Path,
-        *,
-        faults: Sequence[str] = (),
-        grades: Sequence[str] = GRADES,
-        injections: int = 200,
-        clean: int = 200,
-        seed: int = 0,
-    ) -> None:
-        self.faults = tuple(faults) or tuple(name for name in FAULTS if name in INJECTIONS)
-        self.grades, self.injections, self.clean, self.seed = grades, injections, clean, seed
-        self.file = sqlite3.connect(path)
-        key = "fault, grade, severity, seed"
-        try:
-            self.file.execute(f"CREATE TABLE IF NOT EXISTS trials ({key}, cause, PRIMARY KEY ({key}))")
-        except sqlite3.DatabaseError as error:
-            raise InputError(f"{path} holds no results of this study ({error}): name another file.") from None
+    def make() -> srt.Recording:
+        faulty = made.recording(case)
+        return faulty.with_sequences(()) if unlabelled and faulty.sequences == case.recording.sequences else faulty
 
-    def severity(self, fault: str, grade: str, rung: int) -> float | None:
-        """Severity after a number of halvings; None if there is no such step."""
-        return 0.0 if fault == CLEAN else severity_at(INJECTIONS[fault], grade, rung)
-
-    def rows(self, fault: str, grade: str, rung: int, count: int) -> list[tuple[int, str]]:
-        """Seed and cause of the trials among the first ``count`` units, at the severity now stated."""
-        asked = fault, grade, self.severity(fault, grade, rung), self.seed, self.seed + count - 1
-        where = "fault = ? AND grade = ? AND severity = ? AND seed BETWEEN ? AND ?"
-        return self.file.execute(f"SELECT seed, cause FROM trials WHERE {where}", asked).fetchall()  # noqa: S608
-
-    def causes(self, fault: str, grade: str, rung: int = 0) -> Counter[str]:
-        """Causes named in the trials of one severity."""
-        count = LADDER_UNITS if rung else self.clean if fault == CLEAN else self.injections
-        return Counter(cause for _, cause in self.rows(fault, grade, rung, count))
-
-    def seen(self, fault: str, grade: str, rung: int) -> bool:
-        """True if all trials of this severity were run, and as many named as a detection takes."""
-        causes, count = self.causes(fault, grade, rung), LADDER_UNITS if rung else self.injections
-        return causes.total() == count and causes[fault] >= (count if rung else SEEN * count)
-
-    def asked(self, rung: int, units: int) -> dict[tuple[str, int], list[tuple[str, float]]]:
-        """Trials to run, by grade and seed: of the faults that were seen, and not missed at this severity so far."""
-        out: dict[tuple[str, int], list[tuple[str, float]]] = defaultdict(list)
-        for fault, grade in itertools.product((CLEAN, *self.faults), self.grades):
-            if fault == CLEAN:
-                count, wanted = self.clean, rung == 0
-            else:
-                count, wanted = units, grade in INJECTIONS[fault].severity
-                if rung and wanted:
-                    missed = set(self.causes(fault, grade, rung)) - {fault}
-                    wanted = self.seen(fault, grade, rung - 1) and not missed
-            severity = self.severity(fault, grade, rung) if wanted else None
-            if severity is not None:
-                done = {seed for seed, _ in self.rows(fault, grade, rung, count)}
-                for seed in sorted(set(range(self.seed, self.seed + count)) - done):
-                    out[grade, seed].append((fault, severity))
-        return out
-
-    def run(self, jobs: int = 1) -> None:
-        """Run the missing trials, severity step by severity step."""
-        began = time.monotonic()
-        steps = itertools.product(range(1, MOST_RUNGS + 1), (FIRST_UNITS, LADDER_UNITS))
-        for rung, units in ((0, self.injections), *steps):
-            asked = self.asked(rung, units)
-            tasks = ((*unit, faults) for unit, faults in asked.items())
-            for found in in_processes(jobs, trials, tasks, as_they_end=True):
-                with self.file:
-                    self.file.executemany("INSERT INTO trials VALUES (?, ?, ?, ?, ?)", found)
-            if asked:
-                print(f"{time.monotonic() - began:.0f} s: {len(asked)} units, severity halved {rung} times", flush=True)
-
-    def detections(self) -> Iterator[Detection]:
-        """Detection of every fault in every grade."""
-        for fault, grade in itertools.product(self.faults, self.grades):
-            injection = INJECTIONS[fault]
-            if grade not in injection.severity:
-                yield Detection(fault, grade, None, Counter())
-                continue
-            rung = 0
-            while rung <= MOST_RUNGS and self.seen(fault, grade, rung):
-                rung += 1
-            tried = severity_at(injection, grade, 1) is None or self.causes(fault, grade, 1)
-            smallest = severity_at(injection, grade, rung - 1) if rung and tried else None
-            yield Detection(fault, grade, injection.severity[grade], self.causes(fault, grade), smallest)
-
-    def alarms(self, grade: str) -> tuple[int, Counter[str]]:
-        """Number of clean recordings of a grade, and the causes named in them."""
-        causes = self.causes(CLEAN, grade)
-        return causes.total(), Counter({cause: n for cause, n in causes.items() if cause != NOTHING})
+    try:
+        with suppress(InputError):
+            make()
+    except NotImplementedError:
+        case, test, unlabelled = Case(grade, seed + number), "simulated", False
+        truth = case.simulation.truth.vector
+    return f"{number}: {kind}, {grade}, {test}", kind, make, truth
 
 
-def page(study: FaultStudy) -> Iterator[str]:
-    """Lines of the tables: every fault and grade, clean recordings, and what cannot be seen or is named otherwise."""
-    found = list(study.detections())
-    cells = {fault: [one.cell() for one in found if one.fault == fault] for fault in study.faults}
-    rows = ([f"`{fault}`", FAULTS[fault].effect, *row] for fault, row in cells.items())
-    yield from markdown(("fault", "effect", *study.grades), rows, 2 + len(study.grades))
-    clean = ((grade, *study.alarms(grade)) for grade in study.grades)
-    columns = "grade", "clean recordings", "with a finding", "findings"
-    yield from ("", *markdown(columns, ((g, str(n), str(a.total()), counts(a.elements())) for g, n, a in clean), 4), "")
-    for one in found:
-        if one.severity is None:
-            yield f"- `{one.fault}`, {one.grade}: {INJECTIONS[one.fault].unseen.get(one.grade, '')}"
-    for one in found:
-        others = Counter({cause: n for cause, n in one.causes.items() if cause != one.fault})
-        if others:
-            yield f"- `{one.fault}`, {one.grade}, named otherwise: {counts(others.elements())}"
+def drawn_outcome(number: int, seed: int) -> tuple[str, str, Outcome]:
+    """Title, kind and outcome of a drawn fault."""
+    title, kind, make, truth = drawn_fault(number, seed)
+    return title, kind, outcome_of(make, (), truth, MOVED.get(kind, ()), KINDS[kind].options)
 
 
-def missed_targets(study: FaultStudy) -> Iterator[str]:
-    """Targets that are missed: 99 % detection of every fault and grade, at most 1 % false alarms."""
-    for one in study.detections():
-        if one.severity is not None and not one.seen:
-            yield f"{one.fault}, {one.grade}: {one.causes[one.fault]} of {one.causes.total()} named"
-    recordings, alarms = zip(*map(study.alarms, study.grades), strict=True)
-    findings = sum(each.total() for each in alarms)
-    if findings > (1.0 - SEEN) * sum(recordings):
-        yield f"{findings} of {sum(recordings)} clean recordings raise a finding"
+def drawn(seeds: range, seed: int, jobs: int) -> bool:
+    """Print the outcome of each drawn fault, and the sums; True if too few are right, or one is silently wrong."""
+    harmful, right, silent = 0, 0, 0
+    for title, kind, outcome in in_processes(jobs, drawn_outcome, ((number, seed) for number in seeds)):
+        good, wrong = outcome.first in causes_of(kind), outcome.word == "sound" and outcome.error > SIGMAS
+        if wrong and not good and kind in CANNOT_BE_SEEN:
+            print(f"unseen   {title}: {outcome.error:.1f} sigma", flush=True)
+            continue
+        mark = "harmless" if outcome.harmless else "right" if good else "SILENT" if wrong else "wrong"
+        print(f"{mark:9s}{title}: {outcome.told}, {outcome.word}, {outcome.error:.1f} sigma", flush=True)
+        harmful, right, silent = harmful + (not outcome.harmless), right + good, silent + wrong
+    print(f"right cause first in {right} of {harmful} that do harm ({right / max(1, harmful):.0%})")
+    print(f"sound beyond {SIGMAS:g} sigma: {silent}")
+    return right < SHARE * harmful or silent > 0
+
+
+def clean(seeds: range, seed: int, jobs: int) -> bool:
+    """Print the recordings without a fault that raise a finding, and the verdicts; True if there is one."""
+    alarms, words = 0, Counter[str]()
+    for title, faults, word in in_processes(jobs, clean_recording, ((number, seed) for number in seeds)):
+        if faults or word not in ("sound", "partial"):
+            print(f"{title}: {', '.join((*faults, word))}", flush=True)
+        alarms, words[word] = alarms + bool(faults), words[word] + 1
+    print(f"{alarms} of {len(seeds)} clean recordings raise a finding; verdicts: {counts(words.elements())}")
+    return alarms > 0
 
 
 def main(
+    study: str = "catalogue",
     *,
-    faults: tuple[str, ...] = (),
+    kinds: tuple[str, ...] = tuple(name for name in FAULTS if name in INJECTIONS),
     grades: tuple[str, ...] = GRADES,
-    injections: int = 200,
-    clean: int = 200,
-    jobs: int = 2,
+    units: int = 200,
+    first: int = 0,
     seed: int = 0,
-    results: Path = RESULTS,
-    fresh: bool = False,
+    jobs: int = 2,
 ) -> int:
-    if fresh:
-        results.unlink(missing_ok=True)
-    results.parent.mkdir(parents=True, exist_ok=True)
-    study = FaultStudy(results, faults=faults, grades=grades, injections=injections, clean=clean, seed=seed)
-    study.run(jobs)
-    missed = [f"Missed: {line}" for line in missed_targets(study)]
-    print("", *page(study), "", *missed, sep="\n")
-    return int(bool(missed))
+    numbers = range(first, first + units)
+    if study == "catalogue":
+        return int(catalogue(kinds, grades, range(seed + first, seed + first + units), jobs))
+    return int((drawn if study == "drawn" else clean)(numbers, seed, jobs))
 
 
 if __name__ == "__main__":
-    harness.run(main, __doc__, faults=INJECTIONS, grades=GRADES)
+    harness.run(main, __doc__, study=("catalogue", "drawn", "clean"), kinds=KINDS, grades=GRADES)

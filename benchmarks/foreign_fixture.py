@@ -6,17 +6,18 @@ Nothing is shared with the simulator or the estimators.
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from foreign_motion import DEG, GRADES, GRAVITY_M_S2, Grade, Turn, attitudes, readings, true_samples, windows
+from foreign_motion import DEG, GRAVITY_M_S2, Grade, Turn, attitudes, readings, true_samples, windows
 from scipy.spatial.transform import Rotation
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
     from pathlib import Path
+
+    import srt
 
 LATITUDE_DEG = 34.0
 COLUMNS = ("time", *(f"{sensor}_{a}" for sensor in ("gyro", "accel") for a in "xyz"))
@@ -83,6 +84,34 @@ class Motion:
             {"id": name, "start_static_s": rests[first], "end_static_s": rests[last + 1]}
             for name, first, last in self.sequences
         ]
+
+    def recording(
+        self,
+        errors: dict[str, float],
+        grade: Grade,
+        rng,
+        *,
+        hz: float = 50.0,
+        profile: str = "raised-cosine",
+        stated_rad: float = 1e-3,
+        noise: srt.ImuNoise | None = None,
+        recorded: Iterable[str] = (),
+    ) -> srt.Recording:
+        """Labelled recording on a fixture whose accuracy is ``stated_rad``; of the sequences ``recorded``, or all."""
+        import srt
+
+        samples = self.sampled(errors, grade, rng, hz=hz, profile=profile)
+        labels = tuple(
+            srt.SequenceLabel(tuple(row["start_static_s"]), tuple(row["end_static_s"]), id=row["id"])
+            for row in self.labels(0.1)
+            if not recorded or row["id"] in recorded
+        )
+        site, fixture = (
+            srt.Site(GRAVITY_M_S2, latitude_rad=LATITUDE_DEG * DEG),
+            srt.Fixture(0.0, stated_rad, stated_rad),
+        )
+        read = samples["time"], samples["gyro"], samples["accel"]
+        return srt.Recording(*read, site, fixture=fixture, sequences=labels, noise=noise or srt.ImuNoise())
 
     def without_moves(self, time: np.ndarray) -> np.ndarray:
         """True for the samples outside of the moves, shape (n,)."""
@@ -209,107 +238,6 @@ def _shortest(before: Rotation, after: Rotation, rate_rad_s: float, rest_s: floa
 def _duration(angle_rad: float, rate_rad_s: float) -> float:
     """Duration of a turn at this mean rate, at least half a second."""
     return max(abs(angle_rad) / rate_rad_s, 0.5)
-
-
-@dataclass
-class Trial:
-    """Recording in the making: readings (n, 3) in SI units, true rests and labels in s, statements, and true errors."""
-
-    grade: str
-    motion: Motion
-    fixture: bool
-    labelled: bool
-    stated: bool
-    dt: float
-    rng: np.random.Generator
-    noise_seed: tuple[int, ...]
-    errors: dict[str, float]
-    rate: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    force: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    time: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    gyro: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    accel: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    labels: list[dict] = field(default_factory=list)
-    gravity: float = GRAVITY_M_S2
-    latitude_deg: float = LATITUDE_DEG
-    noise_factor: float = 1.0
-    moved: str = "none"
-
-    @property
-    def unit(self) -> Grade:
-        return GRADES[self.grade]
-
-    @property
-    def sample_noise(self) -> tuple[float, float]:
-        """Standard deviation of a sample of gyros and accelerometers."""
-        root = math.sqrt(self.dt)
-        return self.unit.gyro_rad_per_sqrt_s / root, self.unit.accel_m_s2_sqrt_s / root
-
-    def read(self, errors: dict[str, float] | None = None) -> None:
-        """Make the readings of the true motion."""
-        rng = np.random.default_rng(self.noise_seed)
-        self.gyro, self.accel = readings(self.rate, self.force, errors or self.errors, self.unit, self.dt, rng)
-        self.time = self.dt * np.arange(1, len(self.gyro) + 1)
-        self.labels = self.motion.labels(0.1) if self.labelled else []
-
-    def table(self, sensor: int) -> np.ndarray:
-        return (self.gyro, self.accel)[sensor]
-
-    def an_axis(self) -> int:
-        return int(self.rng.integers(3))
-
-    def a_sign(self) -> float:
-        return float(self.rng.choice([-1.0, 1.0]))
-
-    def a_direction(self) -> np.ndarray:
-        vector = self.rng.normal(size=3)
-        return vector / np.linalg.norm(vector)
-
-    def edges(self) -> np.ndarray:
-        """Edges of the samples, s."""
-        return self.dt * np.arange(len(self.force) + 1)
-
-    def a_turn(self) -> tuple[int, int]:
-        """First and last sample of a turn of a sequence of more than half a second."""
-        rests, moves = self.motion.rests(), self.motion.moves
-        turns = [(rests[i][1], rests[i + 1][0]) for i in range(len(rests) - 1) if i not in moves]
-        a, b = turns[int(self.rng.integers(len(turns)))]
-        return int(a / self.dt) + 2, int(b / self.dt) - 2
-
-    def a_rest(self) -> tuple[int, int]:
-        """First and last sample of a rest next to a sequence, of more than 2 s."""
-        rests = [r for r in self.motion.rests() if r[1] - r[0] > 2.0]
-        a, b = rests[int(self.rng.integers(len(rests)))]
-        return int(a / self.dt) + 6, int(b / self.dt) - 6
-
-    def without(self, gone: np.ndarray, *, renumbered: bool, by_count: bool) -> None:
-        """Lose samples; renumbered stamps have no gap, as they come from the count of samples, and so do the labels."""
-        keep = ~gone
-        if by_count:
-            for label in self.labels:
-                for key in ("start_static_s", "end_static_s"):
-                    label[key] = [t - self.dt * int(gone[: round(t / self.dt)].sum()) for t in label[key]]
-        self.gyro, self.accel = self.gyro[keep], self.accel[keep]
-        self.time = self.dt * np.arange(1, keep.sum() + 1) if renumbered else self.time[keep]
-
-    def recording(self):
-        import srt
-
-        labels = tuple(
-            srt.SequenceLabel(tuple(row["start_static_s"]), tuple(row["end_static_s"]), id=row["id"])
-            for row in self.labels
-        )
-        white, k = self.unit, self.noise_factor
-        stated = (k * white.gyro_rad_per_sqrt_s, k * white.accel_m_s2_sqrt_s) if self.stated else ()
-        return srt.Recording(
-            self.time,
-            self.gyro,
-            self.accel,
-            srt.Site(self.gravity, latitude_rad=self.latitude_deg * DEG),
-            fixture=srt.Fixture(0.0, 1e-3, 1e-3) if self.fixture else None,
-            sequences=labels,
-            noise=srt.ImuNoise(*stated),
-        )
 
 
 def write(folder: Path, samples: dict[str, np.ndarray], tables: dict[str, dict[str, Any]], labels=(), *, ending="npz"):

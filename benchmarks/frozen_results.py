@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import accuracy_trials
 import harness
-from honesty_recordings import drifting_unit
+from honesty_trials import drifting_unit
 
 import sims
 import srt

@@ -1,8 +1,7 @@
 """Damaged and hostile input to every reader and to recording.toml: nothing but a recording or a clear error.
 
 ``python benchmarks/fuzz.py`` gives 100,000 inputs, shared out evenly; ``--count N`` as many in all, ``--only NAME ...``
-some readers, ``--first N`` other inputs, ``--one NAME:INDEX`` a single input again, with its error in full (``--keep``
-leaves its files).
+some readers, ``--first N`` other inputs, ``--one NAME:INDEX`` a single input again, with its error in full.
 
 Each input is a valid file, made by its format's own library, and damaged: bits turned, bytes cut off, moved, doubled,
 numbers in it replaced by hostile ones. What is checked of every one:
@@ -21,6 +20,7 @@ from __future__ import annotations
 import gc
 import io
 import os
+import re
 import resource
 import shutil
 import signal
@@ -29,6 +29,7 @@ import sysconfig
 import tempfile
 import traceback
 import warnings
+import zipfile
 import zlib
 from collections import Counter
 from contextlib import suppress
@@ -42,7 +43,6 @@ from unittest import mock
 
 import harness
 import numpy as np
-from fuzz_mutations import mutate
 from fuzz_seeds import READERS, RECORDINGS, Seed
 
 import srt
@@ -64,6 +64,129 @@ TOTAL = 100_000
 """Inputs in all, without ``--count``."""
 FORBIDDEN_EVENTS = frozenset({"pickle.find_class", "os.system", "subprocess.Popen", "os.exec", "os.posix_spawn"})
 SITE = Site(9.80665, 5e-4)
+
+INTEGERS = (0, 1, 2, 3, 7, 0x7F, 0x80, 0xFF, 0x7FFF, 0x8000, 0xFFFF, 0x7FFFFFFF, 0x80000000, 0xFFFFFFFF, 1 << 40,
+            (1 << 62) + 1, (1 << 63) - 1, 1 << 63, (1 << 64) - 1)  # fmt: skip
+TOKENS = (
+    b"", b"nan", b"inf", b"-inf", b"1e999", b"-1e308", b"1e-320", b"-0.0", b"0", b"-1", b"1_000", b"0x10", b"1,5",
+    b"9" * 400, b"18446744073709551616", b"true", b"[]", b"[[[]]]", b"{}", b'""', b"'", b'"', b"\x00", b"\xff\xfe",
+    b"#", b"\n", b"\r", b";", b"\t", "°".encode(), b"[" * 3000, b"{a=" * 3000, b"1979-05-27T07:32:00Z", b"12:00:00",
+    b'"/etc/passwd"', b'"../secret.csv"', b'"samples.csv/../../x.csv"', b'"recording.toml"', b'"."', b'"\\u0000"',
+    b'"samples.h5"', b'"samples.npz"', b'"counts"', b'"deg/s"', b'"increment"', b"1e-300", b"4.9e-324", b"1e300",
+    b"%s%n", b"${HOME}", b"__import__('os').system('true')", b"!!python/object/apply:os.system [\"true\"]", b"A" * 5000,
+)  # fmt: skip
+"""Words that replace numbers and words of text."""
+WORD = re.compile(rb"[A-Za-z0-9_.+-]+|\"[^\"\n]*\"")
+
+
+def mutate(data: bytes, name: str, pool: list[bytes], rng: np.random.Generator) -> bytes:
+    """Damage a file in one to four places, with pieces of other files (``pool``).
+
+    Members of a zip archive are damaged inside, too, as their checksums would hide it.
+    """
+    if name.endswith(".npz") and rng.random() < 0.6:
+        return _inside_zip(data, pool, rng)
+    text, result = not any(c < 9 for c in data[:200]), bytearray(data)
+    for _ in range(int(rng.choice([1, 1, 1, 2, 3, 4]))):
+        table = TEXT if text and rng.random() < 0.7 else BINARY
+        result = table[int(rng.integers(len(table)))](result, pool, rng)
+    return bytes(result[: 1 << 20])
+
+
+def set_bytes(data: bytearray, _pool: list[bytes], rng: np.random.Generator) -> bytearray:
+    """Single bits and bytes, and counts that are nearly right."""
+    for _ in range(int(rng.integers(1, 9)) if data else 0):
+        at = _place(len(data), rng)
+        new = (
+            data[at] ^ (1 << int(rng.integers(8))),
+            int(rng.integers(256)),
+            (data[at] + int(rng.choice([-1, 1]))) % 256,
+        )
+        data[at] = new[int(rng.integers(3))]
+    return data
+
+
+def cut(data: bytearray, _pool: list[bytes], rng: np.random.Generator) -> bytearray:
+    """An end or a start that is absent."""
+    return data[: int(rng.integers(len(data) + 1))] if rng.random() < 0.5 else data[int(rng.integers(1, 65)) :]
+
+
+def hostile_number(data: bytearray, _pool: list[bytes], rng: np.random.Generator) -> bytearray:
+    """Number where a count or a length may stand."""
+    width = int(rng.choice([1, 2, 4, 8]))
+    at = _place(max(len(data) - width, 1), rng)
+    at -= at % width if rng.random() < 0.5 else 0
+    choice = (*INTEGERS, len(data), len(data) + 1, len(data) - at)
+    value = choice[int(rng.integers(len(choice)))] & ((1 << 8 * width) - 1)
+    data[at : at + width] = value.to_bytes(width, "little" if rng.random() < 0.8 else "big")
+    return data
+
+
+def piece(data: bytearray, pool: list[bytes], rng: np.random.Generator) -> bytearray:
+    """A piece lost, doubled, or of zeros, as of a disk; or of another file, put in or over."""
+    at, size, other = _place(len(data), rng), int(2.0 ** rng.uniform(0.0, 9.0)), pool[int(rng.integers(len(pool)))]
+    own, start = bytes(data[at : at + size]), _place(len(other), rng)
+    new, over = (
+        (b"", size), (own * int(rng.integers(1, 9)), 0), (bytes(len(own)), size),
+        (other[start : start + size], size), (other[start : start + size], 0),
+    )[int(rng.integers(5))]  # fmt: skip
+    data[at : at + over] = new
+    return data
+
+
+def replace_word(data: bytearray, _pool: list[bytes], rng: np.random.Generator) -> bytearray:
+    """A word of text replaced by a hostile one, or by another of the same file."""
+    words = list(WORD.finditer(data))
+    if words:
+        start, end = words[int(rng.integers(len(words)))].span()
+        token = TOKENS[int(rng.integers(len(TOKENS)))]
+        data[start:end] = token if rng.random() < 0.8 else words[int(rng.integers(len(words)))].group()
+    return data
+
+
+def insert_token(data: bytearray, _pool: list[bytes], rng: np.random.Generator) -> bytearray:
+    """A hostile word anywhere."""
+    at = _place(len(data), rng)
+    data[at:at] = TOKENS[int(rng.integers(len(TOKENS)))]
+    return data
+
+
+def edit_lines(data: bytearray, _pool: list[bytes], rng: np.random.Generator) -> bytearray:
+    """A line dropped, doubled or moved."""
+    lines = bytes(data).split(b"\n")
+    i, j = (int(rng.integers(len(lines))) for _ in range(2))
+    line = lines[i]
+    if rng.random() < 0.6:
+        del lines[i]
+    if rng.random() < 0.6:
+        lines.insert(j, line)
+    return bytearray(b"\n".join(lines))
+
+
+BINARY = (set_bytes, set_bytes, cut, hostile_number, hostile_number, piece, piece)
+TEXT = (replace_word, replace_word, replace_word, insert_token, edit_lines)
+
+
+def _place(size: int, rng: np.random.Generator) -> int:
+    """Place of a damage: in half of the cases within the first or the last bytes, where headers and footers stand."""
+    if size < 1 or rng.random() < 0.5:
+        return int(rng.integers(max(size, 1)))
+    at = int(rng.integers(min(size, 2 ** rng.integers(3, 10))))
+    return at if rng.random() < 0.7 else size - 1 - at
+
+
+def _inside_zip(data: bytes, pool: list[bytes], rng: np.random.Generator) -> bytes:
+    """Damage one member of an archive, its checksum made anew; sometimes its name."""
+    source, out = zipfile.ZipFile(io.BytesIO(data)), io.BytesIO()
+    members = {name: source.read(name) for name in source.namelist()}
+    chosen = str(rng.choice(list(members)))
+    member = mutate(members.pop(chosen), "member.npy", pool, rng)
+    if rng.random() < 0.1:
+        chosen = ("../" * 3 + chosen, "/" + chosen, chosen * 50, "a\x01.npy")[int(rng.integers(4))]
+    with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as target:
+        for name, content in (members | {chosen: member}).items():
+            target.writestr(name, content)
+    return out.getvalue()
 
 
 class HangError(BaseException):
@@ -213,6 +336,11 @@ def seeds_of(name: str) -> list[Seed]:
     return (READERS | RECORDINGS)[name]()
 
 
+def pool_of(seeds: list[Seed]) -> list[bytes]:
+    """Files whose pieces damage others."""
+    return [data for seed in seeds for data in seed.files.values()]
+
+
 def generator(name: str, index: int) -> np.random.Generator:
     return np.random.default_rng([zlib.crc32(name.encode()), index])
 
@@ -223,9 +351,8 @@ def worker(name: str, indices: range, memory_mib: int, scratch: Path, progress: 
     ``progress`` receives the number of the input, the counts of read and refused ones, and at the end the growth of the
     memory in MiB; ``found`` a sentence for each failure.
     """
-    seeds = seeds_of(name)
-    pool = [data for seed in seeds for data in seed.files.values()]
-    folder = scratch / "input"
+    seeds, folder = seeds_of(name), scratch / "input"
+    pool = pool_of(seeds)
     watch = Watch(folder)
     unraisable: list[str] = []
     sys.unraisablehook = lambda info: unraisable.append(f"unraisable {info.exc_type.__name__}: {info.exc_value}"[:160])
@@ -295,17 +422,13 @@ def _fresh(folder: Path) -> None:
     folder.mkdir()
 
 
-def once(text: str, *, keep: bool) -> None:
+def once(text: str) -> None:
     """Read one input again; its error is shown in full."""
     name, _, index = text.rpartition(":")
     seeds = seeds_of(name)
-    pool = [data for seed in seeds for data in seed.files.values()]
     seed = seeds[int(index) % len(seeds)]
     with TemporaryDirectory(prefix="fuzz-") as folder:
-        path = place(seed, Path(folder), generator(name, int(index)), pool)
-        if keep:
-            shutil.copytree(folder, "fuzz-input", dirs_exist_ok=True)
-        read(name, seed, path)
+        read(name, seed, place(seed, Path(folder), generator(name, int(index)), pool_of(seeds)))
         print("read")
 
 
@@ -316,10 +439,9 @@ def main(
     only: tuple[str, ...] = NAMES,
     memory: int = 512,
     one: str | None = None,
-    keep: bool = False,
 ) -> int:
     if one is not None:
-        once(one, keep=keep)
+        once(one)
         return 0
     widths = 8, 8, 9, 8, 12
     print(f"{'reader':<16}{'inputs':>8}{'read':>8}{'refused':>9}{'failed':>8}{'grown, MiB':>12}", flush=True)

@@ -6,9 +6,6 @@ fits (of this folder's files, and of the option's choices) or a hostile one. Str
 encoding, the working directory is deleted, and variables of the environment are absent or nonsense, each in some of
 the runs.
 
-``--limits N`` runs `calibrate`, `inspect` and `apply` as processes on N recordings instead, some killed at a random
-moment, some with little disk or memory: no traceback, no input that changes, no result that cannot be read.
-
 The seed and the number of a run repeat it. A run of more than ``--seconds`` is interrupted, as by Ctrl-C, and must then
 end with 130 or, for commands that follow a stream, as usual. ``--scheduler`` is left out: it would look up hosts of
 random names.
@@ -17,14 +14,11 @@ random names.
 from __future__ import annotations
 
 import errno
-import hashlib
 import importlib
 import io
 import os
-import resource
 import shutil
 import signal
-import subprocess
 import sys
 import tempfile
 import time
@@ -39,7 +33,6 @@ import click
 import harness
 import numpy as np
 
-import srt
 from srt.cli import main as srt_main
 from srt.cli.app import COMMANDS, app
 
@@ -76,28 +69,16 @@ HOSTILE = (
     "\ufeff", "None", "null", "[]", "[1", "{\"a\"", "--help", "-h", "-o", "-q",
 )  # fmt: skip
 ENVIRONMENT = {
-    "HOME": (None, "", "/nonexistent", "\udcff"),
-    "TMPDIR": (None, "/nonexistent", "\udcff"),
-    "MPLBACKEND": (None, "nonsense", "TkAgg"),
-    "MPLCONFIGDIR": ("/nonexistent", "\udcff"),
-    "LANG": (None, "C", "nonsense"),
-    "LC_ALL": ("C", "POSIX", "tr_TR.UTF-8"),
-    "COLUMNS": ("0", "1", "-5", "abc", "99999"),
-    "LINES": ("0", "abc"),
-    "TERM": (None, "dumb", "nonsense"),
-    "NO_COLOR": ("", "1"),
-    "FORCE_COLOR": ("1",),
-    "TZ": ("nonsense", "\udcff"),
-    "PATH": (None, ""),
-    "USER": (None, "\udcff"),
-    "SOURCE_DATE_EPOCH": ("abc", "-1", "9" * 30),
-    "OMP_NUM_THREADS": ("0", "abc"),
-    "PYTHONIOENCODING": ("nonsense",),
-    "JOBLIB_TEMP_FOLDER": ("/nonexistent",),
-    "_SRT_COMPLETE": ("bash_source", "nonsense", "zsh_complete"),
-    "COMP_WORDS": ("srt cal", "srt '"),
+    "HOME": (None, "", "/nonexistent", "\udcff"), "TMPDIR": (None, "/nonexistent", "\udcff"),
+    "MPLBACKEND": (None, "nonsense", "TkAgg"), "MPLCONFIGDIR": ("/nonexistent", "\udcff"),
+    "LANG": (None, "C", "nonsense"), "LC_ALL": ("C", "POSIX", "tr_TR.UTF-8"),
+    "COLUMNS": ("0", "1", "-5", "abc", "99999"), "LINES": ("0", "abc"), "TERM": (None, "dumb", "nonsense"),
+    "NO_COLOR": ("", "1"), "FORCE_COLOR": ("1",), "TZ": ("nonsense", "\udcff"), "PATH": (None, ""),
+    "USER": (None, "\udcff"), "SOURCE_DATE_EPOCH": ("abc", "-1", "9" * 30), "OMP_NUM_THREADS": ("0", "abc"),
+    "PYTHONIOENCODING": ("nonsense",), "JOBLIB_TEMP_FOLDER": ("/nonexistent",),
+    "_SRT_COMPLETE": ("bash_source", "nonsense", "zsh_complete"), "COMP_WORDS": ("srt cal", "srt '"),
     "COMP_CWORD": ("1", "abc"),
-}
+}  # fmt: skip
 """Variables with their values; None: absent. Each changes in one run of twenty."""
 INTERRUPTED, BROKEN_PIPE = 130, 141
 MODULES = (
@@ -287,62 +268,6 @@ def runs(
             shutil.rmtree(scratch / "a", ignore_errors=True)
 
 
-def limited(limit: str, rng: np.random.Generator) -> Callable[[], None] | None:
-    """Limit of a process, set before it starts."""
-    if limit not in ("disk", "memory"):
-        return None
-    what, low, high = (resource.RLIMIT_FSIZE, 1e2, 1e6) if limit == "disk" else (resource.RLIMIT_DATA, 2e8, 2e9)
-    size = int(np.exp(rng.uniform(np.log(low), np.log(high))))
-    return lambda: resource.setrlimit(what, (size, size))
-
-
-def digests(folder: Path) -> dict[str, str]:
-    return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in folder.iterdir()}
-
-
-def defects_under_limits(recording: srt.Recording, place: Path, rng: np.random.Generator) -> Iterator[str]:
-    """Calibrate, inspect and apply a recording under one limit; yield what must not happen."""
-    unit, result, limit = place / "unit", place / "unit.json", str(rng.choice(["none", "kill", "disk", "memory"]))
-    kind = str(rng.choice(["csv", "npz", "parquet", "h5"]))
-    srt.write_recording(recording, unit, samples_format=kind)
-    before, corrected = digests(unit), str(place / "corrected")
-    commands = ["calibrate", unit, "-o", result], ["inspect", unit], ["apply", result, unit, "-o", corrected]
-    for command, *words in commands[: 3 if limit == "none" else 2]:
-        process = subprocess.Popen(
-            [sys.executable, "-m", "srt.cli", command, *map(str, words)], stdout=subprocess.DEVNULL,
-            stderr=subprocess.PIPE, text=True, preexec_fn=limited(limit, rng),  # noqa: PLW1509 - no threads here
-        )  # fmt: skip
-        try:
-            errors = process.communicate(timeout=float(rng.uniform(0.3, 4.0)) if limit == "kill" else 300.0)[1]
-        except subprocess.TimeoutExpired:
-            process.kill()
-            errors = process.communicate()[1]
-        name = f"{command} of {kind}, limit {limit}, exit {process.returncode}"
-        if "Traceback" in errors:
-            yield f"{name}: {errors.strip().splitlines()[-1]}"
-        if digests(unit) != before:
-            yield f"{name}: the recording changed"
-        if limit == "none" and process.returncode != 0:
-            yield f"{name}: {errors.strip()}"
-    if result.exists():
-        try:
-            srt.load_calibration(result)
-        except srt.SrtError as error:
-            yield f"limit {limit}: unreadable result ({error})"
-
-
-def under_limits(laboratory: Path, count: int, seed: int) -> int:
-    """Print the defects of so many recordings; their number."""
-    recording, found = srt.load_recording(laboratory / "unit"), 0
-    for index in range(count):
-        with tempfile.TemporaryDirectory() as place:
-            for defect in defects_under_limits(recording, Path(place), np.random.default_rng([seed, index])):
-                found += 1
-                print(f"recording {index}: {defect}", flush=True)
-    print(f"{count} recordings under limits, {found} defects")
-    return found
-
-
 def main(
     *,
     count: int = 10_000,
@@ -350,17 +275,14 @@ def main(
     seed: int = 1,
     seconds: float = 10.0,
     one: int | None = None,
-    limits: int = 0,
 ) -> int:
-    """Runs from a first number on, each interrupted after some seconds; or one run; or recordings under limits."""
+    """Runs from a first number on, each interrupted after some seconds; or one run."""
     failures = 0
     indices = range(start, start + count) if one is None else range(one, one + 1)
     with tempfile.TemporaryDirectory(prefix="fuzz-") as scratch:
         pristine = Path(scratch) / "pristine"
         pristine.mkdir()
         laboratory(pristine)
-        if limits:
-            return int(under_limits(pristine, limits, seed) > 0)
         done = runs(pristine, Path(scratch), seed, indices, seconds)
         for index, (words, defect, said) in zip(indices, done, strict=True):
             failures += bool(defect)

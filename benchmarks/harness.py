@@ -43,5 +43,7 @@ def run(main: Callable[..., int | None], doc: str | None, **choices: Collection[
             given |= {"default": argument.default, "help": "default: %(default)s"}
         if get_origin(hint) is tuple:
             given["nargs"] = "+" if option else "*"
+        elif not option and argument.default is not argument.empty:
+            given["nargs"] = "?"
         parser.add_argument(label, **given)
     sys.exit(main(**vars(parser.parse_args())))

@@ -8,14 +8,9 @@ simulated          noise of three grades on the fixture, stated, estimated, or w
 fixture            the same over the Cramér-Rao bound, with axes out of square, by the accuracy of the rotations
 fixture-moves      the same with recorded moves
 nineteen-positions the 19-position test, no labels, over the bound, without and with what the model does not have
-verdicts           faults on the fixture, without the checks; "used": results with the verdict sound or doubtful
 silent-errors      errors that gave wrong results without a word
-fixture-drift      drift of the biases on the fixture, 0.1, 1 and 10 times what is stated of the grade
-false-drift        drift modelled in units without one: at most one recording in 50,000, by design
 hand, hand-stated  turned by hand, no labels: rms of the normalised errors; no noise stated, or the white noise
-hand-drift, array  turned by hand, with drifts; array: twelve turns in 500 s, as recordings of a sensor array
-asymmetry          nine turns: asymmetries estimated, or only where a test asks for them
-defects            defects of real logs, through ``srt calibrate``
+hand-drift         turned by hand, with drifts
 worse-than-stated  fixture, biases or readings worse than stated, through ``srt calibrate``; what the result names
 unstated-noise     nothing stated, of units without and with bias instability, and all stated; on a fixture, by hand
 """
@@ -31,37 +26,29 @@ from typing import Any
 import harness
 import numpy as np
 import studies
+from accuracy_trials import GRADES as SIMULATED_GRADES
 from foreign_motion import DRIFT_FORMS, PROFILES
-from honesty_recordings import DEFECTS, FAULTS, SILENT_ERRORS, STATED
+from foreign_motion import GRADES as HAND_GRADES
 from honesty_trials import (
-    ASYMMETRIES,
-    HAND_GRADES,
     NINETEEN_POSITIONS,
+    SILENT_ERRORS,
     SIMULATED,
-    SIMULATED_GRADES,
     Cell,
     Rows,
-    asymmetry,
     by_hand,
-    defects,
     drift_by_hand,
-    drift_on_the_fixture,
-    false_drift,
     nineteen_positions,
     on_the_fixture,
     silent_errors,
     simulated,
     unstated_noise,
-    verdicts,
     worse_than_stated,
 )
-from injected_faults.injection import GRADES
 from scipy.special import ndtri
 from scipy.stats import binom, chi2
 from studies import ESTIMATORS, Score, counts, pooled_nees, rms
 from worse_recordings import CASES, STATEMENTS
 
-from srt.noise.drift_forms import FALSE_ALARM
 from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, GROUP_SLICES, NAMES
 
 Trial = Callable[[Cell, int, list[str]], Rows]
@@ -96,23 +83,6 @@ def worst_rms(scores: Scores) -> float:
 def rms_limit(scores: Scores, tests: int) -> float:
     """Largest rms of the normalised errors of one parameter, family-wise 1 %."""
     return float(np.sqrt(chi2.isf(0.01 / (2 * len(NAMES) * tests), len(scores)) / len(scores)))
-
-
-def all_and_used(show: Callable[[Scores], float], digits: int) -> Callable[[Scores, int], str]:
-    """Of all results and of those with a usable verdict; what failed may be off by any amount."""
-
-    def text(value: float) -> str:
-        if not np.isfinite(value) or value < 0.0:
-            return "-"
-        return f"{value:.{digits}f}" if value < 1e4 else "> 10000"
-
-    def column(scores: Scores, _tests: int) -> str:
-        shown = [s for s in scores if s.freedom]
-        return ", ".join(
-            text(show(part)) if part else "-" for part in (shown, [s for s in shown if s.word in ("sound", "doubtful")])
-        )
-
-    return column
 
 
 def rms_of_group(group: str) -> Callable[[Scores, int], str]:
@@ -150,11 +120,7 @@ ERRORS = {group: f"{group}, {DISPLAY_UNITS[part.start]}" for group, part in GROU
 COLUMNS: dict[str, Callable[[Scores, int], str]] = {
     "status": lambda scores, _: counts(s.status.replace("_", " ") for s in scores),
     "verdict": lambda scores, _: counts(s.word.replace("_", " ") for s in scores),
-    "checks": lambda scores, _: counts(s.checks for s in scores),
     "what is named": lambda scores, _: counts(what for s in scores for what in sorted(set(s.faults))),
-    "first finding": lambda scores, _: counts((*s.faults, "none")[0] for s in scores),
-    "largest error/sigma: all, used": all_and_used(lambda part: max(largest(s.z) for s in part), 1),
-    "NEES/n: all, used": all_and_used(lambda part: float(np.mean([s.nees / s.freedom for s in part])), 2),
     "NEES / n": lambda scores, _: f"{pooled_nees(scores):.2f}",
     "NEES/27": lambda scores, _: f"{np.nanmean([s.nees / s.freedom for s in scores]):.2f}",
     "band": lambda scores, tests: f"≤ {band(scores, tests):.2f}",
@@ -268,26 +234,9 @@ STUDIES = {
         (*(name for group, name in ERRORS.items() if group in SHOWN_BY_POSES), "s"),
         estimators=("least-squares", "graph", "ekf"),
     ),
-    "verdicts": Study(
-        ("grade", "fault"), list(product(GRADES, FAULTS)), verdicts,
-        ("largest error/sigma: all, used", "NEES/n: all, used", "status", "verdict", "checks"), estimators=ESTIMATORS,
-    ),
     "silent-errors": Study(
         ("error",), [(name,) for name in SILENT_ERRORS], silent_errors, ("NEES/27", "named", "inconsistent"),
         silent_and_wrong, ESTIMATORS,
-    ),
-    "fixture-drift": Study(
-        ("grade", "drift", "mg, °/h"),
-        [
-            (grade, form, f"{size * stated[0]:g}, {size * stated[1]:g}")
-            for grade, stated in STATED.items()
-            for form, size in (("none", 0.0), *product((*DRIFT_FORMS, "temperature"), (0.1, 1.0, 10.0)))
-        ],
-        drift_on_the_fixture, NAMED_DRIFT, above_band, ESTIMATORS,
-    ),
-    "false-drift": Study(
-        ("grade",), [(grade,) for grade in SIMULATED_GRADES], false_drift, NAMED_DRIFT,
-        lambda scores, _: sum(bool(s.drift) for s in scores) > binom.isf(1e-3, len(scores), FALSE_ALARM),
     ),
     "hand": Study(("grade", "profile"), HAND_CELLS, partial(by_hand, stated=False), HAND, far_off),
     "hand-stated": Study(("grade", "profile"), HAND_CELLS, partial(by_hand, stated=True), HAND, far_off),
@@ -299,21 +248,6 @@ STUDIES = {
             for drift in (("linear", "0, 0"), *product(DRIFT_FORMS, ("0.1, 10", "4, 300", "10, 1000")))
         ],
         drift_by_hand, (*NAMED_DRIFT, "scale, ppm"), not_in_band,
-    ),
-    "array": Study(
-        ("grade", "drift", "mg, °/h"), [(*cell, "8, 570") for cell in product(MEMS, DRIFT_FORMS)], drift_by_hand,
-        (*NAMED_DRIFT, "scale, ppm"), not_in_band,
-    ),
-    "asymmetry": Study(
-        ("grade", "asymmetry"), list(product(("tactical", "consumer"), ASYMMETRIES)), asymmetry,
-        (
-            *(word for group in ("gyro_scale", "accel_bias", "accel_scale") for word in (group, ERRORS[group])),
-            "largest",
-        ),
-    ),
-    "defects": Study(
-        ("defect",), [(name,) for name in DEFECTS], defects, ("status", "first finding", "rms", "largest"),
-        lambda scores, _: not all(s.named for s in scores), ("default",),
     ),
     "worse-than-stated": Study(
         ("case",), [(name,) for name in CASES], worse_than_stated, ("NEES / n", "largest", "verdict", "what is named"),

@@ -1,44 +1,224 @@
-"""Trials of ``honesty.py``: scores of one unit of a cell, by estimator or by rule.
+"""Recordings and trials of ``honesty.py``: scores of one unit of a cell, by estimator.
 
-A cell is a tuple of the properties of a unit; the same number gives the same unit. Names and sizes of the properties
-are those of the modules that make the recordings.
+A cell is a tuple of the properties of a unit; the same number gives the same unit. Errors of a test change a simulated
+case (:class:`injected_faults.injection.Case`). Hand-turned units and drifts come from ``foreign_motion.py``, which
+shares nothing with the simulator or the estimators.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
 from time import process_time
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from accuracy_trials import GRADES as SIMULATED_GRADES
 from accuracy_trials import fixture_recording, noisy_recording
 from efficiency import bound_si
-from foreign_motion import GRADES as HAND_GRADES
-from honesty_recordings import (
-    DEFECTS,
-    FAULTS,
-    SILENT_ERRORS,
-    asymmetric_unit,
-    defective_unit,
-    drifting_unit,
-    fixture_drift,
-    hand_unit,
-    truth_of,
+from foreign_motion import (
+    DEG,
+    GRAVITY_M_S2,
+    NINETEEN_START_DEG,
+    PROFILES,
+    PSINS_EXTRAS,
+    Grade,
+    drawn_errors,
+    drifting,
+    hand_turns,
+    recording,
 )
-from injected_faults.injection import Case
-from nineteen_positions import CASES as NINETEEN_POSITIONS
-from nineteen_positions import bound as bound_of_nineteen
-from nineteen_positions import unit_of as unit_of_nineteen
+from foreign_motion import GRADES as HAND_GRADES
+from foreign_motion import nineteen_positions as nineteen_turns
+from motion_bound import Chain, Conditions, Leg, motion_bound
+from scipy.spatial.transform import Rotation
 from studies import Score, scored
 from worse_recordings import CASES, HAND_RESTS_S, unit_of, unstated_unit
 
+sys.path.append(str(Path(__file__).parents[1] / "tests"))  # injected_faults
+
+from injected_faults.disturbances import vibrating
+from injected_faults.injection import Case
+
 import srt
+from sims.physics.imu import read_out
+from sims.physics.table_motion import run_schedule
+from sims.scenarios.simulation import schedule_of
 from srt.comparison.estimator_comparison import compare
-from srt.constants import DEG_PER_H, STANDARD_GRAVITY_M_S2
+from srt.constants import DEG_PER_H, MICRO_G, STANDARD_GRAVITY_M_S2
 from srt.diagnosis.staged_diagnosis import diagnose
 from srt.result.verdict import OF_FIXTURE
-from srt.sensor_errors import GROUP_SLICES, NAMES
+from srt.sensor_errors import NAMES
+
+if TYPE_CHECKING:
+    from sims.physics.true_motion import TrueMotion
+
+Change = Callable[[Case, np.random.Generator], srt.Recording]
+HAND_SEED = 20261122
+CLOCK, GRAVITY = 1e-4, 342e-6
+LONG_RESTS = {"8, 570": (12, 33.0)}
+"""Turns, and rest after each, s, if other than 36 and 5 s: repeated recordings of a sensor array last 500 s."""
+
+
+def unit_vector(rng: np.random.Generator) -> np.ndarray:
+    """Random direction, from the next three normal numbers."""
+    vector = rng.standard_normal(3)
+    return np.asarray(vector / np.linalg.norm(vector))
+
+
+def per_sample(case: Case) -> float:
+    """Change of a reading by a unit of its rate."""
+    return case.simulation.motion.interval if case.recording.kind == "increment" else 1.0
+
+
+def read_again(case: Case, motion: TrueMotion, rng: np.random.Generator) -> srt.Recording:
+    """Recording of another motion by the unit of a case."""
+    run = case.simulation
+    read = read_out(motion, run.truth, run.imu, rng, kind=run.recording.kind)
+    return replace(run.recording, gyro=read.gyro, accel=read.accel, data_sha256=None)
+
+
+def as_recorded(case: Case, _rng: np.random.Generator) -> srt.Recording:
+    """Recording without an error."""
+    return case.recording
+
+
+def ramp(ug_per_h: float) -> Change:
+    """Accelerometer bias of one axis that drifts."""
+
+    def change(case: Case, rng: np.random.Generator) -> srt.Recording:
+        unit, slope = case.recording, np.zeros(3)
+        slope[rng.integers(3)] = ug_per_h * MICRO_G / 3600.0 * rng.choice([-1.0, 1.0])
+        time = (unit.time - unit.time.mean())[:, None]
+        return replace(unit, accel=unit.accel + slope * time * per_sample(case), data_sha256=None)
+
+    return change
+
+
+def vibration(frequency_hz: float, angle_rad: float, force_mg: float) -> Change:
+    """Vibration of the table in random directions of the unit."""
+
+    def change(case: Case, rng: np.random.Generator) -> srt.Recording:
+        angle, force = (unit_vector(rng) for _ in range(2))
+        phase = float(rng.uniform(0.0, 2.0 * np.pi))
+        force = force_mg * 1e3 * MICRO_G * force
+        motion = vibrating(case.simulation.motion, frequency_hz, angle_rad * angle, force, phase_rad=phase)
+        return read_again(case, motion, rng)
+
+    return change
+
+
+def flicker(case: Case, rng: np.random.Generator) -> srt.Recording:
+    """Bias instability of 0.003 °/h and 2 µg that is not stated; white noise and quantization are."""
+    run = case.simulation
+    imu = replace(run.imu, gyro_bias_instability=0.003 * DEG_PER_H, accel_bias_instability=2.0 * MICRO_G)
+    read = read_out(run.motion, run.truth, imu, rng, kind=run.recording.kind)
+    noise = replace(run.recording.noise, gyro_bias_instability=None, accel_bias_instability=None)
+    return replace(run.recording, gyro=read.gyro, accel=read.accel, noise=noise, data_sha256=None)
+
+
+def wobble(case: Case, rng: np.random.Generator) -> srt.Recording:
+    """Axes that lean by another 10 µrad in every pose, where the wobble is stated as zero."""
+    run, scenario = case.simulation, case.scenario
+    motion = run_schedule(
+        schedule_of(scenario.schedule),
+        site=run.motion.site,
+        sample_rate_hz=scenario.recording.sample_rate_hz,
+        heading_rad=scenario.fixture.heading_deg * DEG,
+        fixture_draw=replace(run.fixture_draw, wobble=1e-5 * rng.standard_normal(run.fixture_draw.starts.shape)),
+        U=run.U,
+        stated_fixture=run.motion.fixture,
+        earth_rate=scenario.site.earth_rate,
+        start_time_s=scenario.recording.start_time_s,
+    )
+    unit = read_again(case, motion, rng)
+    return replace(unit, fixture=replace(unit.fixture, wobble_sigma_rad=0.0))
+
+
+def clock(*, stated: bool) -> Change:
+    """Time stamps of a clock that is wrong by 1e-4."""
+
+    def spread(span: tuple[float, float]) -> tuple[float, ...]:
+        return tuple((1.0 + CLOCK) * t for t in span)
+
+    def change(case: Case, _rng: np.random.Generator) -> srt.Recording:
+        unit, sigma = case.recording, {"clock_sigma": CLOCK} if stated else {}
+        labels = tuple(
+            replace(label, start_static_s=spread(label.start_static_s), end_static_s=spread(label.end_static_s))
+            for label in unit.sequences
+        )
+        return replace(unit, time=unit.time * (1.0 + CLOCK), sequences=labels, data_sha256=None, **sigma)
+
+    return change
+
+
+def gravity(*, stated: bool) -> Change:
+    """Gravity stated 342 ppm too large, as of another height of 1100 m."""
+
+    def change(case: Case, _rng: np.random.Generator) -> srt.Recording:
+        value = case.recording.site.gravity_m_s2 * (1.0 + GRAVITY)
+        sigma = {"gravity_sigma_m_s2": GRAVITY * value} if stated else {}
+        return replace(case.recording, site=replace(case.recording.site, gravity_m_s2=value, **sigma))
+
+    return change
+
+
+@dataclass(frozen=True)
+class SilentError:
+    """Error of a test, and what tells it: faults of the checks, a source of unseen errors, the sensor of a drift."""
+
+    change: Change
+    findings: tuple[str, ...] = ()
+    unseen: str = ""
+    drift: str = ""
+
+
+SILENT_ERRORS = {
+    "none": SilentError(as_recorded),
+    "vibration, 5 µrad and 3 mg at 23 Hz": SilentError(vibration(23.0, 5e-6, 3.0), ("vibration",)),
+    "vibration, 0.3 mrad at 7 Hz": SilentError(vibration(7.0, 3e-4, 0.0), ("vibration",)),
+    "accelerometer ramp, 100 µg/h": SilentError(ramp(100.0), ("accel_bias_drift",), drift="accel"),
+    "flicker of 0.003 °/h and 2 µg, not stated": SilentError(flicker),
+    "wobble of 10 µrad, stated as 0": SilentError(wobble),
+    "clock off by 1e-4": SilentError(clock(stated=False), unseen="time base"),
+    "clock off by 1e-4, sigma stated": SilentError(clock(stated=True)),
+    "gravity off by 342 ppm": SilentError(gravity(stated=False), ("gravity",)),
+    "gravity off by 342 ppm, sigma stated": SilentError(gravity(stated=True)),
+}
+
+
+def truth_of(errors: dict[str, float]) -> np.ndarray:
+    """Errors as a vector, shape (27,), SI."""
+    return np.array([errors.get(name, 0.0) for name in NAMES])
+
+
+def hand_unit(seed: int, grade: str, profile: str, *, stated: bool) -> tuple[srt.Recording, np.ndarray]:
+    """Unit turned by hand in 0.5 to 30 s, and its errors; ``stated``: white noise, and that there is no instability."""
+    rng, white = np.random.default_rng((HAND_SEED, seed)), HAND_GRADES[grade]
+    errors = drawn_errors(white, rng)
+    turns = hand_turns(rng, shortest_s=0.5, longest_s=30.0)
+    unit = recording(turns, 5.0, errors, white, rng, profile=profile)
+    if stated:
+        unit = replace(unit, noise=srt.ImuNoise(white.gyro_rad_per_sqrt_s, white.accel_m_s2_sqrt_s, 0.0, 0.0, 0.0, 0.0))
+    return unit, truth_of(errors)
+
+
+def drifting_unit(
+    seed: int, grade: str, form: str, change: str, *, profile: str | None = None
+) -> tuple[srt.Recording, np.ndarray]:
+    """Unit turned by hand whose biases drift by "mg, °/h" over the recording, and its errors."""
+    rng = np.random.default_rng((HAND_SEED, 7, seed))
+    errors = drawn_errors(HAND_GRADES[grade], rng)
+    count, rest_s = LONG_RESTS.get(change, (36, 5.0))
+    turns = hand_turns(rng, shortest_s=0.5, longest_s=12.0, count=count, rest_s=rest_s)
+    profile = profile or PROFILES[seed % len(PROFILES)]
+    unit = recording(turns, rest_s, errors, HAND_GRADES[grade], rng, profile=profile)
+    accel_mg, gyro_deg_h = map(float, change.split(", "))
+    unit = drifting(unit, turns, rest_s, rng, form=form, accel_mg=accel_mg, gyro_deg_h=gyro_deg_h)
+    return unit, truth_of(errors)
+
 
 Cell = tuple[Any, ...]
 Rows = dict[str, Score]
@@ -52,12 +232,14 @@ SIMULATED = {
     "g-sensitivity": {"g_sensitivity": DEG_PER_H / STANDARD_GRAVITY_M_S2},
 }
 """Units of the simulator; g-sensitivity in units of that of the grade."""
-RULES = {"estimated": 1.0, "where p < 0.05": 0.05, "where p < 0.001": 1e-3, "never": 0.0}
-"""Probability of the test below which a group of asymmetries is estimated."""
 
-
-ASYMMETRIES = {"none": 0.0, "a tenth of the scale error": 0.1, "three tenths": 0.3, "as large": 1.0}
-"""Asymmetries, 1-sigma, in units of the scale errors."""
+NINETEEN_SEED = 20261122
+NINETEEN_GRADE = Grade(0.001 * DEG / 60.0, 10e-6 * 9.80665, 3e-5, 1.5e-4, 0.2 * DEG / 3600.0, 2e-3)
+NINETEEN_POSITIONS = {  # extras, parameters fixed
+    "no extras": (None, ("gyro_asymmetry", "accel_asymmetry")),
+    # At 1 g, |f| takes up what a quadratic term adds.
+    "quadratic terms, lever arms, lag": (PSINS_EXTRAS, ("gyro_asymmetry",)),
+}
 
 
 def calibrated(unit: srt.Recording, truth: np.ndarray, estimators: list[str]) -> Rows:
@@ -91,6 +273,29 @@ def on_the_fixture(cell: Cell, unit: int, estimators: list[str], *, moves: str) 
     return {name: replace(scored(each, truth.vector), bound=bound, named=differ) for name, each in found.items()}
 
 
+@cache
+def bound_of_nineteen(fixed: tuple[str, ...]) -> np.ndarray:
+    """Cramér-Rao bound of the 27 errors, 1-sigma, zero for those that are fixed."""
+    turns, first_rest_s = nineteen_turns()
+    chain = Chain(
+        Rotation.from_euler("ZYX", NINETEEN_START_DEG, degrees=True),
+        [first_rest_s, *(turn.rest_s for turn in turns)],
+        [[Leg(np.array(turn.axis), turn.angle_rad, turn.duration_s)] for turn in turns],
+    )
+    conditions = Conditions(
+        NINETEEN_GRADE.gyro_rad_per_sqrt_s, NINETEEN_GRADE.accel_m_s2_sqrt_s, GRAVITY_M_S2, 5e-6, 34.0 * DEG
+    )
+    return motion_bound([chain], conditions, [n for n in NAMES if not n.startswith(fixed)])
+
+
+def unit_of_nineteen(case: str, number: int, *, noise: bool = True) -> tuple[srt.Recording, np.ndarray]:
+    """One unit of a case, and its errors."""
+    rng = np.random.default_rng((NINETEEN_SEED, number))
+    errors, grade = drawn_errors(NINETEEN_GRADE, rng, asymmetry=False), NINETEEN_GRADE if noise else None
+    turned = {"start_deg": NINETEEN_START_DEG, "extras": NINETEEN_POSITIONS[case][0]}
+    return recording(*nineteen_turns(), errors, grade, rng, **turned), truth_of(errors)
+
+
 def nineteen_positions(cell: Cell, unit: int, estimators: list[str]) -> Rows:
     recording, truth = unit_of_nineteen(cell[0], unit)
     fixed, rows = NINETEEN_POSITIONS[cell[0]][1], {}
@@ -100,16 +305,6 @@ def nineteen_positions(cell: Cell, unit: int, estimators: list[str]) -> Rows:
         spent = process_time() - started
         rows[name] = replace(scored(found, truth), bound=bound_of_nineteen(fixed), seconds=spent)
     return rows
-
-
-def verdicts(cell: Cell, unit: int, estimators: list[str]) -> Rows:
-    grade, fault = cell
-    case = Case(grade, 20261122 + unit)
-    recording = FAULTS[fault](case, np.random.default_rng((20261122, unit)))
-    found = diagnose(recording, calibrating=False)
-    checks = "refused" if found.refusal else "warned" if found.first else "passed"
-    rows = calibrated(recording, case.simulation.truth.vector, estimators)
-    return {name: replace(row, checks=checks) for name, row in rows.items()}
 
 
 def silent_errors(cell: Cell, unit: int, estimators: list[str]) -> Rows:
@@ -126,19 +321,6 @@ def silent_errors(cell: Cell, unit: int, estimators: list[str]) -> Rows:
     return rows
 
 
-def drift_on_the_fixture(cell: Cell, unit: int, estimators: list[str]) -> Rows:
-    case = Case(cell[0], 20261124 + unit)
-    recording = fixture_drift(case, *cell[1:], np.random.default_rng((20261124, unit)))
-    return calibrated(recording, case.simulation.truth.vector, estimators)
-
-
-def false_drift(cell: Cell, unit: int, estimators: list[str]) -> Rows:
-    grades = list(SIMULATED_GRADES)
-    seed = 500_000 + len(grades) * unit + grades.index(cell[0])
-    recording, truth = noisy_recording(seed, cell[0], sample_rate_hz=20.0, instability=True)
-    return calibrated(recording, truth.vector, estimators)
-
-
 def by_hand(cell: Cell, unit: int, estimators: list[str], *, stated: bool) -> Rows:
     seed = 1000 * list(HAND_GRADES).index(cell[0]) + unit
     return calibrated(*hand_unit(seed, *cell, stated=stated), estimators)
@@ -146,42 +328,6 @@ def by_hand(cell: Cell, unit: int, estimators: list[str], *, stated: bool) -> Ro
 
 def drift_by_hand(cell: Cell, unit: int, estimators: list[str]) -> Rows:
     return calibrated(*drifting_unit(unit, *cell), estimators)
-
-
-def asymmetry(cell: Cell, unit: int, estimators: list[str]) -> Rows:
-    """Errors under each rule, of gyro scale, accelerometer bias and accelerometer scale."""
-    recording, truth = asymmetric_unit(unit, cell[0], ASYMMETRIES[cell[1]])
-    rows = {}
-    for estimator in estimators:
-        found = srt.calibrate(recording, estimator, checks=False)
-        tests = found.diagnostics.asymmetry or {}
-        for rule, limit in RULES.items():
-            score = Score(found.status, found.judgement.word)
-            for group in ("gyro_scale", "accel_bias", "accel_scale"):
-                test = tests.get(f"{group.split('_')[0]}_asymmetry")
-                for name in NAMES[GROUP_SLICES[group]]:
-                    k = NAMES.index(name)
-                    if test is None or not score.usable or not found.observed[k]:
-                        continue
-                    other = test.without[name]
-                    own = test.probability <= limit and limit > 0.0
-                    value, sigma = (found.errors[name], found.sigma[k]) if own else (other.value, other.sigma)
-                    score.error[k] = value - truth[k]
-                    score.z[k] = score.error[k] / sigma
-            rows[f"{estimator}, {rule}"] = score
-    return rows
-
-
-def defects(cell: Cell, unit: int, _estimators: list[str]) -> Rows:
-    """Through ``srt.calibrate`` with its checks, by the default estimator."""
-    recording, truth = defective_unit(cell[0], unit)
-    faults = tuple(finding.fault for finding in srt.diagnose(recording).findings)
-    try:
-        score = scored(srt.calibrate(recording), truth)
-    except srt.SrtError:
-        score = Score("refused")
-    named = set(DEFECTS[cell[0]].named)
-    return {"default": replace(score, faults=faults, named=not named or bool(named & set(faults)))}
 
 
 def named_by(found: srt.Calibration) -> tuple[str, ...]:

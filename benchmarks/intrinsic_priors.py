@@ -4,11 +4,10 @@ A vehicle moves for 90 s with satellite fixes of 0.1 m and for 30 s without. Its
 draw from the calibration's covariance (MEMS: 500 ppm, 0.5 mrad, 2 mm/s², 10 °/h). gtsam estimates trajectory and errors
 by the factor of :mod:`srt.stacks.gtsam_factor`. The trajectory is made here, by finer steps.
 
-    python benchmarks/intrinsic_priors.py [--runs 40] [--plot FILE.png]
+    python benchmarks/intrinsic_priors.py [--runs 40]
 """
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import gtsam
 import harness
@@ -182,28 +181,7 @@ def run(rng: np.random.Generator, true: Truth, modes: dict[str, float] = MODES) 
     return {name: estimate(weight, *given) for name, weight in modes.items()}
 
 
-def draw(results: dict[str, list[Estimate]], path: Path) -> None:
-    from srt.reports.figures.style import DPI, ConstrainedLayoutEngine, Figure, save_figure, style
-
-    figure = Figure(figsize=(10.0, 6.0), dpi=DPI, layout=ConstrainedLayoutEngine())
-    t = KEYFRAME_S * np.arange(len(next(iter(results.values()))[0].position))
-    for row, (title, name, factor) in enumerate(
-        (("position, m", "position", 1.0), ("attitude, mrad", "attitude", 1e3))
-    ):
-        axes = figure.add_subplot(2, 1, row + 1)
-        style(axes)
-        for mode, runs in results.items():
-            errors = np.array([getattr(r, name) for r in runs])
-            axes.plot(t, factor * np.sqrt(np.mean(np.sum(errors**2, axis=2), axis=0)), label=mode)
-        axes.set_yscale("log")
-        axes.set_ylabel(f"rms error of {title}")
-        axes.axvline(FIXES_S, color="#777777", linestyle=":")
-    axes.set_xlabel("time, s (fixes until the dotted line)")
-    figure.axes[0].legend(frameon=False)
-    save_figure(figure, path)
-
-
-def main(*, runs: int = 40, plot: Path | None = None) -> None:
+def main(*, runs: int = 40) -> None:
     true = truth()
     rng = np.random.default_rng(5)
     results: dict[str, list[Estimate]] = {name: [] for name in MODES}
@@ -223,8 +201,6 @@ def main(*, runs: int = 40, plot: Path | None = None) -> None:
             f"{np.sqrt(np.mean([r.z**2 for r in found])):.2f} sigma; NEES {np.mean([r.nees_z for r in found]):.1f}, "
             f"pose {np.mean([r.nees_pose for r in found]):.1f}"
         )
-    if plot is not None:
-        draw(results, plot)
 
 
 if __name__ == "__main__":

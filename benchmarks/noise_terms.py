@@ -6,11 +6,6 @@ terms cross, so that a short log resolves some of them and a long one most.
 
     python benchmarks/noise_terms.py [--logs 200] [--lengths 600 10800 86400] [--seed 21]
 
-``--ramps`` counts the ramps found in logs of 10 minutes without one, by the size of the random walk: the interval of a
-ramp includes zero where the likelihood ratio of no ramp is below a threshold, which depends on the walk. The walk is
-not known. It is either fitted without a ramp, as in ``srt noise``, or with one (restricted likelihood).
-
-    python benchmarks/noise_terms.py --ramps [--logs 60] [--seed 31]
 """
 
 from __future__ import annotations
@@ -19,21 +14,13 @@ import time
 
 import harness
 import numpy as np
-from scipy.optimize import minimize_scalar
 from scipy.signal import fftconvolve
 
 import srt
-from srt.noise import noise_terms as fit
-from srt.noise.allan import CONFIDENCE
-from srt.noise.likelihood_thresholds import SimulatedRecords
 from srt.noise.noise_terms import ALL_TERMS, noise_terms
 
 SAMPLES = 30_000
 """Samples of a log, so that 24 hours take no longer than 10 minutes; the rate follows."""
-SEED, RAMP_SEED = 21, 31
-RAMP_LENGTH_S = 600.0
-CROSSINGS = (10.0, 1.0, 0.3, 0.1)
-"""Times at which a walk equals the white noise in Allan deviation, in lengths of the log."""
 
 
 def coefficients(rng: np.random.Generator, dt: float) -> np.ndarray:
@@ -89,50 +76,7 @@ def coverage(held: np.ndarray, counted: np.ndarray) -> str:
     return f"{(held & counted).sum() / number:.3f} ({0.95 - half:.3f}-{min(0.95 + half, 1.0):.3f})"
 
 
-def ramps(rng: np.random.Generator, truth: np.ndarray, dt: float) -> np.ndarray:
-    """Ramps found in the channels of one log: shape (6, 2), the walk fitted without and with a ramp."""
-    n = SAMPLES
-    edges, u = fit._bins(n), fit._ramp(n, dt)
-    design = fit._design(0.5 * np.pi * np.arange(1, n) / n, n, dt)
-    design = np.stack([fit._mean(column, edges) for column in design.T], axis=1)
-    count = np.diff(np.append(edges, n - 1)).astype(np.float64)
-    records = SimulatedRecords.draw(count, fit._sum(u**2, edges), design, rng)
-    found = []
-    for terms in truth:
-        x = channel(rng, terms, n, dt)
-        spectrum = fit._spectrum(x - x.mean(), edges, design, u)
-        best, without = fit._likeliest(spectrum), fit._likeliest(spectrum, ramp=0.0)
-        doubt = float(np.sqrt(best.ramp_variance))
-        likeliest = minimize_scalar(
-            lambda ramp, known=spectrum: fit._likeliest(known, ramp=ramp).loss,
-            bounds=(best.ramp - 2.0 * doubt, best.ramp + 2.0 * doubt),
-            method="bounded",
-            options={"xatol": 0.01 * doubt},
-        )
-        ratio = without.loss - likeliest.fun
-        found.append([ratio > records.ramp_threshold(each.squares, 0.0, CONFIDENCE) for each in (without, best)])
-    return np.array(found)
-
-
-def show_ramps(logs: int, seed: int) -> None:
-    """Print the shares of channels in which a ramp is found, in channels with all terms and with a walk alone."""
-    dt = RAMP_LENGTH_S / SAMPLES
-    print(f"{logs} logs of 6 channels, seed {seed}: ramps found, walk fitted without and with a ramp")
-    for crossing in (None, *CROSSINGS):
-        rng, shares = np.random.default_rng([seed, round(10.0 * (crossing or 0.0))]), []
-        for _ in range(logs):
-            if crossing is None:
-                truth = np.array([coefficients(rng, dt) for _ in range(6)])
-            else:
-                truth = np.array([[1.5 * np.sqrt(dt), 1.0, 0.0, np.sqrt(3.0) / (crossing * RAMP_LENGTH_S), 0.0]] * 6)
-            shares.append(ramps(rng, truth, dt))
-        case = "all terms" if crossing is None else f"walk crossing at {crossing:g} lengths"
-        without, best = 100.0 * np.mean(shares, axis=(0, 1))
-        print(f"{case:32s} {without:5.1f} % {best:5.1f} %", flush=True)
-
-
-def show_coverage(logs: int, lengths: list[float], seed: int) -> None:
-    """Print the shares of intervals and limits that hold the truth."""
+def main(*, logs: int = 200, lengths: tuple[float, ...] = (600.0, 10800.0, 86400.0), seed: int = 21) -> None:
     print(f"{logs} logs of 6 channels, seed {seed}: truths held, with the 95 % band of 95 %", flush=True)
     for length in lengths:
         rng = np.random.default_rng([seed, round(length)])
@@ -145,19 +89,6 @@ def show_coverage(logs: int, lengths: list[float], seed: int) -> None:
             held, seen = covered[..., t], resolved[..., t]
             parts = [coverage(held, counted) for counted in (np.ones_like(seen), seen, ~seen)]
             print(f"{term.title:18s}    {seen.mean():.3f}  {'  '.join(parts)}", flush=True)
-
-
-def main(
-    *,
-    ramps: bool = False,
-    logs: int | None = None,
-    lengths: tuple[float, ...] = (600.0, 10800.0, 86400.0),
-    seed: int | None = None,
-) -> None:
-    if ramps:
-        show_ramps(logs or 60, RAMP_SEED if seed is None else seed)
-    else:
-        show_coverage(logs or 200, lengths, SEED if seed is None else seed)
 
 
 if __name__ == "__main__":

@@ -3,8 +3,7 @@
 Every protocol lasts 600 s, its rests scaled to that, without a fixture: a tactical unit with white noise alone, poses
 placed to 1°, turns to 0.5°. The bound is computed from the nominal motion (``benchmarks/motion_bound.py``); the units
 are simulated and calibrated by least squares, asymmetries fixed at zero, which they are. ``python
-benchmarks/protocols.py --units 20 --markdown docs/protocols.md --plot docs/images/protocols.png`` writes tables and
-figure of the page.
+benchmarks/protocols.py --units 20 --markdown docs/protocols.md`` writes the tables of the page.
 """
 
 from __future__ import annotations
@@ -124,28 +123,7 @@ def shown(value: float) -> str:
     return "–" if math.isnan(value) else f"{value:.{digits}f}"
 
 
-def draw(path: Path, bounds: dict[str, np.ndarray], errors: dict[str, np.ndarray]) -> None:
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    from matplotlib import pyplot as plt
-
-    fig, axes = plt.subplots(2, 3, figsize=(12.0, 7.0), sharey=True, layout="constrained")
-    place = np.arange(len(PROTOCOLS))[::-1]
-    for ax, (group, title) in zip(axes.flat, GROUPS.items(), strict=True):
-        at = GROUP_SLICES[group]
-        limit = np.array([rms(bounds[name][at]) for name in PROTOCOLS])
-        found = np.array([rms(errors[name][:, at]) for name in PROTOCOLS])
-        ax.barh(place, limit, color="#9ecae1", label="Cramér-Rao bound", log=True)
-        ax.plot(found, place, "o", color="#08306b", label="rms error of simulated units")
-        ax.set_yticks(place, PROTOCOLS)
-        ax.set_title(title, fontsize=10)
-        ax.grid(axis="x", alpha=0.3)
-    axes[0, 0].legend(loc="upper right", fontsize=8)
-    fig.savefig(path, dpi=110)
-
-
-def main(*, units: int = 20, markdown: Path | None = None, plot: Path | None = None) -> None:
+def main(*, units: int = 20, markdown: Path | None = None) -> None:
     bounds = {name: bound(name, FIXED) for name in PROTOCOLS}
     errors, notes = {}, []
     for name in PROTOCOLS:
@@ -176,8 +154,6 @@ def main(*, units: int = 20, markdown: Path | None = None, plot: Path | None = N
     print(text)
     if markdown is not None:
         studies.replace_tables(markdown, {"benchmarks/protocols.py": text})
-    if plot is not None:
-        draw(plot, bounds, errors)
 
 
 if __name__ == "__main__":

@@ -2,9 +2,8 @@
 
 ``python benchmarks/rivals.py`` calibrates 20 tactical units on fixtures of 0.1, 1 and 5 mrad: by the 17 sequences with
 four estimators, and by faces and full turns of the same total time with imucal, which also gets those samples of the 17
-sequences that fit its method. Every unit comes with and without asymmetry, which imucal does not know. ``--sessions``
-gives our least squares the samples of the faces and turns instead, as one recording with labels. ``--units N`` takes
-that many, ``--markdown FILE`` replaces the tables of docs/rivals.md or docs/studies/ferraris-sessions.md. It needs
+sequences that fit its method. Every unit comes with and without asymmetry, which imucal does not know. ``--units N``
+takes that many, ``--markdown FILE`` replaces the tables of docs/rivals.md. It needs
 pip install 'strapdown-rotation-test[all,benchmark]'.
 """
 
@@ -50,8 +49,6 @@ FIXTURES_RAD = (1e-4, 1e-3, 5e-3)
 SAMPLE_RATE_HZ = 100.0
 DWELL_S = 10.0
 """Length of every stationary window, s, as in the paper."""
-FACE_S, PAUSE_S = 79.0, 5.0
-"""Length of each face of a session, as long as Table 1 with its turns, and pause between faces and turns, s."""
 FIRST_SEED = 60_000
 """Seed of the first unit: apart from the seeds of the other studies."""
 ASYMMETRIES = ("gyro_asymmetry", "accel_asymmetry")
@@ -61,8 +58,6 @@ ESTIMATORS: dict[str, tuple[str, dict[str, Any]]] = {
     HELD: ("graph", {"hold": ASYMMETRIES}),
 }
 """Our estimators and their options. The last one assumes no asymmetry, as imucal does."""
-OURS = {"least squares": ("least-squares", {}), "asymmetry fixed": ("least-squares", {"hold": ASYMMETRIES})}
-"""The same for the sessions."""
 METHODS = (*ESTIMATORS, IMUCAL, IMUCAL_SAME)
 NO_ASYMMETRY, ASYMMETRIC = "no asymmetry", "asymmetry 1e-3"
 POPULATIONS = {NO_ASYMMETRY: METHODS, ASYMMETRIC: tuple(m for m in METHODS if m != HELD)}
@@ -106,9 +101,9 @@ class UnitErrors:
         known = {"sample_rate_hz": SAMPLE_RATE_HZ, "gravity_m_s2": SITE.gravity_m_s2, "turn_rad": turn_rad}
         self.add(method, truth, lambda: imucal_errors(regions, **known))
 
-    def by_ours(self, truth: SensorErrors, recording: Recording, methods: dict, names: Iterable[str]) -> None:
+    def by_ours(self, truth: SensorErrors, recording: Recording, names: Iterable[str]) -> None:
         for method in names:
-            name, options = methods[method]
+            name, options = ESTIMATORS[method]
             self.add(method, truth, lambda n=name, o=options: srt.calibrate(recording, n, checks=False, **o))
 
 
@@ -169,44 +164,13 @@ def unit(seed: int, sigma_rad: float) -> tuple[dict[str, UnitErrors], Durations]
         (motion, *setting.ferraris(face_s))
     ):
         outcome = outcomes[population] = UnitErrors()
-        outcome.by_ours(truth, recording, ESTIMATORS, filter(ESTIMATORS.get, POPULATIONS[population]))
+        outcome.by_ours(truth, recording, filter(ESTIMATORS.get, POPULATIONS[population]))
         own = signal_regions(*faces_and_turns, face_s=face_s)
         outcome.by_imucal(truth, own)
         same = signal_regions(take, take, face_s=2.0 * DWELL_S, face_picks=TABLE_1_FACES, turn_picks=TABLE_1_TURNS)
         outcome.by_imucal(truth, same, TABLE_1_TURN_RAD, IMUCAL_SAME)
     turning_s = sum(len(own[f"gyr_{axis}_rot"]) for axis in "xyz") / SAMPLE_RATE_HZ
     return outcomes, Durations(table_1_s, 6.0 * face_s + turning_s + 3.0 * PROFILE.duration_s(math.pi))
-
-
-def joined(first: Recording, second: Recording) -> Recording:
-    """Both parts of a session as one recording with a gap."""
-    offset = float(first.time[-1]) + PAUSE_S
-    later = tuple(
-        replace(
-            label,
-            start_static_s=tuple(t + offset for t in label.start_static_s),
-            end_static_s=tuple(t + offset for t in label.end_static_s),
-        )
-        for label in second.sequences
-    )
-    both = {
-        name: np.concatenate([getattr(first, name), shift + getattr(second, name)])
-        for name, shift in (("time", offset), ("gyro", 0.0), ("accel", 0.0))
-    }
-    return replace(first, **both, sequences=first.sequences + later)
-
-
-def session(seed: int, sigma_rad: float) -> tuple[dict[str, UnitErrors], None]:
-    """imucal, and least squares on the recording that holds its samples, with the flips between faces."""
-    setting = Setting.drawn(seed, sigma_rad)
-    stated = Fixture(0.0, sigma_rad, sigma_rad)
-    motions = [motion.stated_as(site=SITE, fixture=stated) for motion in setting.ferraris(FACE_S)]
-    outcomes = {}
-    for population, truth, parts, takes in setting.read(motions):
-        outcome = outcomes[population] = UnitErrors()
-        outcome.by_imucal(truth, signal_regions(*takes, face_s=FACE_S))
-        outcome.by_ours(truth, joined(*parts), OURS, OURS)
-    return outcomes, None
 
 
 def without_asymmetry(errors: SensorErrors) -> SensorErrors:
@@ -225,10 +189,10 @@ class Study:
     outcomes: dict[tuple[str, float], list[UnitErrors]] = field(default_factory=dict)
     durations: Durations | None = None
 
-    def run(self, trial: Callable[[int, float], Any] = unit) -> None:
+    def run(self) -> None:
         for sigma_rad in self.fixtures_rad:
             for seed in range(FIRST_SEED, FIRST_SEED + self.units):
-                found, self.durations = trial(seed, sigma_rad)
+                found, self.durations = unit(seed, sigma_rad)
                 for population, outcome in found.items():
                     self.outcomes.setdefault((population, sigma_rad), []).append(outcome)
 
@@ -248,14 +212,11 @@ class Study:
         seconds = [o.seconds[method] for some in self.outcomes.values() for o in some if method in o.seconds]
         return 1e3 * float(np.median(seconds))
 
-    def statuses(self) -> Counter[str]:
-        """Statuses of all results of ours."""
-        return sum((o.statuses for some in self.outcomes.values() for o in some), Counter())
-
     def not_converged(self) -> str:
         """Results of our estimators with another status than converged; fixed parameters make it partial."""
         expected = {f"{m} {'partial' if m == HELD else 'converged'}" for m in ESTIMATORS}
-        return ", ".join(f"{name} {n}" for name, n in self.statuses().items() if name not in expected) or "none"
+        statuses = sum((o.statuses for some in self.outcomes.values() for o in some), Counter())
+        return ", ".join(f"{name} {n}" for name, n in statuses.items() if name not in expected) or "none"
 
     def rms_table(self, population: str) -> str:
         """Fixture, group, rms by method."""
@@ -281,18 +242,6 @@ class Study:
             markdown(("over closed form / over graph", *(f"{1e3 * s:g} mrad" for s in self.fixtures_rad)), rows)
         )
 
-    def session_table(self) -> str:
-        """Rms of imucal and of ours in each group, for every population and fixture, and the statuses."""
-        rows = []
-        for population, sigma_rad in self.outcomes:
-            for row in (row for row in ROWS if row not in ASYMMETRY_ROWS):
-                values = [self.rms(population, sigma_rad, method, row) for method in (IMUCAL, *OURS)]
-                ratio = figure(values[0] / min(values[1:]), digits=2)
-                rows.append([population, f"{1e3 * sigma_rad:g} mrad", row, *map(figure, values), ratio])
-        columns = ("units", "fixture", "rms error of", IMUCAL, *OURS, "imucal over the better")
-        said = ", ".join(f"{name} {count}" for name, count in sorted(self.statuses().items()))
-        return "\n".join((*markdown(columns, rows, 3), "", f"Status: {said}."))
-
 
 def versions() -> str:
     names = ("imucal", "pandas", "numpy", "scipy", "filterpy", "gtsam")
@@ -310,11 +259,11 @@ def tables(study: Study) -> dict[str, str]:
     }
 
 
-def main(*, units: int = 20, sessions: bool = False, markdown: Path | None = None) -> None:
+def main(*, units: int = 20, markdown: Path | None = None) -> None:
     study = Study(units)
-    study.run(session if sessions else unit)
-    made = {"sessions": study.session_table()} if sessions else tables(study)
-    same = {} if sessions else {f"{IMUCAL_SAME}, {p}": study.ratio_table(p, IMUCAL_SAME) for p in POPULATIONS}
+    study.run()
+    made = tables(study)
+    same = {f"{IMUCAL_SAME}, {p}": study.ratio_table(p, IMUCAL_SAME) for p in POPULATIONS}
     print(*(f"{name}\n\n{table}\n" for name, table in (made | same).items()), sep="\n")
     print(study.durations or "")
     if markdown is not None:

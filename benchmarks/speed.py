@@ -1,7 +1,7 @@
 """Speed of everything in one table: estimators in memory, commands as processes, length of a recording.
 
 ``python benchmarks/speed.py`` prints it as Markdown; ``--only PART ...`` takes parts of it, or others: correction of
-readings, inspection of an hour at 1 kHz, units calibrated as arrays. ``--long`` adds 20 million samples, ``--rounds N``
+readings, inspection of an hour at 1 kHz. ``--long`` adds 20 million samples, ``--rounds N``
 takes medians of N. Times are CPU times on one core. Each has its ratio to a fixed numpy load that runs right before it,
 so that a busy or another machine matters less. benchmarks/README.md says what the rows are.
 """
@@ -14,7 +14,6 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import subprocess
 import sys
 import tempfile
-import time
 import tracemalloc
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -29,31 +28,23 @@ from numpy_load import Row, beside_load, cpu_time, numpy_load
 
 import sims
 import srt
-from sims.physics.imu import ImuModel, read_out
+from sims.physics.imu import read_out
 from sims.physics.sequences import TABLE_1
 from sims.physics.table_motion import table1_motion
-from srt.closed_form.formulas import SelectedFormulas
-from srt.closed_form.iteration import iterate_units
 from srt.comparison.estimator_comparison import default_estimators
-from srt.constants import DEG_PER_SQRT_H, MICRO_G
 from srt.diagnosis import diagnose
-from srt.estimation.initial_estimates import initial_estimate
-from srt.estimation.options import Options
 from srt.model.analytic_platform import integrate_attitude
 from srt.model.gyro_stream import gyro_stream
 from srt.model.platform_steps import COMPILED_RECORDINGS, many_recordings
 from srt.model.rotations import rotation_matrix
-from srt.model.sensor_model import gyro_triad, outside_model
+from srt.model.sensor_model import gyro_triad
 from srt.noise.noise_model import noise_model
-from srt.recording.recording import Fixture, Site
 from srt.reports.figures.inspection import inspection_figure
 from srt.reports.inspection import inspect
 from srt.result.applier import Applier
 from srt.result.calibration import Calibration
-from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SensorErrors
-from srt.sequences.checked_preparation import prepare_checked
+from srt.sensor_errors import N_PARAMETERS, SensorErrors
 from srt.sequences.preparation import prepare
-from srt.sequences.prepared_units import together
 from srt.sequences.recognition import recognise
 
 DEFAULT_PARTS = ("memory", "processes", "length")
@@ -62,12 +53,6 @@ ROUNDS = 7
 SAMPLE_RATE_HZ = 200.0
 PEERS = {"Xsens MTi from its file": "imu_tk in C++: 4.0 loads"}
 """Other tools on the same work. imu_tk took 0.66 of this command as it was in November 2026, which took 6.1 loads."""
-
-LARGEST_ERRORS = {
-    "gyro_scale": 0.5, "gyro_asymmetry": 0.01, "gyro_orthogonality": 0.3, "accel_bias": 1.0, "accel_scale": 0.5,
-    "accel_asymmetry": 0.01, "accel_misalignment": 0.3, "gyro_bias": 0.02,
-}  # fmt: skip
-"""Largest sensor errors of the units that are calibrated as arrays, SI."""
 
 
 def sum_once(recording: srt.Recording) -> float:
@@ -283,56 +268,7 @@ def traced(call: Callable[[], object]) -> tuple[float, int]:
     return seconds, peak
 
 
-def units_as_arrays(_rounds: int, count: int = 1024, batches: tuple[int, ...] = (1, 7, 32, 256)) -> Iterator[Row]:
-    """Closed form of many units of one motion (windows of 2 s, 3 rad/s, 50 Hz), by the size of the batch.
-
-    Units of ±50 % and 0.3 rad; those that are no IMU or have no initial estimate are drawn again. Simulation,
-    preparation and initial estimates are not timed.
-    """
-    rng, sizes = np.random.default_rng(20261125), np.zeros(N_PARAMETERS)
-    for group, size in LARGEST_ERRORS.items():
-        sizes[GROUP_SLICES[group]] = size
-    imu = ImuModel(gyro_noise=0.1 * DEG_PER_SQRT_H, accel_noise=50.0 * MICRO_G)
-    motion = table1_motion(
-        site=Site(9.80665, 5e-6, 0.8), stated_fixture=Fixture(0.3, 1e-3, 1e-3), heading_rad=0.3,
-        sample_rate_hz=50.0, rate_rad_s=3.0, dwell_s=2.0,
-    )  # fmt: skip
-    data, starts = [], []
-    while len(data) < count:
-        errors = SensorErrors(rng.uniform(-1.0, 1.0, N_PARAMETERS) * sizes)
-        if outside_model(errors) is not None:
-            continue
-        recording = read_out(motion, errors, imu, rng)
-        try:
-            unit = prepare_checked(recording, recording.sequences, "linear")
-            starts.append(initial_estimate(unit, Options()))
-        except srt.SrtError:
-            continue
-        data.append(unit)
-    formulas = SelectedFormulas(data[0], Options())
-    vectors, U = np.stack([errors.vector for errors, _ in starts]), np.stack([U for _, U in starts])
-    single, base = [], 0.0
-    for batch in batches:
-        found: list = []
-        load_s, began = cpu_time(numpy_load), time.process_time()
-        with many_recordings(count):
-            for own in (slice(a, a + batch) for a in range(0, count, batch)):
-                found += iterate_units(together(data[own]), Options(), formulas, vectors[own], U[own])
-        took = time.process_time() - began
-        single, base = single or found, base or took
-        off = max(
-            float(np.abs((x.errors.vector - y.errors.vector) / np.sqrt(np.diag(sum(y.covariance.values())))).max())
-            for x, y in zip(found, single, strict=True)
-            if y.status == "converged"
-        )
-        converged = sum(x.status == "converged" for x in found)
-        yield Row(
-            f"closed form of {count} units, batch {batch}: {count / took:.0f} a second, ratio {base / took:.2f}, "
-            f"{converged} converged, {off:.1e} sigma from single runs", took, load_s,
-        )  # fmt: skip
-
-
-MORE = {"correction": correction, "inspection": inspection, "units": units_as_arrays}
+MORE = {"correction": correction, "inspection": inspection}
 
 
 def main(*, long: bool = False, only: tuple[str, ...] = DEFAULT_PARTS, rounds: int = ROUNDS) -> None:

@@ -1,11 +1,10 @@
-"""Time of ``srt apply CALIBRATION -`` per line: parsing, correction and writing apart, latency and memory.
+"""Latency and memory of ``srt apply CALIBRATION -``.
 
 ``python benchmarks/stream.py [--samples 1000000] [--packets 200000]`` runs the command with a million lines through
 pipes, one line at a time, each answer awaited (latency), and measures its memory at a tenth of the run and at the end;
 then with MAVLink packets (HIGHRES_IMU in and out) over UDP on this computer, in the same way.
 """
 
-import io
 import socket
 import subprocess
 import sys
@@ -17,12 +16,9 @@ from pathlib import Path
 
 import harness
 import numpy as np
-from numpy_load import cpu_time
 
 from srt.result.calibration import Calibration
 from srt.sensor_errors import N_PARAMETERS, SensorErrors
-from srt.stacks.stream_correction import StreamCorrector, StreamOptions
-from srt.stacks.text_lines import LineCorrector
 
 COMMAND = [sys.executable, "-m", "srt.cli", "apply"]
 
@@ -36,19 +32,6 @@ def lines(n: int) -> list[str]:
     rng = np.random.default_rng(2)
     values = np.column_stack([np.arange(n) * 0.005, rng.normal(size=(n, 3)), 9.8 * rng.normal(size=(n, 3))])
     return [",".join(f"{v:.9g}" for v in row) + "\n" for row in values.tolist()]
-
-
-def steps(texts: list[str]) -> None:
-    """Print the CPU time of a line, µs: all of it in the process, and its parts alone."""
-    corrector = StreamCorrector(unit(), "mars", StreamOptions(gravity=9.80665), print)
-    whole, out, parsed = LineCorrector(corrector), io.StringIO(), []
-    calls: dict[str, Callable[[], object]] = {
-        "parsing": lambda: parsed.extend(tuple(map(float, text.split(","))) for text in texts),
-        "correction": lambda: [corrector.correct(values[1:]) for values in parsed],
-        "parsing, correction and text": lambda: [out.write(whole.correct(text) + "\n") for text in texts],
-    }
-    for name, call in calls.items():
-        print(f"{name}: {1e6 * cpu_time(call) / len(texts):.2f} µs a line")
 
 
 def memory_mib(pid: int) -> float:
@@ -126,7 +109,6 @@ def by_mavlink(n: int, file: str) -> None:
 
 def main(*, samples: int = 1_000_000, packets: int = 200_000) -> None:
     texts = lines(samples)
-    steps(texts[:200_000])
     with tempfile.TemporaryDirectory() as folder:
         file = f"{folder}/unit.json"
         unit().save(Path(file))

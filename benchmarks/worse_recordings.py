@@ -11,8 +11,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from foreign_fixture import LATITUDE_DEG, on_fixture, table_1
-from foreign_motion import DEG, GRADES, GRAVITY_M_S2, Grade, drawn_errors, drift_course, hand_turns, recording
+from foreign_fixture import on_fixture, table_1
+from foreign_motion import DEG, GRADES, Grade, drawn_errors, drift_course, hand_turns, recording
 
 import srt
 
@@ -169,16 +169,8 @@ def on_stand(errors: dict[str, float], grade: Grade, rng, case: Case, noise: srt
     """Table 1 on the fixture of a case."""
     accuracy = {"sigma_rad": case.true_sigma_rad, "alignment_rad": case.alignment_rad, "wobble_rad": case.wobble_rad}
     motion = on_fixture(table_1(), rng, rest_s=10.0, rate_rad_s=60.0 * DEG, **accuracy)
-    samples = motion.sampled(errors, grade, rng, hz=HZ)
-    labels = tuple(
-        srt.SequenceLabel(tuple(row["start_static_s"]), tuple(row["end_static_s"]), id=row["id"])
-        for row in motion.labels(0.1)
-        if not case.recorded or row["id"] in case.recorded
-    )
-    site = srt.Site(GRAVITY_M_S2, latitude_rad=LATITUDE_DEG * DEG)
-    fixture = srt.Fixture(0.0, case.stated_sigma_rad, case.stated_sigma_rad)
-    read = samples["time"], samples["gyro"], samples["accel"]
-    return srt.Recording(*read, site, fixture=fixture, sequences=labels, noise=noise)
+    stated = {"stated_rad": case.stated_sigma_rad, "noise": noise, "recorded": case.recorded}
+    return motion.recording(errors, grade, rng, hz=HZ, **stated)
 
 
 def unit_of(case: Case, seed: int) -> Unit:

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from clean_recordings import examined
+from clean_recordings import clean_recording
 from scipy.ndimage import uniform_filter1d
 
 from srt.sequences.clipping import _limits_seen, _Triad
@@ -53,7 +53,7 @@ def case(seed, number, *, slow=True):
     ],
 )
 def test_recordings_that_raised_a_finding(seed, number):
-    assert examined(number, seed)[1] == []
+    assert clean_recording(number, seed)[1] == []
 
 
 @pytest.mark.parametrize(
@@ -65,7 +65,7 @@ def test_recordings_that_raised_a_finding(seed, number):
     ],
 )
 def test_g_sensitive_gyros_in_single_poses_are_sound(seed, number):
-    assert examined(number, seed)[1:] == ([], "sound")
+    assert clean_recording(number, seed)[1:] == ([], "sound")
 
 
 @pytest.mark.parametrize("width", [1, 3])

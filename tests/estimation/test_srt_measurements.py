@@ -3,8 +3,7 @@
 import accuracy_trials
 import numpy as np
 import pytest
-from honesty_trials import nineteen_positions
-from nineteen_positions import CASES, unit_of
+from honesty_trials import NINETEEN_POSITIONS, nineteen_positions, unit_of_nineteen
 from studies import rms
 
 import srt
@@ -116,13 +115,15 @@ NOISE_FREE = {
 
 def test_noise_free():
     """To 0.05 ppm, 0.1 µrad and 1 µg."""
-    recording, truth = unit_of(PLAIN, 0, noise=False)
-    errors = np.abs(srt.calibrate(recording, "least-squares", hold=CASES[PLAIN][1], checks=False).errors.vector - truth)
+    recording, truth = unit_of_nineteen(PLAIN, 0, noise=False)
+    errors = np.abs(
+        srt.calibrate(recording, "least-squares", hold=NINETEEN_POSITIONS[PLAIN][1], checks=False).errors.vector - truth
+    )
     for group, largest in NOISE_FREE.items():
         assert errors[GROUP_SLICES[group]].max() < largest
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("case", NINETEEN_POSITIONS)
 @pytest.mark.parametrize("units", [pytest.param(2, id="small"), pytest.param(100, id="full", marks=pytest.mark.slow)])
 def test_errors_reach_the_bound(case, units):
     """The rms of a group over the units is that of the bound within 3.5 standard errors."""

@@ -1,4 +1,4 @@
-"""Faults of firmware: high-pass filters, gravity removed, unsigned words, dead bands, truncation, stuck bits."""
+"""Faults of firmware and wires: high-pass filters, gravity removed, dead bands, truncation, stuck bits, lost inputs."""
 
 import math
 from dataclasses import replace
@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from scipy.signal import lfilter
 
-from injected_faults.injection import GRADES, Case, injection
+from injected_faults.injection import GRADES, Case, injection, variant
 from srt.constants import MICRO_G
 from srt.recording.recording import Recording
 from srt.types import Array
@@ -93,3 +93,58 @@ def bit_stuck(case: Case, severity: float, rng: np.random.Generator) -> Recordin
     words = np.floor(values / lsb).astype(np.int64)
     words[:, axis] |= 1 << round(severity)
     return replace(case.recording, gyro=lsb * words) if sensor == "gyro" else replace(case.recording, accel=lsb * words)
+
+
+def _with(recording: Recording, sensor: str, values: Array) -> Recording:
+    return replace(recording, gyro=values) if sensor == "gyro" else replace(recording, accel=values)
+
+
+def _at_rest(recording: Recording, sensor: str) -> tuple[Array, float]:
+    """Mean of the first window, shape (3,), and the noise of a reading."""
+    values = getattr(recording, sensor)[recording.window_indices(*recording.sequences[0].start_static_s)]
+    return values.mean(axis=0), float(np.std(np.diff(values, axis=0))) / math.sqrt(2.0)
+
+
+def _wire_broken(recording: Recording, share: float, noise: float, rng: np.random.Generator) -> Recording:
+    """One axis reads a level near zero for a share of the test, with or without the noise of its input."""
+    sensor, axis, n = str(rng.choice(["gyro", "accel"])), int(rng.integers(3)), len(recording.time)
+    values, (_, sigma) = getattr(recording, sensor).copy(), _at_rest(recording, sensor)
+    first = int(rng.uniform(0.0, 1.0 - share) * n)
+    part = slice(first, first + int(share * n))
+    values[part, axis] = rng.normal(0.0, 10.0 * sigma) + noise * rng.normal(0.0, sigma, part.stop - part.start)
+    return _with(recording, sensor, values)
+
+
+@variant(
+    "wire of an axis broken",
+    0.4,
+    "of the test",
+    *(f"{s}_{f}" for s in ("gyro", "accel") for f in ("axis_stuck", "channel_dead")),
+)
+def wire_broken(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+    """The input of one axis is open."""
+    return _wire_broken(case.recording, severity, 0.0, rng)
+
+
+@variant("wire of an axis broken, noisy", 0.8, "of the test", "gyro_channel_dead", "accel_channel_dead")
+def wire_broken_noisy(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+    """The input of one axis is open and reads noise."""
+    return _wire_broken(case.recording, severity, 1.0, rng)
+
+
+@variant("dead band of gyros, subtracted", 6.0, "of noise and bias", "gyro_dead_band")
+def dead_band_subtracted(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+    """Gyros read zero below a threshold, and less by the threshold above it."""
+    gyro, (bias, sigma) = case.recording.gyro, _at_rest(case.recording, "gyro")
+    width = severity * rng.uniform(0.7, 1.4) * (sigma + np.abs(bias).max())
+    return replace(case.recording, gyro=np.sign(gyro) * np.maximum(np.abs(gyro) - width, 0.0))
+
+
+@variant("saturated, with noise", 0.7, "of the largest reading", "gyro_clipped", "accel_clipped")
+def saturated_noisy(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+    """A triad is limited before noise is added."""
+    sensor = str(rng.choice(["gyro", "accel"]))
+    values, (_, sigma) = getattr(case.recording, sensor), _at_rest(case.recording, sensor)
+    top = severity * np.abs(values).max()
+    noise = (np.abs(values) > top) * rng.normal(0.0, sigma, values.shape)
+    return _with(case.recording, sensor, np.clip(values, -top, top) + noise)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from honesty import ESTIMATORS, STUDIES
-from honesty_recordings import SILENT_ERRORS
+from honesty_trials import SILENT_ERRORS
 from injected_faults.injection import Case
 from scipy.stats import chi2
 
