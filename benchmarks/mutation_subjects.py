@@ -31,7 +31,11 @@ class Subject:
     without_effect: tuple[str, ...] = ()
 
 
-REFERENCES = "tests/model/test_model_references.py"
+MODEL = (
+    "tests/model/test_model_references.py",
+    "tests/model/test_equations_signatures.py",
+    "tests/model/test_jacobians.py::test_compensation_jacobians",
+)
 EXACT = "tests/estimation/test_accuracy.py::test_noise_free_on_a_perfect_fixture_is_exact"
 SUBJECTS = (
     Subject(
@@ -72,7 +76,7 @@ SUBJECTS = (
     Subject(
         "eqs. 3-5",
         "srt/model/measurement_model.py",
-        (REFERENCES,),
+        MODEL,
         ("*",),
         (
             ("residual[:, 2] += np.sin(non_orthogonality)", "residual[:, 2] += 0.0"),
@@ -85,7 +89,7 @@ SUBJECTS = (
     Subject(
         "eqs. 3, 20-21",
         "srt/model/rotation_integrals.py",
-        (REFERENCES,),
+        MODEL,
         ("ideal_rotations", "_rodrigues_matrices", "_moments"),
         (
             ("window_s / 3.0", "window_s / 2.0"),
@@ -113,7 +117,7 @@ SUBJECTS = (
     Subject(
         "eqs. 13-14",
         "srt/model/closed_form.py",
-        (REFERENCES,),
+        ("tests/model/test_equations_closed_form.py",),
         ("_EQUATION_13_AFTER_GYRO_SCALE", "_GYRO_SCALE", "formulas"),
         (
             ("_4PI, _2PI = 4.0 * math.pi, 2.0 * math.pi", "_4PI, _2PI = 4.0 * math.pi, 4.0 * math.pi"),
