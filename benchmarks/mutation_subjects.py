@@ -1,8 +1,4 @@
-"""What ``mutations.py`` changes, and the tests that must notice.
-
-The signs of eqs. 3-5, 13-14 and 20-21, and of every entry of the parameters' matrices, are changed in memory by
-``tests/model/test_equations_mutations.py`` in each run of the tests; here they are changed in the files.
-"""
+"""What ``mutations.py`` changes, and the tests that must notice."""
 
 from __future__ import annotations
 
@@ -35,7 +31,11 @@ class Subject:
     without_effect: tuple[str, ...] = ()
 
 
-HOLDS = "tests/model/test_equations_mutations.py::test_the_unchanged_model_holds"
+MODEL = (
+    "tests/model/test_model_references.py",
+    "tests/model/test_equations_signatures.py",
+    "tests/model/test_jacobians.py::test_compensation_jacobians",
+)
 EXACT = "tests/estimation/test_accuracy.py::test_noise_free_on_a_perfect_fixture_is_exact"
 SUBJECTS = (
     Subject(
@@ -76,17 +76,31 @@ SUBJECTS = (
     Subject(
         "eqs. 3-5",
         "srt/model/measurement_model.py",
-        (HOLDS,),
+        MODEL,
         ("*",),
-        (("residual[:, 2] += np.sin(non_orthogonality)", "residual[:, 2] += 0.0"),),
+        (
+            ("residual[:, 2] += np.sin(non_orthogonality)", "residual[:, 2] += 0.0"),
+            ("behind[:, 0, 2] = 1.0", "behind[:, 0, 2] = -1.0"),
+            ("a_mean = 0.5 *", "a_mean = -0.5 *"),
+            ("2.0 * np.pi) - np.pi", "-2.0 * np.pi) - np.pi"),
+        ),
         ("angle + np.pi",),  # half a turn before the remainder by a whole one
     ),
     Subject(
         "eqs. 3, 20-21",
         "srt/model/rotation_integrals.py",
-        (HOLDS,),
+        MODEL,
         ("ideal_rotations", "_rodrigues_matrices", "_moments"),
-        (("window_s / 3.0", "window_s / 2.0"),),
+        (
+            ("window_s / 3.0", "window_s / 2.0"),
+            ("half, cross, none = 0.5 *", "half, cross, none = -0.5 *"),
+            ("0.5 * s**2, np", "-0.5 * s**2, np"),
+            ("[none, 0.5 * angle + half, cross]", "[none, -0.5 * angle + half, cross]"),
+            ("0.5 * angle - half", "-0.5 * angle - half"),
+            ("ramp, ramp_s = 0.5 *", "ramp, ramp_s = -0.5 *"),
+            ("((0.0, 1.0), (angle, -1.0))", "((0.0, -1.0), (angle, -1.0))"),
+            ("share = 0.5 *", "share = -0.5 *"),
+        ),
     ),
     Subject(
         "eqs. 6-11",
@@ -95,15 +109,23 @@ SUBJECTS = (
         ("inverses", "read", "compensate", "sensitivity", "_vectors", "vectors_in_mars", "compose"),
         (
             ("= basis[3 + k, j, i] = 0.5", "= basis[3 + k, j, i] = 0.4"),
+            ("basis[3 + k, i, j] = basis[3 + k, j, i] = 0.5", "basis[3 + k, i, j] = 0.5; basis[3 + k, j, i] = -0.5"),
+            ("basis[3 + k, i, j] = 1.0", "basis[3 + k, i, j] = -1.0"),
             ("accel.matrix @ np.swapaxes(U, -1, -2)", "accel.matrix @ U"),
         ),
     ),
     Subject(
         "eqs. 13-14",
         "srt/model/closed_form.py",
-        (HOLDS,),
+        ("tests/model/test_equations_closed_form.py",),
         ("_EQUATION_13_AFTER_GYRO_SCALE", "_GYRO_SCALE", "formulas"),
-        (("_4PI, _2PI = 4.0 * math.pi, 2.0 * math.pi", "_4PI, _2PI = 4.0 * math.pi, 4.0 * math.pi"),),
+        (
+            ("_4PI, _2PI = 4.0 * math.pi, 2.0 * math.pi", "_4PI, _2PI = 4.0 * math.pi, 4.0 * math.pi"),
+            ('"y", 1.0)', '"y", -1.0)'),
+            ('(1 / 2, sequence, "start")', '(-1 / 2, sequence, "start")'),
+            *((f'(1 / 4, "{k}"', f'(-1 / 4, "{k}"') for k in (4, 5, 6)),
+            *((f'(1 / 2, "{k}"', f'(-1 / 2, "{k}"') for k in range(7, 13)),
+        ),
         ("found | given",),
     ),
     Subject("eqs. 15-19, 22", "srt/noise/accuracy_analysis.py", ("tests/noise/test_accuracy_analysis.py",), ("*",)),

@@ -296,11 +296,3 @@ def test_large_fleets_get_the_numbers_of_the_list_of_all_pairs(kind, monkeypatch
             counted = find_outliers(y, sigma)
         for name in ("median", "scatter", "limit", "others_median", "others_scatter", "z"):
             np.testing.assert_array_equal(getattr(listed, name), getattr(counted, name), err_msg=f"{name}, {units}")
-
-
-def test_flags_are_computed_once_for_all_units():
-    """Tables ask for the flags of each unit: computed anew, they take time with the square of the units."""
-    values = np.random.default_rng(0).normal(size=(8, 27))
-    found = find_outliers(values, np.ones((8, 27)))
-    assert found.flagged is found.flagged
-    assert found.flagged.shape == (8, 27)

@@ -20,7 +20,6 @@ POSE_S = 4.0
 NO_ASYMMETRY = ("gyro_asymmetry", "accel_asymmetry")
 FACES = {"z": "y", "-z": "y", "x": "y", "-x": "y", "y": "x", "-y": "x"}
 """IMU axis down, and IMU axis along the outer axis."""
-GROUPS = ("accel_bias", "accel_scale")
 
 
 def down_vector(axis: str) -> np.ndarray:

@@ -63,4 +63,3 @@ def test_exchanged_labels_are_no_noise():
 
 
 N, P, UNITS = 12, 4, 5
-ROWS = np.arange(N).reshape(-1, 2)

@@ -126,18 +126,6 @@ def test_loss_of_positive_definiteness_is_named():
         ekf.correct(np.zeros(1), np.array([[1.0, 0.0]]))
 
 
-def test_covariance_adapter_propagates_and_corrects():
-    rng = np.random.default_rng(2)
-    root, F, noise = np.tril(rng.uniform(1.0, 2.0, (2, 2))), rng.standard_normal((2, 2)), rng.standard_normal((2, 1))
-    ekf = CovarianceFilter(np.array([1.0, 2.0]), root)
-    ekf.propagate(F, np.array([0.5, -0.5]), noise_root=noise)
-    expected = F @ root @ root.T @ F.T + noise @ noise.T
-    np.testing.assert_allclose(ekf.P, expected, rtol=1e-13)
-    np.testing.assert_allclose(ekf.x, F @ [1.0, 2.0] + [0.5, -0.5], rtol=1e-13)
-    ekf.correct(np.array([3.0]), np.array([[1.0, 0.0]]))
-    assert ekf.S[0, 0] == pytest.approx(expected[0, 0] + 1.0, rel=1e-13)
-
-
 @pytest.mark.parametrize(
     ("form", "base"), [("covariance", KalmanFilter), ("unscented", UnscentedKalmanFilter)], ids=["plain", "unscented"]
 )

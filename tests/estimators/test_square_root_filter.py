@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from scipy.linalg import solve_triangular
-from scipy.stats import chi2, norm
 
 pytest.importorskip("filterpy")
 
@@ -134,59 +133,3 @@ def test_a_prior_a_million_times_wider_than_the_result(seed):
     rounding = 12 * (n + 2) * EPS * np.abs(root).max() / sigma.min()
     assert off(found) < rounding < 1e-6
     assert off(plain) > 100 * rounding
-
-
-@pytest.mark.parametrize("seed", SEEDS)
-def test_process_noise_as_a_batch_over_the_whole_walk(seed):
-    """The last state of a random walk, from all states at once."""
-    rng = np.random.default_rng(200 + seed)
-    n, steps = 3, 6
-    F = np.eye(n) + 0.3 * rng.standard_normal((n, n))
-    start, walk = random_root(rng, n), random_root(rng, n)
-    ekf = SquareRootFilter(np.zeros(n), start)
-    columns = n * steps
-    rows, right = [np.zeros((n, columns))], [np.zeros(n)]
-    rows[0][:, :n] = np.linalg.inv(start)
-    for k in range(steps):
-        if k:
-            ekf.propagate(F, noise_root=walk)
-            block = np.zeros((n, columns))
-            block[:, n * k : n * (k + 1)] = np.linalg.inv(walk)
-            block[:, n * (k - 1) : n * k] = -np.linalg.solve(walk, F)
-            rows.append(block)
-            right.append(np.zeros(n))
-        H, z = rng.standard_normal((2, n)), rng.standard_normal(2)
-        ekf.correct(z, H)
-        block = np.zeros((2, columns))
-        block[:, n * k : n * (k + 1)] = H
-        rows.append(block)
-        right.append(z)
-    Q, R = np.linalg.qr(np.concatenate(rows))
-    spread = solve_triangular(R, np.eye(columns))[-n:]
-    np.testing.assert_allclose(ekf.x, solve_triangular(R, Q.T @ np.concatenate(right))[-n:], rtol=0, atol=1e-11)
-    np.testing.assert_allclose(ekf.P, spread @ spread.T, rtol=0, atol=1e-11 * np.abs(ekf.P).max())
-
-
-def test_normalised_innovations_are_white_with_unit_variance():
-    """A walk of 200 steps that the filter's model describes: both sides of chi-square, at 1 % for all four checks."""
-    rng = np.random.default_rng(7)
-    n, m, steps = 4, 3, 200
-    F = 0.9 * np.eye(n) + 0.1 * rng.standard_normal((n, n))
-    start, walk, noise = random_root(rng, n), 0.3 * random_root(rng, n), random_root(rng, m)
-    x = start @ rng.standard_normal(n)
-    ekf = SquareRootFilter(np.zeros(n), start)
-    seen = []
-    for _ in range(steps):
-        x = F @ x + walk @ rng.standard_normal(n)
-        ekf.propagate(F, noise_root=walk)
-        H = rng.standard_normal((m, n))
-        ekf.correct(H @ x + noise @ rng.standard_normal(m), H, noise_root=np.linalg.cholesky(noise @ noise.T))
-        seen.append(ekf.whitened)
-    v = np.array(seen)
-    low, high = chi2.ppf([0.00125, 0.99875], v.size)
-    assert low < np.sum(v**2) < high
-    limit = norm.isf(0.00125)
-    assert abs(v.sum()) / np.sqrt(v.size) < limit
-    # Products of neighbours in time, and within one measurement, have mean zero and variance one.
-    for product in (v[1:] * v[:-1], v[:, 1:] * v[:, :-1]):
-        assert abs(product.sum()) / np.sqrt(product.size) < limit

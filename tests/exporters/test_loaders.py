@@ -61,6 +61,8 @@ def pyins(paths, w, f, _):
         model.transform, model.bias = (np.array(document[name][key]) for key in ("transform", "bias"))
         frame = pandas.DataFrame(raw * dt, index=dt * np.arange(1, len(raw) + 1))
         out.append(model.correct_increments(np.full(len(raw), dt), frame).to_numpy() / dt)
+        again = sensor.Parameters(**document[name]).apply(pandas.DataFrame(out[-1], index=frame.index), "rate")
+        np.testing.assert_allclose(again.to_numpy(), raw, rtol=0, atol=EXACT)
     return tuple(out)
 
 

@@ -8,6 +8,7 @@ from typing import Any, Final
 import numpy as np
 
 from injected_faults import disturbances
+from injected_faults.changes import moved_labels, sign
 from injected_faults.injection import Case, injection
 from sims.physics.fixture import rotation
 from sims.physics.imu import read_out
@@ -16,7 +17,7 @@ from sims.physics.table_motion import run_schedule
 from sims.physics.true_motion import TrueMotion
 from sims.scenarios.simulation import schedule_of
 from srt.constants import DEG, MICRO_G
-from srt.recording.recording import Recording, SequenceLabel
+from srt.recording.recording import Recording
 from srt.types import Array
 
 _IDS: Final = tuple(TABLE_1)
@@ -36,19 +37,10 @@ def labels_shifted(case: Case, severity: float, rng: np.random.Generator) -> Rec
     The recording includes the moves between the sequences. Windows are cut at the ends of the recording.
     """
     recording = case.changed(schedule={"moves": "recorded"}).recording
-    shift = float(rng.choice([-1.0, 1.0])) * severity
+    shift = sign(rng) * severity
     low = float(recording.time[0]) - recording.nominal_interval_s
     high = float(recording.time[-1])
-
-    def moved(label: SequenceLabel) -> SequenceLabel:
-        limits = ((low, high), (low, high))
-        first, second = (
-            (max(a + shift, at[0]), min(b + shift, at[1]))
-            for (a, b), at in zip((label.start_static_s, label.end_static_s), limits, strict=True)
-        )
-        return replace(label, start_static_s=first, end_static_s=second)
-
-    return recording.with_sequences(tuple(moved(label) for label in recording.sequences))
+    return recording.with_sequences(moved_labels(recording.sequences, lambda time: np.clip(time + shift, low, high)))
 
 
 @injection("labels_exchanged", 2.0, "sequences")
@@ -86,7 +78,7 @@ def wrong_angle(case: Case, severity: float, rng: np.random.Generator) -> Record
     assert run.fixture_draw is not None
     number = int(rng.integers(len(_IDS)))
     leg = int(rng.integers(len(TABLE_1[_IDS[number]].rotations)))
-    error = float(rng.choice([-1.0, 1.0])) * severity * DEG
+    error = sign(rng) * severity * DEG
     draw = disturbances.wrong_angle(run.fixture_draw, number, leg, error)
     config, scenario = run.scenario.schedule, run.scenario
     assert config is not None
@@ -253,15 +245,6 @@ def slipped(
 # --- rotations -------------------------------------------------------------------------------------------------------
 
 
-@injection("sensor_time_offset", 5.0, "ms")
-def sensor_time_offset(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """The accelerometer readings are later or earlier than the gyro readings, but have the same time stamps."""
-    motion = case.simulation.motion
-    late = float(rng.choice([-1.0, 1.0])) * severity * 1e-3
-    velocity, velocity_abs = (_late(motion, x, late, range(3)) for x in (motion.velocity, motion.velocity_abs))
-    return _read(case, replace(motion, velocity=velocity, velocity_abs=velocity_abs), rng)
-
-
 def _late(motion: TrueMotion, increments: Array, late_s: float, axes: Iterable[int]) -> Array:
     """Increments with some axes delayed by ``late_s``; the samples keep their time stamps."""
     out = increments.copy()
@@ -278,22 +261,33 @@ def _late(motion: TrueMotion, increments: Array, late_s: float, axes: Iterable[i
     return out
 
 
-@injection("gyro_axis_delayed", 5.0, "ms")
-def gyro_axis_delayed(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """One gyro is later or earlier than the others, as with another filter or a multiplexed converter."""
-    motion = case.simulation.motion
-    late, axis = float(rng.choice([-1.0, 1.0])) * severity * 1e-3, int(rng.integers(3))
-    angle, angle_abs = (_late(motion, x, late, [axis]) for x in (motion.angle, motion.angle_abs))
-    return _read(case, replace(motion, angle=angle, angle_abs=angle_abs), rng)
+def _delayed(
+    case: Case, quantity: str, severity_ms: float, axes: Iterable[int] | None, rng: np.random.Generator
+) -> Recording:
+    """Recording with the integrals of some axes, or of one drawn at random, later or earlier."""
+    motion, late = case.simulation.motion, sign(rng) * severity_ms * 1e-3
+    axes = [int(rng.integers(3))] if axes is None else axes
+    changes: dict[str, Any] = {
+        name: _late(motion, getattr(motion, name), late, axes) for name in (quantity, f"{quantity}_abs")
+    }
+    return _read(case, replace(motion, **changes), rng)
 
 
-@injection("accel_axis_delayed", 5.0, "ms")
-def accel_axis_delayed(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """One accelerometer is later or earlier than the others, as with another filter or a multiplexed converter."""
-    motion = case.simulation.motion
-    late, axis = float(rng.choice([-1.0, 1.0])) * severity * 1e-3, int(rng.integers(3))
-    velocity, velocity_abs = (_late(motion, x, late, [axis]) for x in (motion.velocity, motion.velocity_abs))
-    return _read(case, replace(motion, velocity=velocity, velocity_abs=velocity_abs), rng)
+@injection("sensor_time_offset", 5.0, "ms")
+def sensor_time_offset(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+    """The accelerometer readings are later or earlier than the gyro readings, but have the same time stamps."""
+    return _delayed(case, "velocity", severity, range(3), rng)
+
+
+def _axis_delayed(sensor: str, quantity: str) -> None:
+    @injection(f"{sensor}_axis_delayed", 5.0, "ms")
+    def axis_delayed(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+        """One sensor is later or earlier than the others, as with another filter or a multiplexed converter."""
+        return _delayed(case, quantity, severity, None, rng)
+
+
+_axis_delayed("gyro", "angle")
+_axis_delayed("accel", "velocity")
 
 
 @injection("samples_lost", 0.05, "s")

@@ -5,18 +5,12 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from scipy.signal import lfilter
 
+from injected_faults.changes import low_passed, per_sample, sign, with_sensor
 from injected_faults.injection import GRADES, Case, injection, variant
 from srt.constants import MICRO_G
 from srt.recording.recording import Recording
 from srt.types import Array
-
-
-def _high_passed(values: Array, interval_s: float, time_s: float) -> Array:
-    """Readings behind a first-order high-pass filter, whose output starts at zero."""
-    keep = math.exp(-interval_s / time_s)
-    return np.asarray(values - lfilter([1.0 - keep], [1.0, -keep], values, axis=0, zi=keep * values[:1])[0])
 
 
 @injection("gyro_high_passed", 20.0, "s")
@@ -24,7 +18,7 @@ def gyro_high_passed(case: Case, severity: float, rng: np.random.Generator) -> R
     """The firmware tracks the offset of the gyros and subtracts it: a high-pass filter with one time constant."""
     recording = case.recording
     time_s = severity * float(rng.uniform(0.8, 1.2))
-    return replace(recording, gyro=_high_passed(recording.gyro, recording.nominal_interval_s, time_s))
+    return replace(recording, gyro=recording.gyro - low_passed(recording.gyro, recording.nominal_interval_s, time_s))
 
 
 @injection("gravity_removed", 1.0, "")
@@ -32,7 +26,7 @@ def gravity_removed(case: Case, severity: float, rng: np.random.Generator) -> Re
     """The unit subtracts the low-pass filtered specific force as an estimate of gravity."""
     recording = case.recording
     time_s = float(rng.uniform(0.2, 1.0))
-    return replace(recording, accel=_high_passed(recording.accel, recording.nominal_interval_s, time_s))
+    return replace(recording, accel=recording.accel - low_passed(recording.accel, recording.nominal_interval_s, time_s))
 
 
 def _one_polarity(fault: str, sensor: str) -> None:
@@ -40,9 +34,9 @@ def _one_polarity(fault: str, sensor: str) -> None:
     def one_polarity(case: Case, severity: float, rng: np.random.Generator) -> Recording:
         """One axis reads zero for all values of one sign."""
         values, axis = getattr(case.recording, sensor).copy(), int(rng.integers(3))
-        sign = float(rng.choice((-1.0, 1.0)))
-        values[:, axis] = sign * np.maximum(sign * values[:, axis], 0.0)
-        return replace(case.recording, gyro=values) if sensor == "gyro" else replace(case.recording, accel=values)
+        one = sign(rng)
+        values[:, axis] = one * np.maximum(one * values[:, axis], 0.0)
+        return with_sensor(case.recording, sensor, values)
 
 
 _one_polarity("gyro_one_polarity", "gyro")
@@ -53,9 +47,8 @@ _one_polarity("accel_one_polarity", "accel")
 def accel_dead_band(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """The readings of one accelerometer below a threshold are output as zero."""
     recording, axis = case.recording, int(rng.integers(3))
-    interval = recording.nominal_interval_s if recording.kind == "increment" else 1.0
     accel = recording.accel.copy()
-    accel[np.abs(accel[:, axis]) < severity * rng.uniform(1.0, 1.5) * MICRO_G * interval, axis] = 0.0
+    accel[np.abs(accel[:, axis]) < severity * rng.uniform(1.0, 1.5) * MICRO_G * per_sample(recording), axis] = 0.0
     return replace(recording, accel=accel)
 
 
@@ -77,7 +70,7 @@ def _truncated(fault: str, sensor: str) -> None:
         at_rest = recording.window_indices(*recording.sequences[0].start_static_s)
         step = severity * rng.uniform(0.9, 1.1) * float(np.std(np.diff(values[at_rest], axis=0))) / math.sqrt(2.0)
         words = step * np.trunc(values / step)
-        return replace(recording, gyro=words) if sensor == "gyro" else replace(recording, accel=words)
+        return with_sensor(recording, sensor, words)
 
 
 _truncated("gyro_truncated", "gyro")
@@ -92,11 +85,7 @@ def bit_stuck(case: Case, severity: float, rng: np.random.Generator) -> Recordin
     lsb = float(np.abs(values).max()) / 2.0**14
     words = np.floor(values / lsb).astype(np.int64)
     words[:, axis] |= 1 << round(severity)
-    return replace(case.recording, gyro=lsb * words) if sensor == "gyro" else replace(case.recording, accel=lsb * words)
-
-
-def _with(recording: Recording, sensor: str, values: Array) -> Recording:
-    return replace(recording, gyro=values) if sensor == "gyro" else replace(recording, accel=values)
+    return with_sensor(case.recording, sensor, lsb * words)
 
 
 def _at_rest(recording: Recording, sensor: str) -> tuple[Array, float]:
@@ -112,7 +101,7 @@ def _wire_broken(recording: Recording, share: float, noise: float, rng: np.rando
     first = int(rng.uniform(0.0, 1.0 - share) * n)
     part = slice(first, first + int(share * n))
     values[part, axis] = rng.normal(0.0, 10.0 * sigma) + noise * rng.normal(0.0, sigma, part.stop - part.start)
-    return _with(recording, sensor, values)
+    return with_sensor(recording, sensor, values)
 
 
 @variant(
@@ -147,4 +136,4 @@ def saturated_noisy(case: Case, severity: float, rng: np.random.Generator) -> Re
     values, (_, sigma) = getattr(case.recording, sensor), _at_rest(case.recording, sensor)
     top = severity * np.abs(values).max()
     noise = (np.abs(values) > top) * rng.normal(0.0, sigma, values.shape)
-    return _with(case.recording, sensor, np.clip(values, -top, top) + noise)
+    return with_sensor(case.recording, sensor, np.clip(values, -top, top) + noise)

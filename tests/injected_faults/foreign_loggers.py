@@ -5,18 +5,26 @@ the catalogue that are correct findings for it. Some variants state none: they a
 fault for them.
 """
 
-import math
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from scipy.signal import lfilter
 
+from injected_faults.changes import (
+    kept,
+    low_passed,
+    moved_labels,
+    per_sample,
+    restamped,
+    sign,
+    somewhere,
+    with_sensor,
+)
 from injected_faults.injection import Case, variant
-from injected_faults.logger import restamped, somewhere
 from srt.constants import DEG, MICRO_G, STANDARD_GRAVITY_M_S2
-from srt.recording.recording import Recording, SequenceLabel
-from srt.types import Array, Indices
+from srt.recording.recording import Recording
+from srt.types import Array
 
 _G: Final = STANDARD_GRAVITY_M_S2
 _BITS: Final = 15
@@ -26,26 +34,8 @@ _BITS: Final = 15
 # --- helpers ---------------------------------------------------------------------------------------------------------
 
 
-def _unit(recording: Recording) -> float:
-    """Factor from rates to the stored values: 1 for rates, the interval in s for increments."""
-    return recording.nominal_interval_s if recording.kind == "increment" else 1.0
-
-
-def _changed(recording: Recording, sensor: str, values: Array) -> Recording:
-    return replace(recording, gyro=values) if sensor == "gyro" else replace(recording, accel=values)
-
-
 def _sensor(rng: np.random.Generator) -> str:
     return str(rng.choice(["gyro", "accel"]))
-
-
-def _sign(rng: np.random.Generator) -> float:
-    return float(rng.choice((-1.0, 1.0)))
-
-
-def _kept(recording: Recording, rows: Indices) -> Recording:
-    """Recording with only some of its samples, which keep their time stamps."""
-    return replace(recording, time=recording.time[rows], gyro=recording.gyro[rows], accel=recording.accel[rows])
 
 
 def _turning(recording: Recording, rng: np.random.Generator) -> slice:
@@ -64,19 +54,24 @@ def _from_here(recording: Recording, rng: np.random.Generator) -> slice:
 # --- clocks and stamps -----------------------------------------------------------------------------------------------
 
 
-@variant("clock fast", 1.05, "times", "sample_rate")
-def clock_fast(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """The clock of the logger runs fast or slow, because its oscillator has another frequency than assumed."""
-    factor = severity ** _sign(rng)
-    return restamped(case.recording, lambda time: time * factor)
+def _clock_factor(kind: str, severity: float, *causes: str) -> None:
+    @variant(kind, severity, "times", *causes)
+    def clock_factor(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+        """Stamps and labels run fast or slow by one factor."""
+        factor = severity ** sign(rng)
+        return restamped(case.recording, lambda time: time * factor)
+
+
+# An oscillator of another frequency than assumed.
+_clock_factor("clock fast", 1.05, "sample_rate")
 
 
 @variant("clock warming up", 0.02, "of the rate", "clock_drift")
 def clock_warming_up(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """The frequency of the clock changes linearly during the test."""
-    recording, sign = case.recording, _sign(rng)
+    recording, towards = case.recording, sign(rng)
     first, span = recording.time[0], recording.time[-1] - recording.time[0]
-    return restamped(recording, lambda time: time + sign * severity * (time - first) ** 2 / (2.0 * span))
+    return restamped(recording, lambda time: time + towards * severity * (time - first) ** 2 / (2.0 * span))
 
 
 @variant("stamps of milliseconds", 8.0, "ms", "stamp_jitter", "time_repeats")
@@ -119,11 +114,8 @@ def counter_overflow(case: Case, severity: float, rng: np.random.Generator) -> R
     return replace(case.recording, time=(case.recording.time + start) % severity)
 
 
-@variant("stamps in minutes", 60.0, "times", "time_unit", "sample_rate")
-def stamps_in_minutes(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """Stamps and labels in minutes, or in sixtieths of a second."""
-    factor = severity ** _sign(rng)
-    return restamped(case.recording, lambda time: factor * time)
+# Stamps and labels in minutes, or in sixtieths of a second.
+_clock_factor("stamps in minutes", 60.0, "time_unit", "sample_rate")
 
 
 @variant("nominal rate of a chip", 1.04, "times", "sample_rate")
@@ -150,12 +142,7 @@ def samples_dropped(case: Case, severity: float, rng: np.random.Generator) -> Re
     # The labels come from the same counter as the stamps: they shift with the samples.
     stamps = recording.time[: int(keep.sum())]
     moved = np.interp(recording.time, recording.time[keep], stamps)
-
-    def label_moved(label: SequenceLabel) -> SequenceLabel:
-        first, second = (np.interp(at, recording.time, moved) for at in (label.start_static_s, label.end_static_s))
-        return replace(label, start_static_s=(first[0], first[1]), end_static_s=(second[0], second[1]))
-
-    labels = tuple(label_moved(label) for label in recording.sequences)
+    labels = moved_labels(recording.sequences, lambda at: np.interp(at, recording.time, moved))
     return replace(recording, time=stamps, gyro=recording.gyro[keep], accel=recording.accel[keep], sequences=labels)
 
 
@@ -165,7 +152,7 @@ def samples_dropped_with_stamps(case: Case, severity: float, rng: np.random.Gene
     keep = np.ones(len(case.recording.time), dtype=bool)
     for _ in range(round(severity)):
         keep[somewhere(case.recording, rng, 1)] = False
-    return _kept(case.recording, np.flatnonzero(keep))
+    return kept(case.recording, np.flatnonzero(keep))
 
 
 @variant(
@@ -234,7 +221,7 @@ def sentinels_at_lost_samples(case: Case, severity: float, rng: np.random.Genera
     values = getattr(case.recording, sensor).copy()
     for _ in range(max(1, round(severity))):
         values[somewhere(case.recording, rng, 1)] = -9999.0
-    return _changed(case.recording, sensor, values)
+    return with_sensor(case.recording, sensor, values)
 
 
 @variant("neighbouring samples exchanged", 40.0, "samples", "spikes")
@@ -255,62 +242,61 @@ def increments_decimated(case: Case, severity: float, rng: np.random.Generator) 
         step = recording.nominal_interval_s
         recording = replace(recording, kind="increment", gyro=recording.gyro * step, accel=recording.accel * step)
     step = max(2, round(severity))
-    return _kept(recording, np.arange(int(rng.integers(step)), len(recording.time), step))
+    return kept(recording, np.arange(int(rng.integers(step)), len(recording.time), step))
 
 
 # --- words -----------------------------------------------------------------------------------------------------------
 
 
-def _word(recording: Recording, sensor: str, counts: float) -> tuple[Array, float]:
-    """Readings as whole numbers, scaled so that the largest is ``counts``, and the value of one count."""
-    values = getattr(recording, sensor)
-    lsb = float(np.abs(values).max()) / counts
-    return np.round(values / lsb), lsb
+def _words(
+    kind: str, severity: float, unit: str, *causes: str
+) -> Callable[[Callable[[Case, Array, float, np.random.Generator], Array]], None]:
+    """Register a change of the words of one triad, whole numbers of which the largest takes nine tenths of 16 bits."""
+
+    def register(change: Callable[[Case, Array, float, np.random.Generator], Array]) -> None:
+        @variant(kind, severity, unit, *causes)
+        def apply(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+            sensor = _sensor(rng)
+            values = getattr(case.recording, sensor)
+            lsb = float(np.abs(values).max()) / (0.9 * 2.0**_BITS)
+            return with_sensor(case.recording, sensor, lsb * change(case, np.round(values / lsb), severity, rng))
+
+    return register
 
 
-@variant("unsigned words", 1.0, "", "gyro_wrapped", "accel_wrapped")
-def unsigned_words(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+@_words("unsigned words", 1.0, "", "gyro_wrapped", "accel_wrapped")
+def unsigned_words(case: Case, words: Array, severity: float, rng: np.random.Generator) -> Array:
     """Signed words of 16 bits are read as unsigned ones."""
-    sensor = _sensor(rng)
-    words, lsb = _word(case.recording, sensor, 0.9 * 2.0**_BITS)
-    return _changed(case.recording, sensor, lsb * (words % 2.0 ** (_BITS + 1)))
+    return words % 2.0 ** (_BITS + 1)
 
 
-@variant("sign bit and magnitude", 1.0, "", "gyro_wrapped", "accel_wrapped")
-def sign_and_magnitude(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+@_words("sign bit and magnitude", 1.0, "", "gyro_wrapped", "accel_wrapped")
+def sign_and_magnitude(case: Case, words: Array, severity: float, rng: np.random.Generator) -> Array:
     """Words in two's complement are read as words of sign and magnitude."""
-    sensor = _sensor(rng)
-    words, lsb = _word(case.recording, sensor, 0.9 * 2.0**_BITS)
-    return _changed(case.recording, sensor, lsb * np.where(words < 0.0, -(2.0**_BITS + words), words))
+    return np.where(words < 0.0, -(2.0**_BITS + words), words)
 
 
-@variant("bit flipped in transmission", 3.0, "samples", "spikes")
-def bit_flipped(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+@_words("bit flipped in transmission", 3.0, "samples", "spikes")
+def bit_flipped(case: Case, words: Array, severity: float, rng: np.random.Generator) -> Array:
     """One of the five highest bits of a word is inverted, in single readings."""
-    sensor = _sensor(rng)
-    words, lsb = _word(case.recording, sensor, 0.9 * 2.0**_BITS)
     for _ in range(max(1, round(severity))):
         at = somewhere(case.recording, rng, 1).start, int(rng.integers(3))
         words[at] = (int(words[at]) + 2**_BITS ^ 2 ** int(rng.integers(_BITS - 5, _BITS))) - 2**_BITS
-    return _changed(case.recording, sensor, lsb * words)
+    return words
 
 
-@variant("bit of a converter stuck", 10.0, "bit", "bit_stuck")
-def bit_stuck(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+@_words("bit of a converter stuck", 10.0, "bit", "bit_stuck")
+def bit_stuck(case: Case, words: Array, severity: float, rng: np.random.Generator) -> Array:
     """One bit of the converter of one axis is always set."""
-    sensor = _sensor(rng)
-    words, lsb = _word(case.recording, sensor, 0.9 * 2.0**_BITS)
     axis = int(rng.integers(3))
     words[:, axis] = (words[:, axis].astype(int) + 2**_BITS | 2 ** round(severity)) - 2**_BITS
-    return _changed(case.recording, sensor, lsb * words)
+    return words
 
 
-@variant("low bits lost", 64.0, "times", "gyro_noise", "accel_noise")
-def low_bits_lost(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+@_words("low bits lost", 64.0, "times", "gyro_noise", "accel_noise")
+def low_bits_lost(case: Case, words: Array, severity: float, rng: np.random.Generator) -> Array:
     """The low bits of the words are cut off without rounding, to fit a shorter message."""
-    sensor = _sensor(rng)
-    words, lsb = _word(case.recording, sensor, 0.9 * 2.0**_BITS)
-    return _changed(case.recording, sensor, lsb * severity * np.floor(words / severity))
+    return severity * np.floor(words / severity)
 
 
 @variant("one axis of another range", 2.0, "-", "gyro_lsb", "accel_lsb")
@@ -318,8 +304,8 @@ def one_axis_of_another_range(case: Case, severity: float, rng: np.random.Genera
     """One axis has another measuring range than the other two."""
     sensor = _sensor(rng)
     values = getattr(case.recording, sensor).copy()
-    values[:, int(rng.integers(3))] *= severity ** _sign(rng)
-    return _changed(case.recording, sensor, values)
+    values[:, int(rng.integers(3))] *= severity ** sign(rng)
+    return with_sensor(case.recording, sensor, values)
 
 
 @variant("range switched in the test", 2.0, "times", "gyro_lsb", "accel_lsb", "units_joined")
@@ -327,8 +313,8 @@ def range_switched(case: Case, severity: float, rng: np.random.Generator) -> Rec
     """From one sequence on, the unit uses another measuring range, but the logger keeps the old count value."""
     sensor = _sensor(rng)
     values = getattr(case.recording, sensor).copy()
-    values[_from_here(case.recording, rng)] *= severity ** _sign(rng)
-    return _changed(case.recording, sensor, values)
+    values[_from_here(case.recording, rng)] *= severity ** sign(rng)
+    return with_sensor(case.recording, sensor, values)
 
 
 @variant("one axis in degrees", 1.0, "", "gyro_lsb", "gyro_degrees")
@@ -345,14 +331,14 @@ def one_axis_in_degrees(case: Case, severity: float, rng: np.random.Generator) -
 @variant("accelerometers limited below 1 g", 0.004, "of gravity", "accel_clipped")
 def limited_below_gravity(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """The accelerometers saturate just below 1 g."""
-    limit = (1.0 - severity * rng.uniform(0.9, 1.1)) * _G * _unit(case.recording)
+    limit = (1.0 - severity * rng.uniform(0.9, 1.1)) * _G * per_sample(case.recording)
     return replace(case.recording, accel=np.clip(case.recording.accel, -limit, limit))
 
 
 @variant("one accelerometer limited", 0.004, "of gravity", "accel_clipped")
 def one_accelerometer_limited(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """One accelerometer saturates just below 1 g, for one sign only."""
-    limit, axis = (1.0 - severity * rng.uniform(0.9, 1.1)) * _G * _unit(case.recording), int(rng.integers(3))
+    limit, axis = (1.0 - severity * rng.uniform(0.9, 1.1)) * _G * per_sample(case.recording), int(rng.integers(3))
     accel = case.recording.accel.copy()
     accel[:, axis] = np.minimum(accel[:, axis], limit) if rng.random() < 0.5 else np.maximum(accel[:, axis], -limit)
     return replace(case.recording, accel=accel)
@@ -364,13 +350,13 @@ def negative_cut_off(case: Case, severity: float, rng: np.random.Generator) -> R
     sensor = _sensor(rng)
     values, axis = getattr(case.recording, sensor).copy(), int(rng.integers(3))
     values[:, axis] = np.maximum(values[:, axis], 0.0)
-    return _changed(case.recording, sensor, values)
+    return with_sensor(case.recording, sensor, values)
 
 
 @variant("gyros held below the rate of the table", 0.05, "of the rate", "gyro_clipped")
 def gyros_held(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """The gyros saturate just below the rate of the table, far below the stated range."""
-    limit = (1.0 - severity * rng.uniform(0.9, 1.1)) * _unit(case.recording)
+    limit = (1.0 - severity * rng.uniform(0.9, 1.1)) * per_sample(case.recording)
     return replace(case.recording, gyro=np.clip(case.recording.gyro, -limit, limit))
 
 
@@ -380,10 +366,8 @@ def gyros_held(case: Case, severity: float, rng: np.random.Generator) -> Recordi
 @variant("gyros high-passed", 30.0, "s", "gyro_high_passed")
 def gyros_high_passed(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """The firmware tracks the offset of the gyros with one time constant, also during rotations, and subtracts it."""
-    recording = case.recording
-    decay = math.exp(-recording.nominal_interval_s / (severity * rng.uniform(0.8, 1.2)))
-    slow = lfilter([1.0 - decay], [1.0, -decay], recording.gyro, axis=0, zi=decay * recording.gyro[:1])[0]
-    return replace(recording, gyro=recording.gyro - slow)
+    gyro, time_s = case.recording.gyro, severity * rng.uniform(0.8, 1.2)
+    return replace(case.recording, gyro=gyro - low_passed(gyro, case.recording.nominal_interval_s, time_s))
 
 
 @variant("earth rate removed", 1.0, "", "earth_rate_absent")
@@ -405,16 +389,14 @@ def earth_rate_removed(case: Case, severity: float, rng: np.random.Generator) ->
 @variant("gravity removed", 1.0, "", "gravity_removed")
 def gravity_removed(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """The unit outputs linear acceleration: it subtracts the low-pass filtered specific force as gravity."""
-    recording = case.recording
-    decay = math.exp(-recording.nominal_interval_s / rng.uniform(0.2, 0.5))
-    slow = lfilter([1.0 - decay], [1.0, -decay], recording.accel, axis=0, zi=decay * recording.accel[:1])[0]
-    return replace(recording, accel=recording.accel - slow)
+    accel, time_s = case.recording.accel, rng.uniform(0.2, 0.5)
+    return replace(case.recording, accel=accel - low_passed(accel, case.recording.nominal_interval_s, time_s))
 
 
 @variant("dead band of accelerometers", 2000.0, "ug", "accel_dead_band")
 def accel_dead_band(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """Accelerometer readings below a threshold are output as zero."""
-    limit = severity * rng.uniform(1.0, 1.5) * MICRO_G * _unit(case.recording)
+    limit = severity * rng.uniform(1.0, 1.5) * MICRO_G * per_sample(case.recording)
     accel = np.where(np.abs(case.recording.accel) < limit, 0.0, case.recording.accel)
     return replace(case.recording, accel=accel)
 
@@ -422,56 +404,43 @@ def accel_dead_band(case: Case, severity: float, rng: np.random.Generator) -> Re
 @variant("gyros low-passed", 10.0, "ms", "sensor_time_offset")
 def gyros_low_passed(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """The gyros have a low-pass filter, and the accelerometers have none."""
-    recording = case.recording
-    decay = math.exp(-recording.nominal_interval_s / (1e-3 * severity * rng.uniform(0.9, 1.1)))
-    gyro = lfilter([1.0 - decay], [1.0, -decay], recording.gyro, axis=0, zi=decay * recording.gyro[:1])[0]
-    return replace(recording, gyro=gyro)
+    gyro, time_s = case.recording.gyro, 1e-3 * severity * rng.uniform(0.9, 1.1)
+    return replace(case.recording, gyro=low_passed(gyro, case.recording.nominal_interval_s, time_s))
 
 
 @variant("offset subtracted twice", 0.02, "rad/s")
 def offset_subtracted_twice(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """The logger subtracts an offset that the unit has already removed: a large constant bias, which is no fault."""
-    offset = severity * _unit(case.recording) * rng.uniform(-1.0, 1.0, 3)
+    offset = severity * per_sample(case.recording) * rng.uniform(-1.0, 1.0, 3)
     return replace(case.recording, gyro=case.recording.gyro - offset)
 
 
 # --- sensors that change ---------------------------------------------------------------------------------------------
 
 
-@variant("accelerometer bias steps", 5000.0, "ug", "accel_bias_drift", "units_joined")
-def accel_bias_steps(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """The bias of one accelerometer changes between two sequences, as after a knock."""
-    accel = case.recording.accel.copy()
-    accel[_from_here(case.recording, rng), int(rng.integers(3))] += (
-        _sign(rng) * severity * MICRO_G * _unit(case.recording)
-    )
-    return replace(case.recording, accel=accel)
+def _bias_steps(kind: str, sensor: str, severity: float, unit: str, si: float, *causes: str) -> None:
+    @variant(kind, severity, unit, *causes)
+    def bias_steps(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+        """The bias of one sensor changes between two sequences, as after a knock."""
+        values = getattr(case.recording, sensor).copy()
+        at = _from_here(case.recording, rng), int(rng.integers(3))
+        values[at] += sign(rng) * severity * si * per_sample(case.recording)
+        return with_sensor(case.recording, sensor, values)
 
 
-@variant("gyro bias steps", 100.0, "deg/h", "gyro_bias_drift", "units_joined")
-def gyro_bias_steps(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """The bias of one gyro changes between two sequences."""
-    gyro = case.recording.gyro.copy()
-    gyro[_from_here(case.recording, rng), int(rng.integers(3))] += (
-        _sign(rng) * severity * DEG / 3600.0 * _unit(case.recording)
-    )
-    return replace(case.recording, gyro=gyro)
+_bias_steps("accelerometer bias steps", "accel", 5000.0, "ug", MICRO_G, "accel_bias_drift", "units_joined")
+_bias_steps("gyro bias steps", "gyro", 100.0, "deg/h", DEG / 3600.0, "gyro_bias_drift", "units_joined")
 
 
-@variant("accelerometer scale drifts", 2000.0, "ppm", "accel_bias_drift", "temperature_drift", "units_joined")
-def accel_scale_drifts(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """The scale factors of the accelerometers drift while the unit warms up."""
-    return _scale_drift(case, "accel", severity, rng)
+def _scale_drifts(kind: str, sensor: str, *causes: str) -> None:
+    @variant(kind, 2000.0, "ppm", *causes)
+    def scale_drifts(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+        """The scale factors of one triad drift while the unit warms up."""
+        time = case.recording.time
+        share = (time - time[0]) / (time[-1] - time[0])
+        values = getattr(case.recording, sensor) * (1.0 + sign(rng) * 1e-6 * severity * share[:, np.newaxis])
+        return with_sensor(case.recording, sensor, values)
 
 
-@variant("gyro scale drifts", 2000.0, "ppm", "gyro_scale_drift", "gyro_bias_drift", "temperature_drift", "units_joined")
-def gyro_scale_drifts(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """The scale factors of the gyros drift while the unit warms up."""
-    return _scale_drift(case, "gyro", severity, rng)
-
-
-def _scale_drift(case: Case, sensor: str, severity: float, rng: np.random.Generator) -> Recording:
-    time = case.recording.time
-    share = (time - time[0]) / (time[-1] - time[0])
-    values = getattr(case.recording, sensor) * (1.0 + _sign(rng) * 1e-6 * severity * share[:, np.newaxis])
-    return _changed(case.recording, sensor, values)
+_scale_drifts("accelerometer scale drifts", "accel", "accel_bias_drift", "temperature_drift", "units_joined")
+_scale_drifts("gyro scale drifts", "gyro", "gyro_scale_drift", "gyro_bias_drift", "temperature_drift", "units_joined")

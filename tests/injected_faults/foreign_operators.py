@@ -3,7 +3,6 @@
 They were written without knowledge of the checks, like the variants of ``injected_faults.foreign_loggers``.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Final
 
@@ -12,26 +11,13 @@ from scipy.spatial.transform import Rotation
 
 import injected_faults.execution
 import injected_faults.foreign_loggers
-import injected_faults.site_and_drift  # noqa: F401 - registers its injections
+import injected_faults.logger
+import injected_faults.site_and_drift  # noqa: F401 - these modules register their injections on import
+from injected_faults.changes import moved_labels, sign, with_sensor
 from injected_faults.injection import INJECTIONS, Case, FaultyCase, variant
 from sims.physics.imu import accel_matrix, gyro_matrix
 from srt.constants import DEG
 from srt.recording.recording import Recording, SequenceLabel
-from srt.types import Array
-
-
-def _sign(rng: np.random.Generator) -> float:
-    return float(rng.choice((-1.0, 1.0)))
-
-
-def _relabelled(recording: Recording, clock: Callable[[Array], Array]) -> Recording:
-    """Recording with the times of its labels transformed by ``clock``."""
-
-    def moved(label: SequenceLabel) -> SequenceLabel:
-        first, second = (clock(np.array(at)) for at in (label.start_static_s, label.end_static_s))
-        return replace(label, start_static_s=(first[0], first[1]), end_static_s=(second[0], second[1]))
-
-    return recording.with_sequences(tuple(moved(label) for label in recording.sequences))
 
 
 def _turned(recording: Recording, gyro: Rotation | None, accel: Rotation | None) -> Recording:
@@ -48,11 +34,9 @@ def _turned(recording: Recording, gyro: Rotation | None, accel: Rotation | None)
 @variant("labels of a fast clock", 0.02, "of the rate", "labels_shifted", "sample_rate")
 def labels_of_a_fast_clock(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """The clock of the labels runs faster or slower than that of the samples."""
-    first, sign = case.recording.time[0], _sign(rng)
-    return _relabelled(
-        case.changed(schedule={"moves": "recorded"}).recording,
-        lambda time: first + (1.0 + sign * severity) * (time - first),
-    )
+    first, factor = case.recording.time[0], 1.0 + sign(rng) * severity
+    recording = case.changed(schedule={"moves": "recorded"}).recording
+    return recording.with_sequences(moved_labels(recording.sequences, lambda time: first + factor * (time - first)))
 
 
 @variant("windows reach into the rotations", 0.5, "s", "labels_shifted", "noisy_window", "unsettled")
@@ -94,7 +78,7 @@ def labels_from_the_start(case: Case, severity: float, rng: np.random.Generator)
 @variant("mounted at 45 deg", 45.0, "deg", "frame_turned")
 def mounted_askew(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """The unit is mounted on the table with a rotation by 45° about one axis."""
-    turn = Rotation.from_rotvec(_sign(rng) * severity * DEG * np.eye(3)[int(rng.integers(3))])
+    turn = Rotation.from_rotvec(sign(rng) * severity * DEG * np.eye(3)[int(rng.integers(3))])
     return _turned(case.recording, turn, turn)
 
 
@@ -108,7 +92,7 @@ def sensors_askew(case: Case, severity: float, rng: np.random.Generator) -> Reco
 @variant("accelerometer board askew", 30.0, "deg", "frames_disagree")
 def accelerometer_board_askew(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """The accelerometers are rotated relative to the gyros, about one axis."""
-    turn = Rotation.from_rotvec(_sign(rng) * severity * DEG * np.eye(3)[int(rng.integers(3))])
+    turn = Rotation.from_rotvec(sign(rng) * severity * DEG * np.eye(3)[int(rng.integers(3))])
     return _turned(case.recording, None, turn)
 
 
@@ -119,7 +103,7 @@ def mounted_anew(case: Case, severity: float, rng: np.random.Generator) -> Recor
     count = len(recording.sequences)
     label = recording.sequences[int(rng.integers(count // 4, 3 * count // 4))]
     rows = slice(recording.window_indices(*label.end_static_s).stop, len(recording.time))
-    turn = Rotation.from_rotvec(_sign(rng) * severity * DEG * np.eye(3)[int(rng.integers(3))]).as_matrix() - np.eye(3)
+    turn = Rotation.from_rotvec(sign(rng) * severity * DEG * np.eye(3)[int(rng.integers(3))]).as_matrix() - np.eye(3)
     # The motion in case axes is rotated; the sensor matrices in case axes stay the same.
     motion, factor = simulation.motion, 1.0 if recording.kind == "increment" else 1.0 / simulation.motion.interval
     gyro, accel = recording.gyro.copy(), recording.accel.copy()
@@ -154,7 +138,7 @@ def columns_one_further(case: Case, severity: float, rng: np.random.Generator) -
     """The columns of one triad are shifted cyclically by one or two places."""
     sensor, step = str(rng.choice(["gyro", "accel"])), int(rng.integers(1, 3))
     values = np.roll(getattr(case.recording, sensor), step, axis=1)
-    return replace(case.recording, gyro=values) if sensor == "gyro" else replace(case.recording, accel=values)
+    return with_sensor(case.recording, sensor, values)
 
 
 # --- site ------------------------------------------------------------------------------------------------------------
@@ -180,7 +164,7 @@ def longitude_for_latitude(case: Case, severity: float, rng: np.random.Generator
 @variant("gravity of another country", 0.04, "m/s^2", "gravity")
 def gravity_of_another_country(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """The stated gravity is that of a place much nearer to the equator or to a pole."""
-    return _sited(case, gravity_m_s2=case.recording.site.gravity_m_s2 + _sign(rng) * severity)
+    return _sited(case, gravity_m_s2=case.recording.site.gravity_m_s2 + sign(rng) * severity)
 
 
 @variant("table faces the other way", 180.0, "deg", "north")
@@ -189,7 +173,7 @@ def table_faces_the_other_way(case: Case, severity: float, rng: np.random.Genera
     fixture = case.recording.fixture
     assert fixture is not None
     assert fixture.heading_rad is not None
-    heading = fixture.heading_rad + _sign(rng) * severity * DEG
+    heading = fixture.heading_rad + sign(rng) * severity * DEG
     return replace(case.recording, fixture=replace(fixture, heading_rad=heading))
 
 

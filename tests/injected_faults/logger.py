@@ -4,7 +4,6 @@ Faults of units and axes are in ``injected_faults.units_and_axes``.
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Final
 
@@ -12,49 +11,17 @@ import numpy as np
 
 import injected_faults.firmware
 import injected_faults.units_and_axes  # noqa: F401 - these modules register their injections on import
+from injected_faults.changes import kept, per_sample, restamped, sign, somewhere, with_sensor
 from injected_faults.injection import GRADES, Case, injection
 from sims.physics.imu import read_out
-from srt.recording.recording import Recording, SequenceLabel
+from srt.recording.recording import Recording
 from srt.types import Array
-
-_EDGE: Final = 5
-"""Number of undisturbed samples at each end of a sequence."""
-
 
 # --- helpers ---------------------------------------------------------------------------------------------------------
 
 
-def somewhere(recording: Recording, rng: np.random.Generator, count: int) -> slice:
-    """Consecutive samples at a random place in the windows or the rotation of a random sequence."""
-    label = recording.sequences[int(rng.integers(len(recording.sequences)))]
-    first = recording.window_indices(*label.start_static_s).start + _EDGE
-    last = recording.window_indices(*label.end_static_s).stop - _EDGE
-    count = min(count, last - first)
-    start = int(rng.integers(first, last - count + 1))
-    return slice(start, start + count)
-
-
 def _samples(recording: Recording, seconds: float) -> int:
     return int(seconds / recording.nominal_interval_s + 1e-6)
-
-
-def _with(recording: Recording, sensor: str, values: Array) -> Recording:
-    return replace(recording, gyro=values) if sensor == "gyro" else replace(recording, accel=values)
-
-
-def restamped(recording: Recording, clock: Callable[[Array], Array]) -> Recording:
-    """Recording with the times of its samples and labels transformed by ``clock``."""
-
-    def moved(label: SequenceLabel) -> SequenceLabel:
-        first, second = clock(np.array(label.start_static_s)), clock(np.array(label.end_static_s))
-        return replace(
-            label,
-            start_static_s=(float(first[0]), float(first[1])),
-            end_static_s=(float(second[0]), float(second[1])),
-        )
-
-    labels = tuple(moved(label) for label in recording.sequences)
-    return replace(recording, time=clock(recording.time), sequences=labels)
 
 
 # --- faults that the construction of a recording detects -------------------------------------------------------------
@@ -68,7 +35,7 @@ def not_finite(case: Case, severity: float, rng: np.random.Generator) -> Recordi
     values = getattr(recording, sensor).copy()
     where = rng.integers(len(values), size=max(1, round(severity)))
     values[where, rng.integers(3)] = rng.choice([math.nan, math.inf, -math.inf])
-    return _with(recording, sensor, values)
+    return with_sensor(recording, sensor, values)
 
 
 @injection("time_backwards", 1.0, "s")
@@ -94,7 +61,7 @@ def time_repeats(case: Case, severity: float, rng: np.random.Generator) -> Recor
 def rate_contradicts_stamps(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """The stated sample rate is wrong by the factor ``severity`` or its inverse."""
     recording = case.recording
-    return replace(recording, sample_rate_hz=severity ** rng.choice([-1.0, 1.0]) / recording.nominal_interval_s)
+    return replace(recording, sample_rate_hz=severity ** sign(rng) / recording.nominal_interval_s)
 
 
 # --- time stamps -----------------------------------------------------------------------------------------------------
@@ -103,7 +70,7 @@ def rate_contradicts_stamps(case: Case, severity: float, rng: np.random.Generato
 @injection("time_unit", 1e3, "times", also=("sample_rate",))
 def time_unit(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """The unit of the stamps is ``severity`` times smaller or larger than declared; the labels have the same unit."""
-    factor = severity ** float(rng.choice([-1.0, 1.0]))
+    factor = severity ** sign(rng)
     return restamped(case.recording, lambda time: factor * time)
 
 
@@ -118,11 +85,11 @@ def stamp_jitter(case: Case, severity: float, rng: np.random.Generator) -> Recor
 @injection("clock_drift", 0.02, "of the interval")
 def clock_drift(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """After switch-on, the clock of the logger approaches its final rate exponentially."""
-    recording, sign = case.recording, float(rng.choice((-1.0, 1.0)))
+    recording, towards = case.recording, sign(rng)
     first, span = recording.time[0], recording.time[-1] - recording.time[0]
     slow = span * float(rng.uniform(0.3, 1.0))
     # Scaled so that the relative change of the interval from the first sample to the last is the severity.
-    size = sign * severity / -math.expm1(-span / slow)
+    size = towards * severity / -math.expm1(-span / slow)
     return restamped(recording, lambda time: time + size * slow * np.expm1(-(time - first) / slow))
 
 
@@ -132,7 +99,7 @@ def gap_in_sequence(case: Case, severity: float, rng: np.random.Generator) -> Re
     recording = case.recording
     keep = np.ones(len(recording.time), dtype=bool)
     keep[somewhere(recording, rng, _samples(recording, severity))] = False
-    return replace(recording, time=recording.time[keep], gyro=recording.gyro[keep], accel=recording.accel[keep])
+    return kept(recording, np.flatnonzero(keep))
 
 
 # --- channels --------------------------------------------------------------------------------------------------------
@@ -146,7 +113,7 @@ def _dead(sensor: str) -> None:
         values = getattr(recording, sensor).copy()
         for axis in rng.choice(3, max(1, min(3, round(severity))), replace=False):
             values[:, axis] = values[0, axis] if rng.random() < 0.5 else 0.0
-        return _with(recording, sensor, values)
+        return with_sensor(recording, sensor, values)
 
 
 _dead("gyro")
@@ -179,7 +146,7 @@ def _stuck(fault: str, sensors: tuple[str, ...], severity: float | dict[str, flo
         for sensor in sensors:
             values = getattr(recording, sensor).copy()
             values[rows] = values[rows.start - 1]
-            recording = _with(recording, sensor, values)
+            recording = with_sensor(recording, sensor, values)
         return recording
 
 
@@ -233,7 +200,7 @@ def _axis_stuck(fault: str, sensor: str, severity: dict[str, float], unseen: dic
         first = int(rng.integers(turning.start, turning.stop - count))
         values = getattr(recording, sensor).copy()
         values[first : first + count, axis] = values[first - 1, axis]
-        return _with(recording, sensor, values)
+        return with_sensor(recording, sensor, values)
 
 
 _PULSES: Final = (
@@ -250,7 +217,7 @@ def _wrapped(fault: str, sensor: str, share: float) -> None:
         """One triad is stored in signed words that are too short for its largest readings, which wrap around."""
         values = getattr(case.recording, sensor)
         half = severity * float(np.abs(values).max()) * rng.uniform(0.95, 1.05)
-        return _with(case.recording, sensor, (values + half) % (2.0 * half) - half)
+        return with_sensor(case.recording, sensor, (values + half) % (2.0 * half) - half)
 
 
 _wrapped("gyro_wrapped", "gyro", 0.6)
@@ -261,8 +228,7 @@ _wrapped("accel_wrapped", "accel", 0.7)
 def gyro_dead_band(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """Gyro readings below a threshold are output as zero."""
     recording = case.recording
-    interval = recording.nominal_interval_s if recording.kind == "increment" else 1.0
-    small = np.abs(recording.gyro) < severity * rng.uniform(1.0, 1.5) * interval
+    small = np.abs(recording.gyro) < severity * rng.uniform(1.0, 1.5) * per_sample(recording)
     return replace(recording, gyro=np.where(small, 0.0, recording.gyro))
 
 
@@ -272,11 +238,11 @@ def spikes(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     recording, imu = case.recording, case.simulation.imu
     sensor = str(rng.choice(["gyro", "accel"]))
     limit = imu.gyro_range if sensor == "gyro" else imu.accel_range
-    size = severity * limit * (recording.nominal_interval_s if recording.kind == "increment" else 1.0)
+    size = severity * limit * per_sample(recording)
     values, axis = getattr(recording, sensor).copy(), int(rng.integers(3))
     for _ in range(int(rng.integers(1, 4))):
-        values[somewhere(recording, rng, 1), axis] += size * rng.choice([-1.0, 1.0])
-    return _with(recording, sensor, values)
+        values[somewhere(recording, rng, 1), axis] += size * sign(rng)
+    return with_sensor(recording, sensor, values)
 
 
 # --- ranges ----------------------------------------------------------------------------------------------------------
@@ -300,7 +266,7 @@ def accel_clipped(case: Case, severity: float, rng: np.random.Generator) -> Reco
     rows = somewhere(case.recording, rng, _samples(case.recording, 0.06))
     phase = np.pi * (np.arange(rows.stop - rows.start) + 0.5) / (rows.stop - rows.start)
     velocity = motion.velocity.copy()
-    velocity[rows, rng.integers(3)] += rng.choice([-1.0, 1.0]) * severity * limit * motion.interval * np.sin(phase)
+    velocity[rows, rng.integers(3)] += sign(rng) * severity * limit * motion.interval * np.sin(phase)
     velocity_abs = np.maximum(motion.velocity_abs, np.abs(velocity))
     shaken = replace(motion, velocity=velocity, velocity_abs=velocity_abs)
     return read_out(shaken, simulation.truth, simulation.imu, rng, kind=case.recording.kind)

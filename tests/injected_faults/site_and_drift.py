@@ -5,8 +5,8 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from scipy.signal import lfilter
 
+from injected_faults.changes import low_passed, moved_labels, per_sample, sign
 from injected_faults.injection import GRADES, Case, injection
 from sims.physics.imu import ImuModel, read_out
 from sims.physics.true_motion import TrueMotion
@@ -34,7 +34,7 @@ _NO_NORTH = (
 def gravity(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """The stated gravity is that of another place, or has a wrong digit."""
     site = case.recording.site
-    stated = site.gravity_m_s2 + severity * _sign(rng)
+    stated = site.gravity_m_s2 + severity * sign(rng)
     return replace(case.recording, site=replace(site, gravity_m_s2=stated))
 
 
@@ -61,7 +61,7 @@ def earth_rate_absent(case: Case, severity: float, rng: np.random.Generator) -> 
 def latitude(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """The stated latitude and gravity are those of another place."""
     true = case.scenario.site.latitude_deg
-    stated = true + severity * _sign(rng)
+    stated = true + severity * sign(rng)
     if abs(stated) > 90.0:
         stated = true - math.copysign(severity, stated)
     gravity_m_s2 = normal_gravity_m_s2(stated * DEG, rng.uniform(0.0, _HEIGHT_M))
@@ -82,7 +82,7 @@ def north(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     fixture = case.recording.fixture
     assert fixture is not None
     assert fixture.heading_rad is not None
-    off = severity * DEG * _sign(rng)
+    off = severity * DEG * sign(rng)
     return replace(case.recording, fixture=replace(fixture, heading_rad=fixture.heading_rad + off))
 
 
@@ -108,7 +108,16 @@ def temperature_unit(case: Case, severity: float, rng: np.random.Generator) -> R
 def temperature_drift(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """The unit warms up during the test, or cools down after a temperature chamber."""
     start = rng.uniform(15.0, 40.0)
-    return replace(case.recording, temperature=_temperatures(case, start, severity * _sign(rng), rng))
+    return replace(case.recording, temperature=_temperatures(case, start, severity * sign(rng), rng))
+
+
+def _drift(time: Array, rng: np.random.Generator) -> Array:
+    """Share of a drift after switch-on, linear or with a decreasing rate: 0 at the first sample, 1 at the last."""
+    share = (time - time[0]) / (time[-1] - time[0])
+    if rng.random() < 0.5:
+        slowness = rng.uniform(0.4, 1.5)
+        share = np.expm1(-share / slowness) / np.expm1(-1.0 / slowness)
+    return np.asarray(share)
 
 
 @injection(
@@ -119,13 +128,9 @@ def temperature_drift(case: Case, severity: float, rng: np.random.Generator) -> 
 def gyro_bias_drift(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """The bias of one gyro drifts after switch-on, linearly or with a decreasing rate."""
     motion = case.simulation.motion
-    time = motion.time - motion.time[0]
-    share = time / time[-1]
-    if rng.random() < 0.5:
-        slowness = rng.uniform(0.4, 1.5)
-        share = np.expm1(-share / slowness) / np.expm1(-1.0 / slowness)
+    share = _drift(motion.time, rng)
     angle = motion.angle.copy()
-    angle[:, int(rng.integers(3))] += _sign(rng) * severity * DEG_PER_H * motion.interval * share
+    angle[:, int(rng.integers(3))] += sign(rng) * severity * DEG_PER_H * motion.interval * share
     return _again(case, replace(motion, angle=angle), case.simulation.imu, rng)
 
 
@@ -137,14 +142,7 @@ def units_joined(case: Case, severity: float, rng: np.random.Generator) -> Recor
     end, begin = first.sequences[count - 1].end_static_s[1], second.sequences[count].start_static_s[0]
     rows, others = first.time <= end + 1e-6, second.time > begin + 1e-6
     later = end + rng.uniform(20.0, 200.0) - begin
-    moved = tuple(
-        replace(
-            label,
-            start_static_s=(label.start_static_s[0] + later, label.start_static_s[1] + later),
-            end_static_s=(label.end_static_s[0] + later, label.end_static_s[1] + later),
-        )
-        for label in second.sequences[count:]
-    )
+    moved = moved_labels(second.sequences[count:], lambda time: time + later)
     return replace(
         first,
         time=np.concatenate([first.time[rows], second.time[others] + later]),
@@ -159,7 +157,7 @@ def gyro_scale_drift(case: Case, severity: float, rng: np.random.Generator) -> R
     """The scale factors of all gyros change by the same relative amount, linearly in time."""
     recording, time = case.recording, case.recording.time
     share = (time - time[0]) / (time[-1] - time[0])
-    factor = 1.0 + 1e-6 * severity * float(rng.choice((-1.0, 1.0))) * share[:, np.newaxis]
+    factor = 1.0 + 1e-6 * severity * sign(rng) * share[:, np.newaxis]
     return replace(recording, gyro=recording.gyro * factor)
 
 
@@ -170,14 +168,10 @@ def gyro_scale_drift(case: Case, severity: float, rng: np.random.Generator) -> R
 )
 def accel_bias_drift(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """The bias of one accelerometer drifts after switch-on, linearly or with a decreasing rate."""
-    time = case.recording.time - case.recording.time[0]
-    share = time / time[-1]
-    if rng.random() < 0.5:
-        slowness = rng.uniform(0.4, 1.5)
-        share = np.expm1(-share / slowness) / np.expm1(-1.0 / slowness)
+    share = _drift(case.recording.time, rng)
     accel = case.recording.accel.copy()
-    unit = 1.0 if case.recording.kind == "rate" else case.recording.nominal_interval_s
-    accel[:, int(rng.integers(3))] += _sign(rng) * severity * 1e3 * MICRO_G * share * unit
+    unit = per_sample(case.recording)
+    accel[:, int(rng.integers(3))] += sign(rng) * severity * 1e3 * MICRO_G * share * unit
     return replace(case.recording, accel=accel)
 
 
@@ -185,13 +179,11 @@ def accel_bias_drift(case: Case, severity: float, rng: np.random.Generator) -> R
 def accel_settling(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """A share of the accelerometer readings follows a change of specific force with a time constant of 3 s."""
     motion = case.simulation.motion
-    decay = math.exp(-motion.interval / 3.0)
-    share = _sign(rng) * 1e-6 * severity
+    share = sign(rng) * 1e-6 * severity
     velocity = motion.velocity.copy()
     for piece in np.split(np.arange(len(velocity)), motion.piece_starts[1:]):
         true = motion.velocity[piece]
-        settled = lfilter([1.0 - decay], [1.0, -decay], true, axis=0, zi=decay * true[:1])[0]
-        velocity[piece] += share * (settled - true)
+        velocity[piece] += share * (low_passed(true, motion.interval, 3.0) - true)
     return _again(case, replace(motion, velocity=velocity), case.simulation.imu, rng)
 
 
@@ -228,7 +220,7 @@ def _noise(case: Case, name: str, factor: float, rng: np.random.Generator) -> Re
 def asymmetry_omitted(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """One gyro has an asymmetry that is large for its grade; the others have none."""
     values = dict.fromkeys(("gyro_asymmetry_x", "gyro_asymmetry_y", "gyro_asymmetry_z"), 0.0)
-    values[f"gyro_asymmetry_{'xyz'[int(rng.integers(3))]}"] = 1e-6 * severity * _sign(rng)
+    values[f"gyro_asymmetry_{'xyz'[int(rng.integers(3))]}"] = 1e-6 * severity * sign(rng)
     return case.changed(errors={"values": values}).recording
 
 
@@ -236,7 +228,3 @@ def _again(case: Case, motion: TrueMotion, imu: ImuModel, rng: np.random.Generat
     """Recording of another motion or unit model, with new noise samples; the stated noise is unchanged."""
     again = read_out(motion, case.simulation.truth, imu, rng, kind=case.recording.kind)
     return replace(case.recording, gyro=again.gyro, accel=again.accel)
-
-
-def _sign(rng: np.random.Generator) -> float:
-    return float(rng.choice((-1.0, 1.0)))

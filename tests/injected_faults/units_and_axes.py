@@ -6,16 +6,13 @@ from typing import Final
 
 import numpy as np
 
+from injected_faults.changes import restamped, sign, with_sensor
 from injected_faults.injection import GRADES, Case, injection
 from srt.constants import DEG, DEG_PER_H, STANDARD_GRAVITY_M_S2
 from srt.recording.recording import Recording
 from srt.types import Array
 
 _G: Final = STANDARD_GRAVITY_M_S2
-
-
-def _with(recording: Recording, sensor: str, values: Array) -> Recording:
-    return replace(recording, gyro=values) if sensor == "gyro" else replace(recording, accel=values)
 
 
 def _as_rates(case: Case) -> Recording:
@@ -54,7 +51,7 @@ def _wrong_unit(fault: str, sensor: str, factors: tuple[float, ...], *, rates: b
     @injection(fault, 1.0, "")
     def wrong_unit(case: Case, severity: float, rng: np.random.Generator) -> Recording:
         recording = _as_rates(case) if rates else case.recording
-        return _with(recording, sensor, getattr(recording, sensor) * float(rng.choice(factors)))
+        return with_sensor(recording, sensor, getattr(recording, sensor) * float(rng.choice(factors)))
 
 
 _wrong_unit("gyro_degrees", "gyro", (1.0 / DEG,), rates=False)
@@ -75,7 +72,7 @@ def _other_kind(fault: str, sensor: str) -> None:
     def other_kind(case: Case, severity: float, rng: np.random.Generator) -> Recording:
         recording, interval = case.recording, case.recording.nominal_interval_s
         factor = interval if recording.kind == "rate" else 1.0 / interval
-        return _with(recording, sensor, getattr(recording, sensor) * factor)
+        return with_sensor(recording, sensor, getattr(recording, sensor) * factor)
 
 
 _other_kind("gyro_kind", "gyro")
@@ -103,7 +100,7 @@ def _counts(fault: str, sensor: str, per_unit: Mapping[str, float], declared: tu
         recording = case.recording
         units = declared if recording.kind == "rate" else declared[:1]
         values = np.round(getattr(recording, sensor) * severity) * float(rng.choice(units))
-        return _with(recording, sensor, values)
+        return with_sensor(recording, sensor, values)
 
 
 # By grade: pulses of 0.5" and 10 µm/s; 24-bit words over the range of increments in 10 ms; 16-bit words over the range
@@ -122,36 +119,28 @@ _counts(
 )
 
 
-def _wrong_count(fault: str, sensor: str) -> None:
-    """Register readings with the count value of another measuring range."""
-
-    @injection(fault, 2.0, "times", also=(f"{sensor}_factor",))
-    def wrong_count(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-        factor = severity ** float(rng.choice([-1.0, 1.0]))
-        return _with(case.recording, sensor, getattr(case.recording, sensor) * factor)
-
-
-_wrong_count("gyro_lsb", "gyro")
-_wrong_count("accel_lsb", "accel")
-
-
 _AS_SAMPLE_RATE: Final = (
     "The gyros do not resolve the Earth rate, so that a common factor of all gyros is not distinguished from a wrong "
     "sample rate."
 )
 
 
-def _one_factor(fault: str, sensor: str, unseen: Mapping[str, str]) -> None:
-    """Register readings multiplied by one factor on all axes of a triad, as from the count value of another unit."""
+def _one_factor(kind: str, sensor: str, severity: float, also: tuple[str, ...], unseen: Mapping[str, str]) -> None:
+    """Register readings multiplied by one factor on all axes of a triad, or divided by it.
 
-    @injection(fault, 1.25, "times", unseen=unseen)
+    A count value of another measuring range is a factor of 2, that of another unit any factor.
+    """
+
+    @injection(f"{sensor}_{kind}", severity, "times", also=also, unseen=unseen)
     def one_factor(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-        factor = severity ** float(rng.choice([-1.0, 1.0]))
-        return _with(case.recording, sensor, getattr(case.recording, sensor) * factor)
+        factor = severity ** sign(rng)
+        return with_sensor(case.recording, sensor, getattr(case.recording, sensor) * factor)
 
 
-_one_factor("gyro_factor", "gyro", {"consumer-mems": _AS_SAMPLE_RATE})
-_one_factor("accel_factor", "accel", {})
+_one_factor("lsb", "gyro", 2.0, ("gyro_factor",), {})
+_one_factor("lsb", "accel", 2.0, ("accel_factor",), {})
+_one_factor("factor", "gyro", 1.25, (), {"consumer-mems": _AS_SAMPLE_RATE})
+_one_factor("factor", "accel", 1.25, (), {})
 
 
 @injection("increments_thinned", 1.0, "")
@@ -172,17 +161,8 @@ def increments_thinned(case: Case, severity: float, rng: np.random.Generator) ->
 @injection("sample_rate", dict(zip(GRADES, (1.1, 1.1, 1.1, 1.4), strict=True)), "times")
 def sample_rate(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """Stamps and labels were computed with a sample rate that is wrong by the factor ``severity`` or its inverse."""
-    recording = case.recording
-    factor = severity ** float(rng.choice([-1.0, 1.0]))
-    labels = tuple(
-        replace(
-            label,
-            start_static_s=(label.start_static_s[0] / factor, label.start_static_s[1] / factor),
-            end_static_s=(label.end_static_s[0] / factor, label.end_static_s[1] / factor),
-        )
-        for label in recording.sequences
-    )
-    return replace(recording, time=recording.time / factor, sequences=labels)
+    factor = severity ** sign(rng)
+    return restamped(case.recording, lambda time: time / factor)
 
 
 # --- axes ------------------------------------------------------------------------------------------------------------
@@ -223,7 +203,7 @@ def _one_triad(fault: str, sensor: str, draw: Callable[[np.random.Generator], Ar
 
     @injection(fault, 1.0, "")
     def one_triad(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-        return _with(case.recording, sensor, getattr(case.recording, sensor) @ draw(rng).T)
+        return with_sensor(case.recording, sensor, getattr(case.recording, sensor) @ draw(rng).T)
 
 
 # The gyros output the rate of the world relative to the unit, the accelerometers gravity instead of specific force;

@@ -295,17 +295,6 @@ def test_attitude_after_the_rotation_is_that_of_a_stream_that_ends_there():
     assert np.abs(found.C_turned - found.C_end).max() > 0.01
 
 
-def test_long_chain_against_one_by_one_multiplication():
-    """About a fixed axis no coning enters: only the chain over the block's border is left."""
-    n = analytic_platform.BLOCK + 77
-    sizes = 0.05 * np.sin(np.arange(n) / 50.0)
-    axis = np.array([0.6, -0.48, 0.64])
-    found, _ = integrate_attitude(one_stream(sizes[:, None] * axis, 0.01), PERFECT, np.zeros((1, 3)))
-    expected = Rotation.from_rotvec(sizes.sum() * axis).as_matrix()
-    # Rounding errors of n samples' angles add up like a random walk; each is below eps.
-    np.testing.assert_allclose(found.C_end[0], expected, rtol=0, atol=6 * math.sqrt(n) * EPS)
-
-
 def test_bias_offset_is_taken_off_the_compensated_rate():
     increments = random_recording(200)
     offset = np.array([[1e-3, -2e-3, 3e-3]])

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from ideal_table_1 import G, component_rows
+from ideal_table_1 import G
 
 import sims
 from srt.estimation.options import Options
@@ -183,21 +183,6 @@ def test_playback_jacobian_with_earth_rate(motions, size):
     assert np.all(np.abs(found - expected)[-3:] <= rest + rounding)
 
 
-def test_rest_rows_with_the_vertical_alone_kept(motions):
-    """The pooled rest rate against the gyro's errors, the Earth's rate taken from the true attitudes: exact."""
-    errors = draw("large")
-    data, _ = play_back(motions[True], errors, "held")
-    mean = data.windows.gyro_mean
-    gyro = gyro_triad(errors)
-    found = model.rate_error_jacobian(gyro.compensate(mean), gyro)
-    for i, step in enumerate(np.where(np.arange(N_PARAMETERS) < 24, 1e-4, 1e-8)):
-        d = step * np.eye(N_PARAMETERS)[i]
-        plus, minus = (gyro_triad(errors.plus(sign * d)).compensate(mean) for sign in (1.0, -1.0))
-        # Rates of 1e-4 rad/s at most: step² times them and the cube of D, and rounding of 1e-2 rad/s readings.
-        atol = 10 * step**2 * 1e-4 + 1e-17 / step
-        np.testing.assert_allclose(found[:, :, i], (minus - plus) / (2 * step), rtol=0, atol=atol, err_msg=NAMES[i])
-
-
 @pytest.mark.parametrize("size", SIZES)
 @pytest.mark.parametrize("which", ["force", "rate"])
 def test_compensation_jacobians(size, which):
@@ -267,17 +252,3 @@ def test_down_jacobian_off_axis():
             -np.linalg.norm(accel_triad(errors.plus(sign * d)).compensate(reading), axis=1) for sign in (1.0, -1.0)
         )
         np.testing.assert_allclose(found[:, i], (minus - plus) / 2e-4, rtol=0, atol=10 * 1e-8 * D**4 * G)
-
-
-def test_predicted_and_measured_change_of_tiny_errors(motions):
-    """z(x̂) = H (truth − x̂) to second order, the statement that all estimators rest on."""
-    truth = draw("tiny")
-    data, player = play_back(motions[False], truth, "held")
-    playback = player.process(SensorErrors(), U=U)
-    perfect = play_back(motions[False], SensorErrors(), "held")[1].process(SensorErrors(), U=U)
-    predicted = playback.H @ truth.vector
-    # Second order: (2·3π · 1e-6)² g; first order: the sample's share (1/200)²/12 of 6π · 1e-6 g.
-    tolerance = G * ((6 * np.pi * 1e-6) ** 2 + 6 * np.pi * 1e-6 * (RATE / SAMPLE_RATE_HZ) ** 2 / 12 * 3)
-    assert np.abs(playback.z - perfect.z - predicted).max() <= tolerance
-    assert np.abs(predicted[: 2 * data.K]).max() > 1000 * tolerance
-    assert len(component_rows(data)) == 68

@@ -352,6 +352,21 @@ def recorded(pitch_rad=LEVEL_AND_NOSE_DOWN_RAD, *, labelled=True, errors=None, a
     return read_out(motion, SensorErrors() if errors is None else errors, imu, np.random.default_rng(1))
 
 
+def kept(recording, rows):
+    return replace(recording, time=recording.time[rows], gyro=recording.gyro[rows], accel=recording.accel[rows])
+
+
+def moved_within_a_stand(recording):
+    accel = recording.accel.copy()
+    accel[100:200] += np.array([2e-3 * G, 0.0, 0.0])
+    return replace(recording, accel=accel)
+
+
+def clipped(recording):
+    accel = np.clip(recording.accel, -0.9 * G, 0.9 * G)
+    return replace(recording, accel=accel, noise=replace(recording.noise, accel_range=0.9 * G))
+
+
 class TestRefusals:
     @pytest.mark.parametrize(
         ("pitch_rad", "fragment"),
@@ -373,10 +388,8 @@ class TestRefusals:
 
     def test_one_stand_without_labels(self):
         recording = recorded(labelled=False)
-        part = slice(0, 150)
-        still = replace(recording, time=recording.time[part], gyro=recording.gyro[part], accel=recording.accel[part])
         with pytest.raises(DataError, match="Only 1 stationary windows"):
-            mount_from_recording(still, calibrated())
+            mount_from_recording(kept(recording, slice(0, 150)), calibrated())
 
     def test_a_unit_that_moved_between_two_level_stands(self):
         draw = MountErrors(pitch=np.array([0.0, 0.0, 4e-3]))
@@ -387,43 +400,22 @@ class TestRefusals:
         mount = mount_from_recording(recording, calibrated(), level_sigma_rad=1e-3)
         assert any("repeat to" in sentence for sentence in mount.warnings)
 
-    def test_a_unit_that_moved_within_a_stand(self):
-        recording = recorded()
-        accel = recording.accel.copy()
-        accel[100:200] += np.array([2e-3 * G, 0.0, 0.0])
-        with pytest.raises(DataError, match=r"is not stationary.*2 mrad"):
-            mount_from_recording(replace(recording, accel=accel), calibrated(), level_sigma_rad=1e-4)
-
-    def test_a_calibration_of_another_unit(self):
-        errors = np.zeros(N_PARAMETERS)
-        errors[INDEX["accel_scale_z"]] = 0.03
-        with pytest.raises(DataError, match="another unit"):
-            mount_from_recording(recorded(), calibrated(errors))
-
-    def test_a_calibration_that_is_none(self):
-        errors = np.zeros(N_PARAMETERS)
-        errors[INDEX["gyro_scale_x"]] = -2.0
-        with pytest.raises(InputError, match="cannot be applied"):
-            mount_from_recording(recorded(), calibrated(errors))
-
-    def test_wrong_units(self):
-        recording = recorded()
-        with pytest.raises(DataError, match="declared as m/s²"):
-            mount_from_recording(replace(recording, accel=recording.accel / G), calibrated())
-
-    def test_clipped_readings(self):
-        recording = recorded()
-        accel = np.clip(recording.accel, -0.9 * G, 0.9 * G)
-        clipped = replace(recording, accel=accel, noise=replace(recording.noise, accel_range=0.9 * G))
-        with pytest.raises(DataError, match=r"accel_z is at the limit"):
-            mount_from_recording(clipped, calibrated())
-
-    def test_missing_samples(self):
-        recording = recorded()
-        kept = np.r_[0:90, 110 : len(recording.time)]
-        broken = replace(recording, time=recording.time[kept], gyro=recording.gyro[kept], accel=recording.accel[kept])
-        with pytest.raises(DataError, match="samples missing"):
-            mount_from_recording(broken, calibrated())
+    @pytest.mark.parametrize(
+        ("changed", "errors", "kind", "fragment"),
+        [
+            (moved_within_a_stand, {}, DataError, r"is not stationary.*2 mrad"),
+            (lambda r: r, {"accel_scale_z": 0.03}, DataError, "another unit"),
+            (lambda r: r, {"gyro_scale_x": -2.0}, InputError, "cannot be applied"),
+            (lambda r: replace(r, accel=r.accel / G), {}, DataError, "declared as m/s²"),
+            (clipped, {}, DataError, r"accel_z is at the limit"),
+            (lambda r: kept(r, np.r_[0:90, 110 : len(r.time)]), {}, DataError, "samples missing"),
+        ],
+        ids=["moved", "another unit", "no unit", "in g", "clipped", "samples missing"],
+    )
+    def test_readings_and_calibrations_that_do_not_fit(self, changed, errors, kind, fragment):
+        unit = calibrated(SensorErrors.from_dict(errors).vector)
+        with pytest.raises(kind, match=fragment):
+            mount_from_recording(changed(recorded()), unit, level_sigma_rad=1e-4)
 
     def test_held_parameters_are_warned_of(self):
         mount = mount_from_recording(recorded(), calibrated(held={"accel_bias_y": "held on request"}))

@@ -59,31 +59,6 @@ def test_readings_equal_the_simulators_but_for_changes_of_sign_within_a_sample(e
         np.testing.assert_allclose(value + asymmetry * gap, reading, rtol=0.0, atol=1e-15)
 
 
-def test_readings_equal_the_model_written_out(example):
-    rng = np.random.default_rng(2)
-    angle, velocity = 0.01 * rng.normal(size=(50, 3)), 0.1 * rng.normal(size=(50, 3))
-    errors = drawn_errors()
-    e = errors.as_dict()
-    gyro, accel = example.navigation.sensed(motion(example, angle, velocity), faultless_unit(example, errors), None)
-    y_rate = (
-        0.5 * e["gyro_orthogonality_xy"] * angle[:, 0]
-        + (1.0 + e["gyro_scale_y"]) * angle[:, 1]
-        + 0.5 * e["gyro_orthogonality_yz"] * angle[:, 2]
-        + e["gyro_asymmetry_y"] * np.abs(angle[:, 1])
-        + e["gyro_bias_y"] * DT
-    )
-    z_force = (
-        e["accel_misalignment_zx"] * velocity[:, 0]
-        + e["accel_misalignment_zy"] * velocity[:, 1]
-        + (1.0 + e["accel_scale_z"]) * velocity[:, 2]
-        + e["accel_asymmetry_z"] * np.abs(velocity[:, 2])
-        + e["accel_bias_z"] * DT
-    )
-    # Rounding of numbers below 1, as above.
-    np.testing.assert_allclose(gyro[:, 1], y_rate, rtol=0.0, atol=1e-15)
-    np.testing.assert_allclose(accel[:, 2], z_force, rtol=0.0, atol=1e-15)
-
-
 def test_forms_without_noise(example):
     rng = np.random.default_rng(3)
     n = 4000  # 30 s of standstill, 10 s of motion
@@ -106,15 +81,6 @@ def test_forms_without_noise(example):
         for form, other in (("raw", "calibrated"), ("raw, zeroed", "calibrated, zeroed")):
             assert np.max(np.abs(forms[form][k] - true)) > 1e-5
             assert np.max(np.abs(forms[form][k] - forms[other][k])) > 1e-5
-
-
-def test_smooth_step_and_its_slope(example):
-    u = np.linspace(-0.5, 1.5, 2001)
-    step, slope = example.trajectories.smooth_step(u), example.trajectories.smooth_slope(u)
-    assert step[0] == slope[0] == slope[-1] == 0.0
-    assert step[-1] == 1.0
-    # Central differences err by h²/6 of the third derivative, here below 60: 1e-5 with h = 1e-3.
-    np.testing.assert_allclose(np.gradient(step, u)[1:-1], slope[1:-1], rtol=0.0, atol=1e-5)
 
 
 @pytest.mark.parametrize("name", ["aircraft", "car"])
@@ -180,14 +146,6 @@ def test_delta_errors(example, angle):
     found = Deltas((start @ turn)[None], np.array([[0.0, 3.0, 4.0]]), np.array([[1.0, 1.0, 3.0]]))
     # Rounding of products of rotations.
     np.testing.assert_allclose(example.preintegration.delta_errors(found, true), [[angle, 5.0, 2.0]], atol=1e-15)
-
-
-@pytest.mark.parametrize(
-    ("value", "text"), [(1234.0, "1200"), (99.6, "100"), (9.96, "10.0"), (3.21, "3.2"), (0.00456, "0.0046"), (0.0, "0")]
-)
-def test_two_digits(example, value, text):
-    assert example.drift_report._two_digits(value) == text
-    assert example.drift_report._two_digits(math.inf) == "∞"
 
 
 def test_tables_and_picture(example, tmp_path):

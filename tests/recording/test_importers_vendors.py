@@ -6,7 +6,6 @@ from log_samples import SECONDS, STAMPS, VALUES, N, assert_same, ff, note, read
 
 from srt.exceptions import InputError
 from srt.recording.importer_registry import find_importer, import_file
-from srt.recording.importers.channels import COLUMN_NAMES, _meanings, register_column_names
 
 G = 9.80665
 
@@ -330,17 +329,3 @@ def test_adis_tables_by_their_names(tmp_path):
     imported = read(adis, gyro_lsb=(1e-3,) * 3, accel_lsb=(2e-3,) * 3, sample_rate_hz=200.0)
     np.testing.assert_allclose(imported.gyro, counts[:, :3] * 1e-3, rtol=1e-15)
     np.testing.assert_allclose(imported.accel, counts[:, 3:] * 2e-3, rtol=1e-15)
-
-
-def test_a_program_adds_names(tmp_path, monkeypatch):
-    for key, names in list(COLUMN_NAMES.items()):
-        monkeypatch.setitem(COLUMN_NAMES, key, names)
-    register_column_names("gyro", "wombat")
-    register_column_names("accel", "wallaby")
-    path = tmp_path / "a.csv"
-    head = ",".join(["time", *(f"wombat_{a}" for a in "xyz"), *(f"wallaby_{a}" for a in "xyz")])
-    rows = [",".join(map(repr, (t, *row))) for t, row in zip(SECONDS.tolist(), VALUES.tolist(), strict=True)]
-    path.write_text("\n".join([head, *rows, ""]))
-    assert_same(read(path, gyro_unit="rad/s", accel_unit="m/s^2", time_unit="s"))
-    monkeypatch.undo()
-    _meanings.cache_clear()

@@ -267,12 +267,6 @@ def test_a_single_array_is_no_archive(folder):
     assert "one array per column" in refusal(folder)
 
 
-def test_objects_are_not_unpickled(folder):
-    path = use(folder, "samples.npz")
-    np.savez(path, **table(gyro_x=np.array([{}] * 800, dtype=object)), allow_pickle=True)
-    assert "not a readable NPZ file" in refusal(folder)
-
-
 def test_an_absent_value_in_parquet_is_found(folder):
     write_parquet(use(folder, "samples.parquet"), table(accel_y=[None, *[0.0] * 799]))
     assert "accel_y: sample 1 " in refusal(folder)

@@ -3,7 +3,6 @@
 A small form of ``benchmarks/rivals.py``, which calibrates 20 units on three fixtures.
 """
 
-import math
 import sys
 from pathlib import Path
 
@@ -17,10 +16,8 @@ from ferraris import (
     TURN_RAD,
     TURN_SEQUENCES,
     Take,
-    face_seconds,
     ferraris_motions,
     imucal_errors,
-    non_orthogonality,
     signal_regions,
 )
 from studies import figure, replace_tables
@@ -140,31 +137,6 @@ def test_errors_of_the_fixture_become_errors_of_the_unit():
     # The frame in which the gyro matrix is symmetric turns by half of it about z, and the accelerometers with it.
     expected["accel_misalignment_xy"], expected["accel_misalignment_yx"] = -0.5 * delta, 0.5 * delta
     np.testing.assert_allclose(d.vector, [expected[name] for name in NAMES], rtol=0.0, atol=delta**2)
-
-
-def test_orthogonality_depends_on_no_frame_and_no_length():
-    M = np.eye(3) + 0.01 * np.random.default_rng(5).standard_normal((3, 3))
-    turned = np.diag([1.1, 0.9, 1.2]) @ M @ rotation([0.3, -0.2, 0.5])
-    np.testing.assert_allclose(non_orthogonality(turned), non_orthogonality(M), rtol=0.0, atol=1e-15)
-    # To first order it is the sum of the opposite elements.
-    small = np.eye(3)
-    small[0, 1], small[1, 0], small[2, 0] = 3e-6, -1e-6, 5e-6
-    np.testing.assert_allclose(non_orthogonality(small), [2e-6, 0.0, 5e-6], rtol=0.0, atol=1e-10)
-
-
-def test_faces_and_turns_last_as_long_as_asked_for():
-    face_s = face_seconds(450.0, PROFILE)
-    # Three half turns between faces and three times three turns, each with half of both its ramps on top.
-    turning = 3 * math.pi + 3 * TURN_RAD + 6 * PROFILE.rate_rad_s / PROFILE.accel_rad_s2
-    assert 6.0 * face_s + turning == pytest.approx(450.0, abs=1e-9)
-
-
-def test_a_face_is_read_equally_from_its_windows():
-    motion, _ = ferraris_motions(site=SITE, face_s=DWELL_S, profile=PROFILE, sample_rate_hz=RATE_HZ)
-    take = Take(read_out(motion, SensorErrors()), motion.windows)
-    gyro, accel = take.still(((2, 0), (2, 1)), DWELL_S)
-    assert len(gyro) == len(accel) == DWELL_S * RATE_HZ
-    np.testing.assert_allclose(accel, np.tile([0.0, 0.0, -SITE.gravity_m_s2], (len(accel), 1)), atol=1e-12)
 
 
 def test_one_unit_of_the_comparison(tmp_path):

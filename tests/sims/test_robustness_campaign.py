@@ -15,7 +15,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from small_campaign import SMALL, TIMES, numbers, same, small_campaign
+from small_campaign import SMALL, numbers, same, small_campaign
 
 import srt
 from sims.physics.imu import accel_matrix, gyro_matrix, is_imu
@@ -40,14 +40,6 @@ def small(tmp_path):
 
 
 # The same numbers
-
-
-def test_the_numbers_do_not_depend_on_the_workers(small, tmp_path):
-    campaign = small(trials=2)
-    one = run_campaign(campaign, tmp_path / "one", engine=Engine(1))
-    two = run_campaign(campaign, tmp_path / "two", engine=Engine(2))
-    assert one.num_rows == 4
-    assert same(one, two)
 
 
 def test_dask_gives_the_same_numbers(small, tmp_path):
@@ -98,14 +90,6 @@ def test_more_trials_leave_those_before_alone(small, tmp_path):
     assert same(more.slice(0, few.num_rows), few)
     fewer_again = run_campaign(small(trials=1), tmp_path / "a")
     assert same(fewer_again, few)
-
-
-def test_a_trial_repeats_alone(small, tmp_path):
-    campaign = small(trials=2)
-    table = run_campaign(campaign, tmp_path / "a")
-    (row,) = run_trial(campaign, (1, 1))
-    (kept,) = [r for r in numbers(table) if (r["point"], r["replicate"]) == (1, 1)]
-    assert {k: v for k, v in row.items() if k not in TIMES} == kept
 
 
 def test_every_estimator_gets_the_same_recording(small):

@@ -1,24 +1,61 @@
 """Disturbances of a simulated test, each against the same disturbance made in another way."""
 
 import math
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
-from disturbed_runs import MOTION, SITE, draw, run, small, snapshot, untouched
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from injected_faults.disturbances import accel_bias_step, lose_samples, noisier_window, wrong_angle
+from injected_faults.disturbances import accel_bias_step, lose_samples, noisier_window, tilt_step, wrong_angle
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 import sims
-from srt.recording.recording import Recording
+from srt.constants import EARTH_RATE_RAD_S
+from srt.recording.recording import Site
 from srt.sensor_errors import SensorErrors
 
+LATITUDE = math.radians(45.0)
+SITE = Site(9.80665, 5e-6, LATITUDE)
+IDS = ("7", "13", "6")
+TILT = np.array([1e-3, -2e-3, 0.5e-3])
+U = Rotation.from_rotvec([0.2, -0.1, 0.3])
+
+
+def draw(size=2e-3):
+    return sims.draw_fixture(
+        np.random.default_rng(5),
+        sims.table_sequences(IDS),
+        level_sigma_rad=size,
+        north_sigma_rad=size,
+        mounting_sigma_rad=size,
+        non_orthogonality_sigma_rad=size,
+        rotation_sigma_rad=size,
+    )
+
+
+def run(turn=U, fixture_draw=None, **changes):
+    settings_of_run = {"sequences": IDS, "sample_rate_hz": 50.0, "dwell_s": 1.0, "settle_s": 0.5, "heading_rad": 0.4}
+    return sims.table1_motion(
+        site=SITE, fixture_draw=fixture_draw or draw(), U=turn.as_matrix(), **(settings_of_run | changes)
+    )
+
+
+MOTION = run()
+
+
+def untouched(motion, before):
+    return all(np.array_equal(getattr(motion, name), array) for name, array in before.items())
+
+
+def snapshot(thing):
+    return {
+        f.name: np.array(value)
+        for f in fields(thing)
+        if isinstance(value := getattr(thing, f.name), np.ndarray) and not f.name.startswith("_")
+    }
+
+
 NONE = SensorErrors()
-
-
 ERRORS = SensorErrors(np.random.default_rng(1).standard_normal(27) * 1e-3)
 RECORDING = sims.read_out(MOTION, ERRORS, sims.ImuModel(gyro_noise=1e-4, accel_noise=1e-3), np.random.default_rng(2))
 INCREMENTS = replace(
@@ -52,37 +89,6 @@ def test_lost_samples_lie_on_a_line_between_the_neighbours(recording, sensors):
             np.testing.assert_allclose(values[lost, axis], expected, rtol=1e-12, atol=1e-15)
 
 
-def test_default_is_to_lose_gyro_samples_and_a_hash_of_other_samples_goes():
-    recording = replace(RECORDING, data_sha256="0" * 64)
-    out = lose_samples(recording, 0.2, 0.1)
-    assert not np.array_equal(out.gyro, recording.gyro)
-    np.testing.assert_array_equal(out.accel, recording.accel)
-    assert out.data_sha256 is None
-    assert (out.site, out.fixture, out.sequences, out.kind) == (SITE, recording.fixture, recording.sequences, "rate")
-
-
-@given(st.integers(1, 150), st.integers(1, 40), st.integers(0, 2**32 - 1))
-@settings(max_examples=40, deadline=None)
-def test_losing_samples_of_straight_lines_or_twice_changes_nothing(first, count, seed):
-    rng = np.random.default_rng(seed)
-    # Stamps that scatter, as of a logger: the line is one in time, not in the sample's number.
-    time = np.cumsum(rng.uniform(0.008, 0.012, 200))
-    lines = rng.standard_normal((1, 3)) + rng.standard_normal((1, 3)) * time[:, np.newaxis]
-    recording = Recording(time, lines, rng.standard_normal((200, 3)), SITE)
-    half = 0.5 * recording.nominal_interval_s
-    start, duration = time[first] - half - 1e-4, time[first + count - 1] - time[first] + 2e-4
-    out = lose_samples(recording, start, duration, ("gyro", "accel"))
-    np.testing.assert_allclose(out.gyro, lines, rtol=0.0, atol=1e-13)
-    again = lose_samples(out, start, duration, ("gyro", "accel"))
-    np.testing.assert_allclose(again.accel, out.accel, rtol=0.0, atol=1e-13)
-    assert (out.accel != recording.accel).any(axis=1).sum() == count
-
-
-def test_losing_for_no_time_changes_nothing():
-    out = lose_samples(RECORDING, 0.5, 0.0)
-    np.testing.assert_array_equal(out.gyro, RECORDING.gyro)
-
-
 @pytest.mark.parametrize("kind", ["rate", "increment"])
 def test_a_bias_step_is_the_reading_of_a_unit_with_another_bias(kind):
     step = np.array([1e-3, -2e-3, 5e-4])
@@ -98,23 +104,6 @@ def test_a_bias_step_is_the_reading_of_a_unit_with_another_bias(kind):
     np.testing.assert_array_equal(out.gyro, plain.gyro)
     np.testing.assert_array_equal(out.accel[~rows], plain.accel[~rows])
     np.testing.assert_allclose(out.accel[rows], other.accel[rows], rtol=0.0, atol=1e-14)
-
-
-def test_a_bias_step_in_increments_goes_by_each_samples_own_interval():
-    time = np.cumsum(np.random.default_rng(4).uniform(0.005, 0.015, 100))
-    recording = Recording(time, np.zeros((100, 3)), np.zeros((100, 3)), SITE, "increment")
-    out = accel_bias_step(recording, time[9] + 0.004, time[59] + 0.004, [1.0, 2.0, 3.0])
-    summed = out.accel.sum(axis=0)
-    first, last = np.flatnonzero(out.accel[:, 0])[[0, -1]]
-    np.testing.assert_allclose(summed, (time[last] - time[first - 1]) * np.array([1.0, 2.0, 3.0]), rtol=1e-12)
-
-
-@given(st.floats(0.0, 3.0), st.floats(0.1, 3.0), small)
-@settings(max_examples=30, deadline=None)
-def test_opposite_bias_steps_cancel(start, duration, step):
-    out = accel_bias_step(RECORDING, start, start + duration, step)
-    back = accel_bias_step(out, start, start + duration, np.negative(step))
-    np.testing.assert_allclose(back.accel, RECORDING.accel, rtol=0.0, atol=4e-15)
 
 
 @pytest.mark.parametrize("kind", ["rate", "increment"])
@@ -143,15 +132,6 @@ def test_noise_of_a_window_is_the_factor_times_the_stated_one(kind):
     assert not np.array_equal(noisier_window(recording, (2.0, 38.0), 3.0, *densities, rng).gyro, out.gyro)
 
 
-def test_a_factor_of_one_or_no_noise_adds_nothing():
-    one = noisier_window(RECORDING, MOTION.windows[0][0], 1.0, 1e-4, 1e-3, np.random.default_rng(1))
-    no_gyro = noisier_window(RECORDING, MOTION.windows[0][0], 2.0, 0.0, 1e-3, np.random.default_rng(1))
-    np.testing.assert_array_equal(one.gyro, RECORDING.gyro)
-    np.testing.assert_array_equal(one.accel, RECORDING.accel)
-    np.testing.assert_array_equal(no_gyro.gyro, RECORDING.gyro)
-    assert not np.array_equal(no_gyro.accel, RECORDING.accel)
-
-
 def test_a_wrong_angle_turns_the_end_attitude_about_the_axis_of_its_leg():
     # Sequence 13 turns 180° about IMU z, then 180° about IMU y: the error of its second leg is one about y.
     plain = draw()
@@ -174,14 +154,73 @@ def test_a_wrong_angle_turns_the_end_attitude_about_the_axis_of_its_leg():
     np.testing.assert_allclose(sums[1] - sums[0], expected, rtol=0.0, atol=1e-12)
 
 
-@given(st.integers(0, 2), st.floats(-0.1, 0.1), st.data())
-@settings(max_examples=30, deadline=None)
-def test_opposite_wrong_angles_cancel(sequence, error, data):
-    plain = draw()
-    leg = data.draw(st.integers(0, len(plain.legs[sequence]) - 1))
-    wrong = wrong_angle(plain, sequence, leg, error)
-    assert sum(int(np.sum(a != b)) for a, b in zip(plain.legs, wrong.legs, strict=True)) <= 1
-    assert wrong.legs[sequence][leg] - plain.legs[sequence][leg] == pytest.approx(error, abs=1e-17)
-    back = wrong_angle(wrong, sequence, leg, -error)
-    for a, b in zip(plain.legs, back.legs, strict=True):
-        np.testing.assert_allclose(a, b, rtol=0.0, atol=1e-16)
+EARTH_NED = EARTH_RATE_RAD_S * np.array([math.cos(LATITUDE), 0.0, -math.sin(LATITUDE)])
+FORCE_NED = np.array([0.0, 0.0, -SITE.gravity_m_s2])
+INTEGRALS = ("angle", "angle_abs", "velocity", "velocity_abs")
+
+
+def sample_at(motion, time_s):
+    """Give the sample whose interval holds a time that is not on an edge."""
+    return int(np.flatnonzero((motion.time - motion.interval < time_s) & (time_s < motion.time))[0])
+
+
+# In the second piece's start window, turn (at full rate and in a ramp) and end window, and in turns of the others.
+TIMES = {
+    "start window": MOTION.windows[1][0][0] + 0.51,
+    "turn": MOTION.windows[1][0][1] + 1.03,
+    "ramp": MOTION.windows[1][0][1] + 0.05,
+    "end window": MOTION.windows[1][1][0] + 0.51,
+    "first piece": MOTION.windows[0][0][1] + 1.03,
+    "last piece": MOTION.windows[2][0][1] + 5.03,
+}
+
+
+@pytest.mark.parametrize("time_s", TIMES.values(), ids=TIMES)
+@pytest.mark.parametrize("size", [1e-6, 1.0, 100.0])
+def test_after_a_tilt_step_the_run_is_that_of_a_body_mounted_otherwise(time_s, size):
+    vector = size * TILT
+    before = snapshot(MOTION)
+    stepped = tilt_step(MOTION, time_s, vector)
+    assert untouched(MOTION, before)
+    # A body turned by v in its mount: U becomes Exp(-v) U, for the whole of the run.
+    mounted = run(Rotation.from_rotvec(-vector) * U)
+
+    k = sample_at(MOTION, time_s)
+    stop = min([s for s in MOTION.piece_starts if s > k] + [len(MOTION.time)])
+    after = np.zeros(len(MOTION.time), dtype=bool)
+    after[k + 1 : stop] = True
+    assert after.sum() > 10
+    same = ~after
+    same[k] = False
+    for name in INTEGRALS:
+        np.testing.assert_array_equal(getattr(stepped, name)[same], getattr(MOTION, name)[same])
+    for name in ("angle", "velocity"):
+        new, reference = getattr(stepped, name)[after], getattr(mounted, name)[after]
+        np.testing.assert_allclose(new, reference, rtol=0.0, atol=2e-15)
+        absolute, exact = getattr(stepped, f"{name}_abs")[after], getattr(mounted, f"{name}_abs")[after]
+        crossing = getattr(MOTION, f"{name}_abs")[after] - np.abs(getattr(MOTION, name)[after]) > 1e-15
+        crossing |= exact - np.abs(reference) > 1e-15
+        assert not crossing.all()
+        np.testing.assert_allclose(absolute[~crossing], exact[~crossing], rtol=0.0, atol=2e-15)
+        bound = 2.0 * np.linalg.norm(vector) * getattr(MOTION, f"{name}_abs")[after].sum(axis=1)
+        assert np.all(np.abs(absolute - exact) <= bound[:, np.newaxis] + 2e-15)
+
+    ends = np.array(MOTION.windows)[:, :, 1]
+    moved = (ends > time_s) & (ends < MOTION.time[stop - 1] + 1e-9)
+    np.testing.assert_allclose(stepped.attitudes[moved], mounted.attitudes[moved], rtol=0.0, atol=2e-15)
+    np.testing.assert_array_equal(stepped.attitudes[~moved], MOTION.attitudes[~moved])
+
+
+def test_the_sample_of_the_step_turns_at_a_constant_rate():
+    vector = 100.0 * TILT
+    k = sample_at(MOTION, TIMES["end window"])
+    stepped = tilt_step(MOTION, TIMES["end window"], vector)
+    # By the midpoint rule on the still body's path: Earth rate and force seen from frames between start and end.
+    parts = 4000
+    path = Rotation.from_rotvec(np.outer((np.arange(parts) + 0.5) / parts, vector))
+    ned_from_body = MOTION.attitudes[1, 1]
+    angle = vector + path.apply(EARTH_NED @ ned_from_body, inverse=True).mean(axis=0) * MOTION.interval
+    velocity = path.apply(FORCE_NED @ ned_from_body, inverse=True).mean(axis=0) * MOTION.interval
+    np.testing.assert_allclose(stepped.angle[k], angle, rtol=0.0, atol=1e-10)
+    np.testing.assert_allclose(stepped.velocity[k], velocity, rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(stepped.angle_abs[k], np.abs(angle), rtol=0.0, atol=1e-10)

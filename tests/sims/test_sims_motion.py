@@ -395,14 +395,6 @@ def test_free_poses_sense_the_earth_and_gravity():
             np.testing.assert_allclose(motion.velocity[rows] / 0.02, [-9.80665 * down] * 50, atol=1e-14)
 
 
-def test_free_sums_do_not_depend_on_the_sample_rate():
-    turns = sims.random_turns(np.random.default_rng(18), 2)
-    motions = [sims.free_motion(turns, site=SITE, sample_rate_hz=hz, dwell_s=1.0) for hz in (20.0, 1000.0)]
-    for field in ("angle", "angle_abs", "velocity", "velocity_abs"):
-        sums = [total(getattr(m, field)[rows_in(m, 0.0, 3.0)]) for m in motions]
-        np.testing.assert_allclose(sums[0], sums[1], rtol=1e-14, atol=1e-14)
-
-
 @pytest.mark.parametrize(
     ("call", "words"),
     [
