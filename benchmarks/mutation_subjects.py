@@ -206,7 +206,7 @@ SUBJECTS = (
         (
             ("before.id is not None and after.id is not None", "(before.id is not None or after.id is not None)"),
             ("if before.pose or after.pose:", "if before.pose and after.pose:"),
-            ("slice(first.start, last.stop)).size", "slice(first.start, first.stop)).size"),
+            ("gaps_inside((first.start, last.stop))", "gaps_inside((first.start, first.stop))"),
             ("per_sample > MIN_TURN_RAD", "per_sample > 0.0 * MIN_TURN_RAD"),
             ('if recording.kind == "rate" else 1.0', 'if recording.kind != "rate" else 1.0'),
         ),

@@ -13,8 +13,8 @@ from srt.noise.random_walk import allan_octaves, octaves_key
 from srt.recording.recording import of_each, side_by_side
 from srt.sequences.clipping import clipped_samples, clipping_levels
 from srt.sequences.plausibility import check_interval, check_rest, check_turns
-from srt.sequences.preparation import means_key, move_title, noise_key, prepare, sequence_of_label, windows_of_labels
-from srt.sequences.window_means import average_windows
+from srt.sequences.preparation import means_key, move_title, noise_key, prepare, sequence_of_label
+from srt.sequences.window_means import average_windows, windows_of_labels
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Sequence

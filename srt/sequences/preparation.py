@@ -19,7 +19,7 @@ from srt.noise.drift_forms import WALK, DriftShape, DriftShapes, Intervals, walk
 from srt.noise.noise_model import NoiseModel, noise_model
 from srt.sequences.manoeuvres import end_attitude
 from srt.sequences.vibration import Vibration, rectified, vibration
-from srt.sequences.window_means import Windows, average_windows, averaging_weights
+from srt.sequences.window_means import Windows, average_windows, averaging_weights, windows_of_labels
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Mapping, Sequence
@@ -435,28 +435,6 @@ def prepare(
     kept = tuple(s for s in moves if s.start_static_s in ends and s.end_static_s in starts)
     key = ("prepared", tuple(labels), average, reasons, tuple(poses), kept)
     return recording.memo(key, lambda: _prepare(recording, tuple(labels), average, dict(reasons), tuple(poses), kept))
-
-
-def windows_of_labels(recording: Recording, labels: Sequence[SequenceLabel]) -> tuple[Indices, Indices]:
-    """Samples of the windows of sequences, (W, 2), and the number of the start and of the end window, (2, K).
-
-    Raises
-    ------
-    DataError
-        If a window holds less than 2 samples.
-    """
-    limits = [bounds for label in labels for bounds in (label.start_static_s, label.end_static_s)]
-    slices: dict[tuple[int, int], int] = {}
-    ends = np.empty(len(limits), dtype=np.intp)
-    for number, (bounds, s) in enumerate(zip(limits, recording.windows(limits), strict=True)):
-        if s.stop - s.start < 2:
-            raise DataError(
-                f"The window from {bounds[0]:g} s to {bounds[1]:g} s of sequence "
-                f"{labels[number // 2].id or 'without id'} holds {s.stop - s.start} samples; a stationary window needs "
-                "at least 2: correct its times."
-            )
-        ends[number] = slices.setdefault((s.start, s.stop), len(slices))
-    return np.array(list(slices), dtype=np.intp), ends.reshape(-1, 2).T
 
 
 def _prepare(

@@ -11,12 +11,13 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
+from srt.exceptions import DataError
 from srt.recording.recording import of_each, side_by_side
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from srt.recording.recording import Recording
+    from srt.recording.recording import Recording, SequenceLabel
     from srt.types import Array, Indices
 
 
@@ -65,6 +66,28 @@ class Windows:
     accel_mean: Array
     white_factor: Array
     edge_factor: Array
+
+
+def windows_of_labels(recording: Recording, labels: Sequence[SequenceLabel]) -> tuple[Indices, Indices]:
+    """Samples of the windows of sequences, (W, 2), and the number of the start and of the end window, (2, K).
+
+    Raises
+    ------
+    DataError
+        If a window holds less than 2 samples.
+    """
+    limits = [bounds for label in labels for bounds in (label.start_static_s, label.end_static_s)]
+    slices: dict[tuple[int, int], int] = {}
+    ends = np.empty(len(limits), dtype=np.intp)
+    for number, (bounds, s) in enumerate(zip(limits, recording.windows(limits), strict=True)):
+        if s.stop - s.start < 2:
+            raise DataError(
+                f"The window from {bounds[0]:g} s to {bounds[1]:g} s of sequence "
+                f"{labels[number // 2].id or 'without id'} holds {s.stop - s.start} samples; a stationary window needs "
+                "at least 2: correct its times."
+            )
+        ends[number] = slices.setdefault((s.start, s.stop), len(slices))
+    return np.array(list(slices), dtype=np.intp), ends.reshape(-1, 2).T
 
 
 def average_windows(recordings: Sequence[Recording], samples: Sequence[Indices], algorithm: Average) -> list[Windows]:
