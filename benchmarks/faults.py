@@ -5,7 +5,8 @@ severity while all of 40 units are named. A row of the table is printed when it 
 after an interruption, or variants in the forms of foreign loggers and operators. ``faults.py drawn`` draws grade, test,
 kind of fault and place of each recording; its units are those of a generator that shares nothing with the
 simulator or the checks, on a fixture or turned by hand, with labels or without, unless the fault is one of the motion.
-``faults.py clean`` draws recordings without a fault (:mod:`clean_recordings`). ``--units N`` takes that many, from
+``faults.py clean`` draws recordings without a fault, of all grades, protocols, profiles and forms of processing; by
+design, all checks together raise a finding in at most 1e-4 of them. ``--units N`` takes that many, from
 ``--first`` on.
 
 A fault is harmless if nothing is named, the verdict is sound or partial, and no error is beyond 4 sigma. The exit code
@@ -22,14 +23,16 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import NamedTuple, NoReturn
+from typing import Any, NamedTuple, NoReturn, get_args
 
 import harness
 import numpy as np
-from clean_recordings import clean_recording
 from foreign_fixture import on_fixture, table_1
-from foreign_motion import DEG, PROFILES, drawn_errors, hand_turns, recording
+from foreign_motion import DEG, PROFILES, drawn_errors, hand_turns
 from foreign_motion import GRADES as FOREIGN_GRADES
+from foreign_motion import recording as free_recording
+from protocols import PROTOCOLS
+from scipy.ndimage import uniform_filter1d
 from studies import counts, in_processes, markdown
 
 sys.path.append(str(Path(__file__).parents[1] / "tests"))  # injected_faults
@@ -38,9 +41,14 @@ from injected_faults import execution, foreign_operators, logger, site_and_drift
 from injected_faults.injection import GRADES, INJECTIONS, VARIANTS, Case, Injection
 
 import srt
+from sims.physics.turn_profiles import ProfileName
+from sims.scenarios.scenario import scenario_from_dict
+from sims.scenarios.simulation import simulate
 from srt.diagnosis.faults import FAULTS
 from srt.estimation.options import Options
 from srt.exceptions import DataError, InputError
+from srt.recording.protocol import load_protocol
+from srt.recording.recording import SequenceLabel
 from srt.sensor_errors import NAMES
 
 SEEN, SHARE, SIGMAS = 0.99, 0.85, 4.0
@@ -250,7 +258,7 @@ def foreign_unit(grade: str, seed: int, rng: np.random.Generator, *, by_hand: bo
     stated = (white.gyro_rad_per_sqrt_s, white.accel_m_s2_sqrt_s) if rng.random() < 0.5 else ()
     if by_hand:
         turns = hand_turns(rng, shortest_s=1.0, rest_s=5.0)
-        unit = recording(turns, 5.0, errors, white, rng, profile="hand", hz=hz, labelled=True)
+        unit = free_recording(turns, 5.0, errors, white, rng, profile="hand", hz=hz, labelled=True)
         unit = replace(unit, noise=srt.ImuNoise(*stated))
     else:
         profile, rate = str(rng.choice(PROFILES[:2])), float(rng.uniform(40.0, 90.0)) * DEG
@@ -306,6 +314,98 @@ def drawn(seeds: range, seed: int, jobs: int) -> bool:
     print(f"right cause first in {right} of {harmful} that do harm ({right / max(1, harmful):.0%})")
     print(f"sound beyond {SIGMAS:g} sigma: {silent}")
     return right < SHARE * harmful or silent > 0
+
+
+EXPECTED = ("sequence_repeated", "sequence_missing")
+"""Findings that are true of a sound recording: a protocol of fewer sequences, or of repeated ones."""
+FORMS = ("as recorded", "corrected", "filtered", "off the grid")
+"""Processing of the readings."""
+
+
+def tables(rng: np.random.Generator, number: int) -> tuple[dict[str, Any], str]:
+    """Scenario of a recording, and its title."""
+    grade = str(rng.choice(GRADES))
+    kind = "increment" if grade in ("navigation-rlg", "tactical-fog") else "rate"
+    rate = float(rng.choice([50.0, 100.0]))
+    values: dict[str, Any] = {
+        "seed": number,
+        "imu": {"from": grade},
+        "site": {"from": "latitude-45"},
+        "recording": {"sample_rate_hz": rate, "kind": kind},
+    }
+    test = str(rng.choice(["sequences", "protocol", "turns"]))
+    if test == "sequences":
+        values["fixture"] = {"from": "lab-1mrad"}
+        values["schedule"] = {
+            "dwell_s": float(rng.choice([5.0, 10.0])),
+            "rate_rad_s": float(rng.choice([0.5, 1.0])),
+            "acceleration_rad_s2": float(rng.choice([2.0, 10.0])),
+            "settle_s": 0.2,
+            "moves": str(rng.choice(["recorded", "skipped"])),
+        }
+        what = f"17 sequences, moves {values['schedule']['moves']}"
+    elif test == "protocol":
+        name = str(rng.choice(PROTOCOLS))
+        with suppress(InputError):  # some protocols cannot run on a fixture
+            load_protocol(name).on_fixture()
+            values["fixture"] = {"from": "lab-1mrad"}
+        values["protocol"] = {"from": name}
+        what = name
+    else:
+        profile = str(rng.choice(get_args(ProfileName)))
+        values["free"] = {"turns": 18, "dwell_s": 4.0, "profile": profile}
+        what = f"turns by hand, {profile}"
+    return values, f"{grade}, {rate:g} Hz, {what}"
+
+
+def narrowed(label: SequenceLabel, one: float) -> SequenceLabel:
+    """Label with windows shorter by one sample at both ends: the filter spreads the motion beside them by as much."""
+    (start, end), (begin, last) = label.start_static_s, label.end_static_s
+    return replace(label, start_static_s=(start + one, end - one), end_static_s=(begin + one, last - one))
+
+
+def processed(recording: srt.Recording, form: str, rng: np.random.Generator) -> srt.Recording:
+    """Recording after one form of processing."""
+    if form == "corrected":
+        applier = srt.Applier(srt.calibrate(recording, checks=False))
+        interval = {"dt": recording.interval_s} if recording.kind == "increment" else {}
+        gyro, accel = applier.apply(recording.gyro, recording.accel, **interval)[:2]
+        return replace(recording, gyro=np.asarray(gyro), accel=np.asarray(accel))
+    if form == "filtered":
+        cuts = recording.gaps
+        gyro, accel = (
+            np.concatenate([uniform_filter1d(part, 3, axis=0, mode="nearest") for part in np.split(table, cuts)])
+            for table in (recording.gyro, recording.accel)
+        )
+        noise = replace(recording.noise, gyro_noise=None, accel_noise=None)  # the filter changes it
+        filtered = replace(recording, gyro=gyro, accel=accel, noise=noise)
+        return filtered.with_sequences(
+            tuple(narrowed(label, recording.nominal_interval_s) for label in recording.sequences)
+        )
+    if form == "off the grid":
+        gyro, accel = (table + rng.normal(0.0, 1e-12, table.shape) for table in (recording.gyro, recording.accel))
+        return replace(recording, gyro=gyro, accel=accel)
+    return recording
+
+
+def clean_recording(number: int, seed: int) -> tuple[str, list[str], str]:
+    """Title of a recording, the findings in it, and the verdict; a refusal counts as a finding."""
+    rng = np.random.default_rng([seed, number])
+    values, title = tables(rng, number)
+    form = str(rng.choice(FORMS))
+    labelled = bool(rng.random() < 0.5)
+    raw = simulate(scenario_from_dict(values)).recording
+    title = f"{number}: {title}, {form}, {'with' if labelled else 'without'} labels"
+    try:
+        recording = processed(raw, form, rng)
+    except (DataError, InputError) as error:
+        return f"{title} ({error})", ["not calibrated"] if form != "corrected" else [], "none"
+    # Poses placed one by one, without the moves between them, have nothing to be recognised by.
+    if not labelled and not (recording.gaps.size and "protocol" in values):
+        recording = recording.with_sequences(())
+    found = srt.diagnose(recording)
+    word = "none" if found.judgement is None else found.judgement.word
+    return title, [finding.fault for finding in found.findings if finding.fault not in EXPECTED], word
 
 
 def clean(seeds: range, seed: int, jobs: int) -> bool:

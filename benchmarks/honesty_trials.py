@@ -32,7 +32,7 @@ from foreign_motion import (
 )
 from foreign_motion import GRADES as HAND_GRADES
 from foreign_motion import nineteen_positions as nineteen_turns
-from motion_bound import Chain, Conditions, Leg, motion_bound
+from protocols import Chain, Conditions, Leg, motion_bound
 from scipy.spatial.transform import Rotation
 from studies import Score, scored
 from worse_recordings import CASES, HAND_RESTS_S, unit_of, unstated_unit

@@ -1,9 +1,9 @@
 """Speed of everything in one table: estimators in memory, commands as processes, length of a recording.
 
-``python benchmarks/speed.py`` prints it as Markdown; ``--only PART ...`` takes parts of it, or others: correction of
-readings, inspection of an hour at 1 kHz. ``--long`` adds 20 million samples, ``--rounds N``
-takes medians of N. Times are CPU times on one core. Each has its ratio to a fixed numpy load that runs right before it,
-so that a busy or another machine matters less. benchmarks/README.md says what the rows are.
+``python benchmarks/speed.py`` prints it as Markdown; ``--only PART ...`` takes parts of it, or another: inspection of
+an hour at 1 kHz. ``--long`` adds 20 million samples, ``--rounds N`` takes medians of N. Times are CPU times on one
+core. Each has its ratio to a fixed numpy load that runs right before it, so that a busy or another machine matters
+less. benchmarks/README.md says what the rows are.
 """
 
 import os
@@ -36,14 +36,10 @@ from srt.diagnosis import diagnose
 from srt.model.analytic_platform import integrate_attitude
 from srt.model.gyro_stream import gyro_stream
 from srt.model.platform_steps import COMPILED_RECORDINGS, many_recordings
-from srt.model.rotations import rotation_matrix
 from srt.model.sensor_model import gyro_triad
 from srt.noise.noise_model import noise_model
 from srt.reports.figures.inspection import inspection_figure
 from srt.reports.inspection import inspect
-from srt.result.applier import Applier
-from srt.result.calibration import Calibration
-from srt.sensor_errors import N_PARAMETERS, SensorErrors
 from srt.sequences.preparation import prepare
 from srt.sequences.recognition import recognise
 
@@ -198,35 +194,6 @@ def length(lengths: tuple[int, ...]) -> Iterator[Row]:
         yield Row(name, seconds, load_s, read_s)
 
 
-def calibration(sigma: float = 0.01) -> Calibration:
-    """Calibration of a unit whose errors are drawn with one sigma."""
-    vector = np.random.default_rng(1).normal(0.0, sigma, N_PARAMETERS)
-    U = rotation_matrix(np.array([0.1, -0.2, 0.15]))
-    return Calibration("", "converged", "", SensorErrors(vector), np.eye(N_PARAMETERS) * 1e-8, U=U)
-
-
-def correction(rounds: int) -> Iterator[Row]:
-    """Arrays of readings, over one (n, 3) @ (3, 3) product, in slow motion and with random signs; single samples."""
-    n, rng = 1_000_000, np.random.default_rng(2)
-    rate = 0.3 * np.sin(2.0 * np.pi * np.arange(n)[:, None] / 200.0 / (200.0, 400.0, 600.0))
-    slow = rate, np.column_stack([rate[:, 0], rate[:, 1], np.full(n, -9.80665)])
-    signs = rng.normal(size=(n, 3)), 9.80665 * rng.normal(size=(n, 3))
-    for what, readings, sigma in (("slow motion, 1 %", slow, 0.01), ("random signs, 15 %", signs, 0.15)):
-        unit = calibration(sigma)
-        out, matrix = tuple(map(np.empty_like, readings)), gyro_triad(unit.errors).matrix
-        product, _ = beside_load(partial(cpu_time, partial(np.matmul, readings[0], matrix, out=out[0])), rounds)
-        for frame in ("mars", "table"):
-            call = partial(Applier(unit, frame=frame).apply, *readings, out=out)
-            seconds, load_s = beside_load(partial(cpu_time, call), rounds)
-            name = f"correction of {n:,} samples, {what}, {frame} axes, over one product: {seconds / n * 1e9:.0f} ns"
-            yield Row(name, seconds, load_s, product)
-    applier, count, sample = Applier(calibration()), 20_000, ([0.1, -0.2, 0.3], [1.0, 2.0, -9.0])
-    seconds, load_s = beside_load(
-        lambda: cpu_time(lambda: [applier.apply_sample(*sample) for _ in range(count)]), rounds
-    )
-    yield Row(f"correction of one sample at a time, {count:,}: {seconds / count * 1e6:.2f} µs", seconds, load_s)
-
-
 def an_hour() -> srt.Recording:
     """Table 1 six times at 1 kHz, with the moves between the sequences, without labels."""
     scenario = sims.load_scenario("navigation-rlg")
@@ -268,7 +235,7 @@ def traced(call: Callable[[], object]) -> tuple[float, int]:
     return seconds, peak
 
 
-MORE = {"correction": correction, "inspection": inspection}
+MORE = {"inspection": inspection}
 
 
 def main(*, long: bool = False, only: tuple[str, ...] = DEFAULT_PARTS, rounds: int = ROUNDS) -> None:

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from clean_recordings import clean_recording
+from faults import clean_recording
 from scipy.ndimage import uniform_filter1d
 
 from srt.sequences.clipping import _limits_seen, _Triad

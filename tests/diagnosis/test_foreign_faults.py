@@ -270,7 +270,7 @@ def low_passed(unit, _rests, _rng):
         (of_an_autopilot, "gap_in_sequence", 200.0),
         (low_passed, "", 100.0),
     ],
-    ids=lambda value: getattr(value, "__name__", str(value)),
+    ids=["clipped", "shaken", "accelerometer count", "gyro count", "thinned", "autopilot", "low-passed"],
 )
 def test_a_defect_is_named_or_harmless(change, named, hz):
     """Consumer units turned by hand; all three axes of a shake hold their extremes at once, and show no noise there."""
