@@ -91,7 +91,9 @@ def check(name, place, number, which, damage):
         assert "fit into memory" not in text
 
 
-def run(name, place, examples, derandomize):
+@pytest.mark.parametrize(("examples", "derandomize"), [(10, True), pytest.param(1500, False, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("name", NAMES)
+def test_damaged_files_give_samples_or_one_clear_sentence(name, tmp_path, examples, derandomize):
     @settings(
         max_examples=examples,
         deadline=None,
@@ -101,7 +103,7 @@ def run(name, place, examples, derandomize):
     )
     @given(st.integers(0, 99), st.integers(0, 99), DAMAGE)
     def property_holds(number, which, damage):
-        check(name, place, number, which, damage)
+        check(name, tmp_path / "input", number, which, damage)
 
     property_holds()
 
@@ -115,17 +117,6 @@ def test_undamaged_files_are_read(name, tmp_path):
     for seed in seeds(name):
         fuzz._fresh(tmp_path / "input")
         fuzz.read(name, seed, fuzz.place(seed, tmp_path / "input", None, []))
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_damaged_files_give_samples_or_one_clear_sentence(name, tmp_path):
-    run(name, tmp_path / "input", 10, derandomize=True)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", NAMES)
-def test_many_damaged_files_give_samples_or_one_clear_sentence(name, tmp_path):
-    run(name, tmp_path / "input", 1500, derandomize=False)
 
 
 def test_the_fuzzer_repeats_an_input_by_its_number(tmp_path):
