@@ -12,14 +12,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ideal_table_1 import RAMP_S, RATE_RAD_S, SAMPLE_RATE_HZ, STEPS, WINDOW_S, G, Simulated, component_rows
+from ideal_table_1 import STEPS, Simulated, component_rows, ideal_motion, player_of
 
 import sims
-from srt.estimation.options import Options
-from srt.estimation.srt_measurements import SrtProcessor
-from srt.recording.recording import Site
 from srt.sensor_errors import N_PARAMETERS, SensorErrors
-from srt.sequences.preparation import PreparedRecording, prepare
+from srt.sequences.preparation import PreparedRecording
 
 with contextlib.suppress(ModuleNotFoundError):
     from threadpoolctl import threadpool_limits
@@ -98,26 +95,13 @@ def derivation():
 @pytest.fixture(scope="session")
 def simulated():
     """Give Simulated by window attitude, "held" or "integrated"; each is made once."""
-    motion = sims.run_schedule(
-        sims.Schedule(
-            sims.table_sequences(tuple(sims.TABLE_1)),
-            sims.RateProfile(RATE_RAD_S, RATE_RAD_S / RAMP_S),
-            dwell_s=WINDOW_S,
-        ),
-        site=Site(G),
-        sample_rate_hz=SAMPLE_RATE_HZ,
-        earth_rate=False,
-    )
 
     @cache
     def make(window_attitude: str) -> Simulated:
-        options = Options(window_attitude=window_attitude)
-
         def measure(vector: np.ndarray) -> tuple[PreparedRecording, np.ndarray]:
-            recording = sims.read_out(motion, SensorErrors(vector))
-            data = prepare(recording, recording.sequences, options.average)
-            integrated = np.full(len(data.windows.duration_s), window_attitude == "integrated")
-            return data, SrtProcessor(data, options, integrated).process(SensorErrors()).z
+            recording = sims.read_out(ideal_motion(), SensorErrors(vector))
+            data, processor = player_of(recording, window_attitude=window_attitude)
+            return data, processor.process(SensorErrors()).z
 
         data, z = measure(np.zeros(N_PARAMETERS))
         columns = [(measure(step)[1] - measure(-step)[1]) / (2.0 * step.max()) for step in np.diag(STEPS)]

@@ -2,7 +2,6 @@
 
 import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -84,7 +83,3 @@ def test_verdict_names_the_worst_and_the_bound():
     assert "does not agree with the truth" in " ".join(largest_error_text(calibration, srt.SensorErrors(error)).split())
     held = replace(calibration, held=dict.fromkeys(NAMES[4:], "held on request"))
     assert "of 4 normal draws stays below 2.49 sigma" in " ".join(largest_error_text(held, srt.SensorErrors()).split())
-
-
-def test_default_folder_is_kept_out_of_version_control():
-    assert "demo-output/" in (Path(__file__).parents[2] / ".gitignore").read_text().split()

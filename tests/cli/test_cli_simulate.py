@@ -7,7 +7,6 @@ import pytest
 import sims
 import srt
 from srt.cli.truth import load_truth
-from srt.sensor_errors import NAMES
 
 SCENARIO = """
 description = "Two sequences"
@@ -47,16 +46,6 @@ def test_recording_and_truth_are_the_simulators(scenario, tmp_path, samples_form
         str(folder),
     ):
         assert text in out
-
-
-def test_truth_holds_what_the_library_of_truths_says(scenario, tmp_path, shell):
-    folder = tmp_path / "out"
-    shell("simulate", scenario, "-o", folder, "-q")
-    truth = json.loads((folder / "truth.json").read_text())
-    assert list(truth["parameters"]) == list(NAMES)
-    assert len(truth["frame"]["U"]) == 3
-    assert truth["fixture"]["base"]
-    assert truth["seed"] == 5
 
 
 def test_seed_makes_another_unit(scenario, tmp_path, shell):

@@ -1,8 +1,6 @@
 """Comparison of estimators, and the difference to expect between two of them."""
 
 import json
-import subprocess
-import sys
 from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
@@ -381,15 +379,6 @@ def test_marks_of_the_figure_are_the_differences_in_sigmas_of_the_reference(pair
 def test_nothing_usable_is_nothing_to_draw():
     with pytest.raises(srt.InputError, match="nothing to draw"):
         comparison_figure(compare({}, failures={"ekf": "It cannot be."}))
-
-
-def test_an_absent_matplotlib_says_what_to_install():
-    code = (
-        "import sys; sys.modules['matplotlib'] = None\nimport srt\n"
-        "try:\n    import srt.reports.figures.comparison\nexcept srt.MissingExtraError as error:\n    print(error)"
-    )
-    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
-    assert "pip install 'strapdown-rotation-test[plot]'" in done.stdout
 
 
 BOTH = ("closed-form", "least-squares")

@@ -9,6 +9,7 @@ import accuracy_trials
 import numpy as np
 import pytest
 from g_sensitivity import BIAS_DEG_PER_S, MODES, mems_scenario, study
+from ideal_table_1 import player_of
 from scipy.stats import binom, chi2
 
 import sims
@@ -75,10 +76,7 @@ def unit(seed=1, size=1e-3):
 
 
 def played(recording, matrix=None, errors=None, **options):
-    chosen = Options(gyro_bias="g-sensitive", **options)
-    data = prepare(recording, recording.sequences, chosen.average)
-    whole = np.full(len(data.windows.duration_s), chosen.window_attitude == "integrated")
-    processor = SrtProcessor(data, chosen, whole)
+    data, processor = player_of(recording, gyro_bias="g-sensitive", **options)
     return data, processor.process(errors or SensorErrors(), g_sensitivity=matrix, with_noise=True)
 
 

@@ -443,15 +443,6 @@ def test_the_least_likely_of_many_sequences_are_shown():
     assert all(f" turn {n} " in everything for n in range(30))
 
 
-def test_no_verdict_outside_the_model():
-    recording = noisy(11)
-    n = np.ones(3) / np.sqrt(3.0)
-    flat = replace(recording, accel=recording.accel @ (np.eye(3) - 0.9 * np.outer(n, n)))
-    result = srt.calibrate(flat, checks=False)
-    assert result.status == "outside_model"
-    assert result.verdict is None
-
-
 def test_evidence_is_in_the_order_of_the_sequences():
     z, H, R, groups = linear(np.random.default_rng(6))
     rows = [

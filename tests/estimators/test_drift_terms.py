@@ -34,31 +34,35 @@ def unwhitened(system, kind):
     )
 
 
-def test_columns_against_differences():
-    """At drifts of 40 mg and 1000 °/h, and errors of a percent, residuals change by the columns of the coefficients.
+def assert_columns(joint, draw, steps):
+    """Residuals change by the columns of the first coefficients, at errors of a percent and the drift drawn.
 
-    The drift within a rotation about its mean acts to first order: 1e-2 of its own effect is left at this size.
+    The drift within a rotation acts to first order, and through an attitude that it has turned itself: 1e-2 of its own
+    effect is left.
     """
-    recording, _ = noisy_recording(1, "tactical", sample_rate_hz=50.0)
-    joint = open_joint_model(recording, Options())
-    joint.drift = DriftTerms(joint.data, TERMS)
     rng = np.random.default_rng(4)
     errors = SensorErrors(joint.start.errors.vector + 1e-2 * rng.standard_normal(N_PARAMETERS))
-    drift = np.concatenate(
-        [rng.normal(0.0, 0.4, 3), rng.normal(0.0, 1000.0 * DEG_PER_H, 3), rng.normal(0.0, 0.1, joint.drift.size - 6)]
-    )
+    drift = np.concatenate(draw(rng))
     state, compensated = placed(joint, replace(joint.start, errors=errors, drift=drift))
     system = linearise(joint, state, compensated, ALL)
-    assert system.columns.of("drift_form").size == joint.drift.size
-    for i, column in enumerate(system.columns.of("drift_form").tolist()):
-        step = 1e-2 * joint.drift.sigma[i]
-        plus, minus = (replace(state, drift=drift + sign * step * np.eye(joint.drift.size)[i]) for sign in (1.0, -1.0))
+    assert system.columns.of("drift_form").size == drift.size
+    for i, (column, step) in enumerate(zip(system.columns.of("drift_form").tolist(), steps, strict=False)):
+        plus, minus = (replace(state, drift=drift + sign * step * np.eye(drift.size)[i]) for sign in (1.0, -1.0))
         plus, minus = (linearise(joint, s, joint.compensate(s), ALL) for s in (plus, minus))
         for kind in ("force", "rate", "turn"):
             J = unwhitened(system, kind)[1][:, column]
             expected = (unwhitened(plus, kind)[0] - unwhitened(minus, kind)[0]) / (2.0 * step)
             tolerance = 2e-2 if kind == "turn" else 1e-8
             assert np.abs(J - expected).max() <= tolerance * np.abs(J).max() + 1e-9, (kind, i)
+
+
+def test_columns_against_differences():
+    """At drifts of 40 mg and 1000 °/h."""
+    recording, _ = noisy_recording(1, "tactical", sample_rate_hz=50.0)
+    joint = open_joint_model(recording, Options())
+    joint.drift = DriftTerms(joint.data, TERMS)
+    sizes = ((0.4, 3), (1000.0 * DEG_PER_H, 3), (0.1, joint.drift.size - 6))
+    assert_columns(joint, lambda rng: [rng.normal(0.0, *size) for size in sizes], 1e-2 * joint.drift.sigma)
 
 
 def ramp(recording, ug_per_h, deg_h_per_h=0.0):

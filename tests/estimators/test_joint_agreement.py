@@ -32,26 +32,18 @@ from srt.sequences.checked_preparation import prepare_checked
 
 pytest.importorskip("filterpy")
 pytest.importorskip("gtsam")
-from linear_problems import AGREE, EPS, IN_G, RESOLVED, Found, G, SolveStep, difference, jointly
-from threadpoolctl import threadpool_limits
+from ideal_table_1 import paused_table_1
+from linear_problems import AGREE, EPS, IN_G, Found, G, SolveStep, difference, iterated_to_rounding, jointly
 
 from estimators.graph import GraphSolver
 from estimators.kalman_filter import KalmanSolver
-from srt.joint import iteration as joint_iteration
 from srt.joint.joint_model import JointModel
 from srt.joint.least_squares import BlockSolver
 
 # --- a planet that does not turn ------------------------------------------------------------------------------------
 
 
-@pytest.fixture(scope="module", autouse=True)
-def resolved():
-    """Iterate to rounding wherever the criterion is read, in one thread: these matrices gain nothing from more."""
-    with pytest.MonkeyPatch.context() as patch, threadpool_limits(limits=1, user_api="blas"):
-        for module in (iteration, joint_iteration):
-            patch.setattr(module, "CONVERGED_CORRECTION", RESOLVED[0])
-            patch.setattr(module, "CONVERGED_SIGMAS", RESOLVED[1])
-        yield
+resolved = pytest.fixture(scope="module", autouse=True)(iterated_to_rounding)
 
 
 @pytest.fixture
@@ -74,13 +66,9 @@ RATE, PAUSE_S = 1.0, 0.05
 @cache
 def motion(sample_rate_hz, dwell_s):
     """Table 1 on a faultless fixture, a pause between two rotations so that no sample holds parts of both."""
-    return sims.run_schedule(
-        sims.Schedule(
-            sims.table_sequences(tuple(sims.TABLE_1)),
-            sims.RateProfile(RATE, 10.0 * RATE),
-            dwell_s=dwell_s,
-            leg_dwell_s=PAUSE_S,
-        ),
+    return paused_table_1(
+        dwell_s,
+        PAUSE_S,
         site=Site(G, 1e-15, math.radians(45.0)),
         sample_rate_hz=sample_rate_hz,
         stated_fixture=Fixture(0.0, 1e-12, 1e-12),

@@ -7,34 +7,23 @@ from functools import partialmethod
 import numpy as np
 import pytest
 from accuracy_trials import noisy_recording
-from threadpoolctl import threadpool_limits
 
-from srt.closed_form import iteration
 from srt.constants import EARTH_RATE_RAD_S
 from srt.estimation.options import Options
 
 pytest.importorskip("filterpy")
 pytest.importorskip("gtsam")
 from filterpy.kalman import SquareRootKalmanFilter
-from linear_problems import AGREE, ALL, EPS, IN_G, RESOLVED, Found, SolveStep, difference, jointly
+from linear_problems import AGREE, ALL, EPS, IN_G, RESOLVED, Found, SolveStep, difference, iterated_to_rounding, jointly
 
 from estimators.graph import GraphSolver
 from estimators.kalman_filter import KalmanSolver, run_filter
 from srt.estimation.observability import default_prior
-from srt.joint import iteration as joint_iteration
 from srt.joint.iteration import iterate
 from srt.joint.recording_opening import open_joint_model
 from srt.joint.solver import IterationState
 
-
-@pytest.fixture(scope="module", autouse=True)
-def resolved():
-    """Iterate to rounding wherever the criterion is read, in one thread: these matrices gain nothing from more."""
-    with pytest.MonkeyPatch.context() as patch, threadpool_limits(limits=1, user_api="blas"):
-        for module in (iteration, joint_iteration):
-            patch.setattr(module, "CONVERGED_CORRECTION", RESOLVED[0])
-            patch.setattr(module, "CONVERGED_SIGMAS", RESOLVED[1])
-        yield
+resolved = pytest.fixture(scope="module", autouse=True)(iterated_to_rounding)
 
 
 # --- the turning Earth ----------------------------------------------------------------------------------------------

@@ -74,23 +74,15 @@ def test_errors_on_the_way_match_their_sigmas(small, small_live):
         assert np.abs(z).max() < 4.4, r.sequence
 
 
-def converges(seed):
+@pytest.mark.parametrize(
+    "seed", [401, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (402, *range(410, 450)))]
+)
+def test_large_errors_end_at_the_right_optimum(seed):
     recording, truth = large(seed)
     batch = srt.calibrate(recording, "ekf", start=truth, checks=False)
     found = run(recording)
     assert found.status == "converged", found.message
     assert np.all(np.abs(found.errors.vector - batch.errors.vector) < 0.02 * batch.sigma)
-
-
-@pytest.mark.parametrize("seed", [401, pytest.param(402, marks=pytest.mark.slow)])
-def test_large_errors_end_at_the_right_optimum(seed):
-    converges(seed)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(410, 450))
-def test_large_errors_end_at_the_right_optimum_on_every_draw(seed):
-    converges(seed)
 
 
 def test_targets_out_of_reach_are_said_so(small):

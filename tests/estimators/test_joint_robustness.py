@@ -11,9 +11,9 @@ import accuracy_trials
 import numpy as np
 import pytest
 import recorded_sets
-from scipy.linalg import rq
 from scipy.stats import binom
 from small_units import on_fixture
+from test_recorded_sets import FOLDER, assert_agrees_with_imu_tk, needs_data
 
 import srt
 from sims.physics.fixture import rotation
@@ -22,7 +22,6 @@ from sims.physics.imu import ImuModel, read_out
 from sims.physics.table_motion import table1_motion
 from srt.constants import DEG_PER_H, DEG_PER_SQRT_H, MICRO_G, STANDARD_GRAVITY_M_S2
 from srt.estimation.registry import find_estimator
-from srt.model.sensor_model import accel_triad, gyro_triad
 from srt.recording.recording import Fixture, ImuNoise
 from srt.sensor_errors import GROUP_SLICES, NAMES, SensorErrors
 
@@ -383,33 +382,6 @@ def test_a_fixture_that_wobbles(estimator, count):
 
 # Recorded data
 
-FOLDER = recorded_sets.data_folder()
-needs_data = pytest.mark.skipif(
-    FOLDER is None, reason=f"recorded sets not found; set {recorded_sets.DATA_VARIABLE} to their folder"
-)
-IMU_TK = {
-    "accel_gain": (414.46, 412.01, 414.65),
-    "gyro_gain": (4777.96, 4764.21, 4773.66),
-    "accel_offset": (33124.2, 33275.2, 32364.4),
-}
-# What two sound estimators may differ by on this set, as in test_recorded.
-FAIR = {"accel_gain": 1e-4, "gyro_gain": 4e-4, "accel_offset": 8e-4}
-GROUP = {"accel_gain": "accel_scale", "gyro_gain": "gyro_scale", "accel_offset": "accel_bias"}
-
-
-def in_counts(calibration):
-    """Gains and offsets in imu_tk's frame: the accelerometer matrix upper triangular."""
-    accel = recorded_sets.XSENS_ACCEL_PER_M_S2 * accel_triad(calibration.errors).matrix
-    upper, turn = rq(accel)
-    signs = np.diag(np.sign(np.diag(upper)))
-    gyro = recorded_sets.XSENS_GYRO_PER_RAD_S * gyro_triad(calibration.errors).matrix @ (signs @ turn).T
-    bias = calibration.errors.group("accel_bias")
-    return {
-        "accel_gain": np.diag(upper @ signs),
-        "gyro_gain": 1.0 / np.diag(np.linalg.inv(gyro)),
-        "accel_offset": recorded_sets.XSENS_ACCEL_OFFSET + recorded_sets.XSENS_ACCEL_PER_M_S2 * bias,
-    }
-
 
 @cache
 def xsens(estimator, gyro_bias):
@@ -420,14 +392,10 @@ def xsens(estimator, gyro_bias):
 @needs_data
 @pytest.mark.parametrize("estimator", JOINT)
 def test_xsens_agrees_with_imu_tk(estimator):
-    """Gains and offsets within the fair amounts, widened by two of our own sigmas; imu_tk has no g-sensitivity."""
+    """Which has no g-sensitivity."""
     calibration = xsens(estimator, "pooled")
     assert calibration.status == "partial"
-    found, sigma = in_counts(calibration), calibration.sigma
-    for name, published in IMU_TK.items():
-        scale = recorded_sets.XSENS_ACCEL_PER_M_S2 if name == "accel_offset" else np.array(published)
-        difference = np.abs(found[name] - published) / scale
-        assert np.all(difference <= FAIR[name] + 2.0 * sigma[GROUP_SLICES[GROUP[name]]]), (name, difference)
+    assert_agrees_with_imu_tk(calibration)
 
 
 @needs_data

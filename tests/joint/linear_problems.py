@@ -3,8 +3,12 @@
 from dataclasses import dataclass
 
 import numpy as np
+import pytest
 from dense_solution import solve
+from threadpoolctl import threadpool_limits
 
+from srt.closed_form import iteration as closed_form_iteration
+from srt.joint import iteration as joint_iteration
 from srt.joint.iteration import iterate
 from srt.joint.linearisation import linearise
 from srt.joint.solver import IterationState, JointSolver, LinearSolution
@@ -17,6 +21,16 @@ AGREE = 1e-9
 """Tolerances of a sigma and of a correlation."""
 RESOLVED = (1e-18, 1e-9)
 """Largest negligible correction, absolute and in sigmas."""
+
+
+def iterated_to_rounding():
+    """Iterate to rounding wherever the criterion is read, in one thread: these matrices gain nothing from more."""
+    with pytest.MonkeyPatch.context() as patch, threadpool_limits(limits=1, user_api="blas"):
+        for module in (closed_form_iteration, joint_iteration):
+            patch.setattr(module, "CONVERGED_CORRECTION", RESOLVED[0])
+            patch.setattr(module, "CONVERGED_SIGMAS", RESOLVED[1])
+        yield
+
 
 IN_G = np.ones(N_PARAMETERS)
 IN_G[GROUP_SLICES["accel_bias"]] = G

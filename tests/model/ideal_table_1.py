@@ -2,12 +2,17 @@
 
 import math
 from dataclasses import dataclass, field
+from functools import cache
 
 import numpy as np
 
+import sims
+from srt.estimation.options import Options
+from srt.estimation.srt_measurements import SrtProcessor
 from srt.model.table1 import SEQUENCES
+from srt.recording.recording import Site
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS
-from srt.sequences.preparation import PreparedRecording
+from srt.sequences.preparation import PreparedRecording, prepare
 
 G = 9.80665
 WINDOW_S = 2.0
@@ -20,6 +25,21 @@ STEPS = np.full(N_PARAMETERS, 1e-6)
 STEPS[GROUP_SLICES["accel_bias"]] = 1e-5
 """Half the central difference, SI: small beside what the third derivative would need to show (about 1e-10 of a
 coefficient), large beside rounding (1e-16 · g / 1e-6 = 1e-10 of g)."""
+
+
+def paused_table_1(dwell_s, pause_s=0.1, sequences=tuple(sims.TABLE_1), **run):
+    """Motion by sequences of Table 1 at 1 rad/s, with pauses: no sample holds parts of two rotations."""
+    schedule = sims.Schedule(
+        sims.table_sequences(tuple(sequences)), sims.RateProfile(1.0, 10.0), dwell_s=dwell_s, leg_dwell_s=pause_s
+    )
+    return sims.run_schedule(schedule, **run)
+
+
+@cache
+def ideal_motion():
+    """Table 1 on a faultless fixture that does not turn with the Earth."""
+    rates = {"rate_rad_s": RATE_RAD_S, "accel_rad_s2": RATE_RAD_S / RAMP_S}
+    return sims.table1_motion(site=Site(G), dwell_s=WINDOW_S, sample_rate_hz=SAMPLE_RATE_HZ, earth_rate=False, **rates)
 
 
 @dataclass(frozen=True)
@@ -51,6 +71,14 @@ class Simulated:
         out[GROUP_SLICES["gyro_bias"]] = G * (rotations + 4) * RAMP_S
         out += 1e-9 * G  # rounding in the difference
         return out
+
+
+def player_of(recording, **options):
+    """Prepared recording and its processor."""
+    chosen = Options(**options)
+    data = prepare(recording, recording.sequences, chosen.average)
+    integrated = np.full(len(data.windows.duration_s), chosen.window_attitude == "integrated")
+    return data, SrtProcessor(data, chosen, integrated)
 
 
 def component_rows(data: PreparedRecording) -> dict[tuple[str, str], int]:

@@ -9,15 +9,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from ideal_table_1 import G, component_rows
+from ideal_table_1 import G, component_rows, paused_table_1, player_of
 
 import sims
 from srt.constants import EARTH_RATE_RAD_S
-from srt.estimation.options import Options
-from srt.estimation.srt_measurements import SrtProcessor
 from srt.recording.recording import SequenceLabel, Site
 from srt.sensor_errors import SensorErrors
-from srt.sequences.preparation import prepare
 
 LATITUDE, HEADING = 0.8, 0.4
 WINDOW_S = 2.0
@@ -26,8 +23,9 @@ NONE = SensorErrors()
 
 
 def motion_of(draw=None, U=None, *, earth_rate=True, sequences=tuple(sims.TABLE_1)):
-    return sims.run_schedule(
-        sims.Schedule(sims.table_sequences(sequences), sims.RateProfile(1.0, 10.0), dwell_s=WINDOW_S, leg_dwell_s=0.1),
+    return paused_table_1(
+        WINDOW_S,
+        sequences=sequences,
         site=Site(G, latitude_rad=LATITUDE if earth_rate else None),
         sample_rate_hz=RATE_HZ,
         heading_rad=HEADING,
@@ -35,13 +33,6 @@ def motion_of(draw=None, U=None, *, earth_rate=True, sequences=tuple(sims.TABLE_
         U=U,
         earth_rate=earth_rate,
     )
-
-
-def player_of(recording, **options):
-    chosen = Options(**options)
-    data = prepare(recording, recording.sequences, chosen.average)
-    integrated = np.full(len(data.windows.duration_s), chosen.window_attitude == "integrated")
-    return data, SrtProcessor(data, chosen, integrated)
 
 
 def longest_s(data):

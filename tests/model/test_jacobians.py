@@ -6,18 +6,15 @@ import math
 
 import numpy as np
 import pytest
-from ideal_table_1 import G
+from ideal_table_1 import G, paused_table_1, player_of
 
 import sims
-from srt.estimation.options import Options
-from srt.estimation.srt_measurements import SrtProcessor
 from srt.model import measurement_model as model
 from srt.model.analytic_platform import integrate_attitude
 from srt.model.rotations import cross_matrix
 from srt.model.sensor_model import accel_triad, gyro_triad, outside_model
 from srt.recording.recording import Site
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES, SensorErrors
-from srt.sequences.preparation import prepare
 
 EARTH = 7.292115e-5
 SAMPLE_RATE_HZ = 200.0
@@ -64,13 +61,9 @@ def motions():
     """Table 1 with and without the Earth's rate, pauses between rotations so that samples hold one rotation each."""
 
     def make(earth_rate):
-        return sims.run_schedule(
-            sims.Schedule(
-                sims.table_sequences(tuple(sims.TABLE_1)),
-                sims.RateProfile(RATE, 10.0),
-                dwell_s=WINDOW_S,
-                leg_dwell_s=PAUSE_S,
-            ),
+        return paused_table_1(
+            WINDOW_S,
+            PAUSE_S,
             site=Site(G, latitude_rad=math.radians(50.0) if earth_rate else None),
             sample_rate_hz=SAMPLE_RATE_HZ,
             heading_rad=0.5,
@@ -89,14 +82,6 @@ def differences(player, errors, steps):
         plus, minus = (player.process(errors.plus(sign * d), U=U).z for sign in (1.0, -1.0))
         columns.append((minus - plus) / (2.0 * step))
     return np.stack(columns, axis=1)
-
-
-def play_back(motion, errors, window_attitude):
-    recording = sims.read_out(motion, errors)
-    options = Options(window_attitude=window_attitude)
-    data = prepare(recording, recording.sequences, options.average)
-    integrated = np.full(len(data.windows.duration_s), window_attitude == "integrated")
-    return data, SrtProcessor(data, options, integrated)
 
 
 def kink(errors):
@@ -119,7 +104,7 @@ def turning(data):
 @pytest.mark.parametrize("size", ["none", pytest.param("tiny", marks=pytest.mark.slow), "large"])
 def test_playback_jacobian_without_earth_rate(motions, size, window_attitude):
     errors = draw(size)
-    data, player = play_back(motions[False], errors, window_attitude)
+    data, player = player_of(sims.read_out(motions[False], errors), window_attitude=window_attitude)
     found = player.process(errors, U=U).H
     expected = differences(player, errors, STEPS)
     angle, seconds = turning(data)
@@ -152,7 +137,7 @@ def test_playback_jacobian_with_earth_rate(motions, size):
     the sequence lasts, so that of every coefficient a share of ω_e · duration is not in H: parts in 1e3.
     """
     errors = draw(size)
-    data, player = play_back(motions[True], errors, "held")
+    data, player = player_of(sims.read_out(motions[True], errors), window_attitude="held")
     found = player.process(errors, U=U).H
     expected = differences(player, errors, STEPS)
     angle, seconds = turning(data)
@@ -211,7 +196,7 @@ def test_compensation_jacobians(size, which):
 def test_attitude_error_jacobian(motions, size):
     """Ĉ at x̂ + δ is [I + (Jδ)×]⁻¹ Ĉ: over-compensation by δ is an attitude error of −Jδ."""
     errors = draw(size)
-    data, player = play_back(motions[False], errors, "held")
+    data, player = player_of(sims.read_out(motions[False], errors), window_attitude="held")
     gyro = gyro_triad(errors)
     at, _ = integrate_attitude(player.stream, gyro, np.zeros((data.K, 3)))
     J = model.attitude_error_jacobian(at)

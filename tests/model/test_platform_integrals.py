@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from ideal_table_1 import G
+from ideal_table_1 import G, paused_table_1
 from platform_streams import EPS, PERFECT
 
 import sims
@@ -24,17 +24,7 @@ def recordings():
     """Table 1 without the Earth's rate, at several sample rates; a pause after every leg."""
 
     def make(rate_hz):
-        motion = sims.run_schedule(
-            sims.Schedule(
-                sims.table_sequences(tuple(sims.TABLE_1)),
-                sims.RateProfile(1.0, 10.0),
-                dwell_s=WINDOW_S,
-                leg_dwell_s=0.1,
-            ),
-            site=Site(G),
-            sample_rate_hz=rate_hz,
-            earth_rate=False,
-        )
+        motion = paused_table_1(WINDOW_S, site=Site(G), sample_rate_hz=rate_hz, earth_rate=False)
         return sims.read_out(motion, SensorErrors())
 
     return make
@@ -117,17 +107,7 @@ def test_sample_rate_does_not_matter(recordings):
 def test_sample_rate_with_the_earth_turning():
     """50 Hz against the truth on a turning Earth: what is left of z is far below a nanorad · g."""
     for rate_hz, bound_rad in ((50.0, 1e-9), (200.0, 1e-10)):
-        motion = sims.run_schedule(
-            sims.Schedule(
-                sims.table_sequences(tuple(sims.TABLE_1)),
-                sims.RateProfile(1.0, 10.0),
-                dwell_s=2.0,
-                leg_dwell_s=0.1,
-            ),
-            site=Site(G, latitude_rad=0.8),
-            sample_rate_hz=rate_hz,
-            heading_rad=0.4,
-        )
+        motion = paused_table_1(2.0, site=Site(G, latitude_rad=0.8), sample_rate_hz=rate_hz, heading_rad=0.4)
         recording = sims.read_out(motion, SensorErrors())
         data = prepare(recording, recording.sequences)
         stream, _, _ = data.stream(np.zeros(len(data.windows.duration_s), dtype=bool))
@@ -144,14 +124,8 @@ def test_attitude_and_integrals_on_the_turning_earth():
     Attitudes are exact; the integrals take the Earth's turn of a sequence by its mean, so that less than half of
     ω_e T is left of what would be all of it.
     """
-    motion = sims.run_schedule(
-        sims.Schedule(
-            sims.table_sequences(("7", "12", "4")), sims.RateProfile(1.0, 10.0), dwell_s=20.0, leg_dwell_s=0.1
-        ),
-        site=Site(G, latitude_rad=0.8),
-        sample_rate_hz=100.0,
-        heading_rad=0.4,
-    )
+    site = Site(G, latitude_rad=0.8)
+    motion = paused_table_1(20.0, sequences=("7", "12", "4"), site=site, sample_rate_hz=100.0, heading_rad=0.4)
     recording = sims.read_out(motion, SensorErrors())
     data = prepare(recording, recording.sequences)
     stream, _, weights = data.stream(np.ones(6, dtype=bool))

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from ideal_table_1 import RAMP_S, RATE_RAD_S, SAMPLE_RATE_HZ, WINDOW_S, G
+from ideal_table_1 import RAMP_S, RATE_RAD_S, G, ideal_motion
 from scipy.spatial.transform import Rotation
 
 import sims
@@ -14,7 +14,6 @@ from srt.estimation.srt_measurements import SrtProcessor
 from srt.model.rotation_integrals import ideal_rotations
 from srt.model.rotations import cross_matrix, rotation_matrix
 from srt.model.table1 import AXES, SEQUENCES
-from srt.recording.recording import Site
 from srt.sensor_errors import SensorErrors
 from srt.sequences.preparation import nominal_attitude, prepare
 
@@ -165,25 +164,10 @@ STEPS = 4000
 """Steps of the quadrature per rotation: the midpoint rule is off by (π / STEPS)² / 24 of a half turn's integral."""
 
 
-@pytest.fixture(scope="module")
-def motion():
-    """Table 1 on a faultless fixture that does not turn with the Earth."""
-    return sims.run_schedule(
-        sims.Schedule(
-            sims.table_sequences(tuple(sims.TABLE_1)),
-            sims.RateProfile(RATE_RAD_S, RATE_RAD_S / RAMP_S),
-            dwell_s=WINDOW_S,
-        ),
-        site=Site(G),
-        sample_rate_hz=SAMPLE_RATE_HZ,
-        earth_rate=False,
-    )
-
-
-def horizontal(motion, bias):
+def horizontal(bias):
     """Change of the horizontal acceleration of every sequence, data with a bias played back as if there were none."""
     errors = SensorErrors.from_dict({f"gyro_bias_{a}": float(b) for a, b in zip("xyz", bias, strict=True)})
-    recording = sims.read_out(motion, errors)
+    recording = sims.read_out(ideal_motion(), errors)
     data = prepare(recording, recording.sequences)
     z = SrtProcessor(data, Options()).process(SensorErrors()).z[: 2 * data.K].reshape(-1, 2)
     down = [AXES.index(SEQUENCES[name].down) for name in data.ids]
@@ -207,8 +191,8 @@ def by_order(sequence, bias):
     return cross_matrix(turns.sum(axis=0)), second, float(dt.sum())
 
 
-def test_effect_of_a_bias_on_all_17_sequences_to_second_order(motion):
-    measured = horizontal(motion, BIAS)
+def test_effect_of_a_bias_on_all_17_sequences_to_second_order():
+    measured = horizontal(BIAS)
     assert set(measured) == set(SEQUENCES)
     size, seen = float(np.linalg.norm(BIAS)), 0
     for name, (delta, d) in measured.items():
@@ -233,9 +217,9 @@ def test_effect_of_a_bias_on_all_17_sequences_to_second_order(motion):
     assert seen > len(SEQUENCES) / 2
 
 
-def test_the_remainder_after_the_first_order_is_quadratic(motion):
+def test_the_remainder_after_the_first_order_is_quadratic():
     """Half the bias leaves a quarter of it."""
-    whole, half = horizontal(motion, BIAS), horizontal(motion, 0.5 * BIAS)
+    whole, half = horizontal(BIAS), horizontal(0.5 * BIAS)
     size = float(np.linalg.norm(BIAS))
     for name, (delta, d) in whole.items():
         first, _, T = by_order(SEQUENCES[name], BIAS)
@@ -253,10 +237,10 @@ PAIRS = {"x": ("2", "2a", 1, 1.0), "y": ("1", "1a", 0, -1.0), "z": ("3", "3a", 1
 
 
 @pytest.mark.parametrize("axis", PAIRS)
-def test_bias_of_a_reversed_pair_cancels_in_the_scale_factor_and_adds_to_the_asymmetry(motion, axis):
+def test_bias_of_a_reversed_pair_cancels_in_the_scale_factor_and_adds_to_the_asymmetry(axis):
     """Eq. 13: the bias does not enter κii = ±(Δ − Δa) / 4πg; it adds κi / β̇ to κiii = ±(Δ + Δa) / 4πg."""
     forward, back, component, sign = PAIRS[axis]
-    measured = horizontal(motion, BIAS)
+    measured = horizontal(BIAS)
     plus, minus = (measured[name][0][component] for name in (forward, back))
     scale, asymmetry = sign * (plus - minus) / (4.0 * math.pi * G), sign * (plus + minus) / (4.0 * math.pi * G)
     x = float(np.linalg.norm(BIAS)) * 2.0 * math.pi / RATE_RAD_S

@@ -34,12 +34,8 @@ def windows_of(*lengths):
 
 def simulated(model, dwell_s, rng):
     """Two rests of a simulated unit, with the indices of their samples."""
-    motion = sims.run_schedule(
-        sims.Schedule(sims.table_sequences(("7",)), sims.RateProfile(1.0, 10.0), dwell_s=dwell_s),
-        site=accuracy_trials.SITE,
-        sample_rate_hz=RATE,
-        earth_rate=False,
-    )
+    where = {"site": accuracy_trials.SITE, "sample_rate_hz": RATE, "earth_rate": False}
+    motion = sims.table1_motion(sequences=("7",), dwell_s=dwell_s, **where)
     read = sims.read_out(motion, srt.SensorErrors(), model, rng)
     label = read.sequences[0]
     spans = [read.window_indices(*w) for w in (label.start_static_s, label.end_static_s)]

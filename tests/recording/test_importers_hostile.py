@@ -102,7 +102,8 @@ class TestPromises:
         path = tmp_path / "samples.npz"
         np.savez(path, **{**COLUMNS, "gyro_x": np.array([{}] * N, dtype=object)}, allow_pickle=True)
         message = self.refused(path, as_recording)
-        assert "Python objects" in message if as_recording else "no column was recognised as gyro_x" in message
+        refused = "not a readable NPZ file (array gyro_x holds Python objects)"
+        assert (refused if as_recording else "no column was recognised as gyro_x") in message
 
     def test_hdf5_that_was_never_filled(self, tmp_path, as_recording):
         h5py = pytest.importorskip("h5py")

@@ -111,10 +111,11 @@ def test_global_state_is_left_alone():
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
-def test_an_absent_matplotlib_says_what_to_install():
+@pytest.mark.parametrize("figures", ["calibration", "comparison"])
+def test_an_absent_matplotlib_says_what_to_install(figures):
     code = (
         "import sys; sys.modules['matplotlib'] = None\n"
-        "import srt\ntry:\n    import srt.reports.figures.calibration\n"
+        f"import srt\ntry:\n    import srt.reports.figures.{figures}\n"
         "except srt.MissingExtraError as error:\n    print(error)"
     )
     command = [sys.executable, "-c", code]

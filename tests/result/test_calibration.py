@@ -13,9 +13,7 @@ import srt
 from sims.physics.imu import read_out
 from sims.physics.sequences import TABLE_1
 from sims.physics.table_motion import table1_motion
-from srt.estimation.convergence import CONVERGED_SIGMAS
 from srt.exceptions import InputError
-from srt.model.sensor_model import accel_triad, gyro_triad
 from srt.result.document import from_document, to_document
 from srt.sensor_errors import GROUP_SLICES, INDEX, NAMES
 from srt.types import Array
@@ -91,38 +89,11 @@ def test_a_sigma_that_contradicts_the_covariance_is_refused(calibration, tmp_pat
         srt.load_calibration(tmp_path / "unit.json")
 
 
-def test_apply_inverts_the_reading_model(calibration):
-    rng = np.random.default_rng(5)
-    omega, force = rng.normal(size=(200, 3)), 10.0 * rng.normal(size=(200, 3))
-    readings = gyro_triad(calibration.errors).read(omega), accel_triad(calibration.errors).read(force)
-    gyro, accel = calibration.apply(*readings)
-    np.testing.assert_allclose(gyro, omega, rtol=0.0, atol=8 * 2 * np.finfo(float).eps * np.abs(omega).max())
-    np.testing.assert_allclose(accel, force, rtol=0.0, atol=8 * 2 * np.finfo(float).eps * np.abs(force).max())
-    # Increments, one sample, output arrays and the table frame are the same arithmetic.
-    dt = 0.01
-    increments = calibration.apply(*(r * dt for r in readings), kind="increment", dt=dt)
-    np.testing.assert_allclose(increments[0], gyro * dt, rtol=1e-12, atol=1e-17)
-    single = calibration.apply(readings[0][0], readings[1][0])
-    np.testing.assert_array_equal(single[0], gyro[0])
-    out = np.empty_like(gyro), np.empty_like(accel)
-    returned = calibration.apply(*readings, out=out)
-    assert returned[0] is out[0]
-    np.testing.assert_array_equal(out[1], accel)
-    table = calibration.apply(*readings, frame="table")
-    np.testing.assert_allclose(table[0] @ calibration.U.T, gyro, atol=1e-14)
-
-
-def test_apply_refuses_what_does_not_fit(calibration):
+def test_increments_and_their_durations_are_refused_alone(calibration):
     good = np.zeros((4, 3))
-    for arguments, options in (
-        ((np.zeros((4, 2)), good), {}),
-        ((good, good), {"kind": "increment"}),
-        ((good, good), {"dt": 0.01}),
-        ((good * np.nan, good), {}),
-        ((good, good), {"frame": "body"}),
-    ):
+    for options in ({"kind": "increment"}, {"dt": 0.01}):
         with pytest.raises(srt.InputError):
-            calibration.apply(*arguments, **options)
+            calibration.apply(good, good, **options)
 
 
 def test_too_few_playbacks_is_a_status(unit):
@@ -140,7 +111,7 @@ def test_coplanar_accelerometers_are_outside_the_model(unit):
         recording.time, recording.gyro, flat, recording.site, fixture=recording.fixture, sequences=recording.sequences
     )
     result = srt.calibrate(broken)
-    assert result.status == "outside_model"
+    assert (result.status, result.verdict) == ("outside_model", None)
     assert "coplanar" in result.message
 
 
@@ -205,17 +176,6 @@ def test_unknown_options_and_estimators_are_named(unit):
         srt.calibrate(unit[0], average="median")
     with pytest.raises(srt.InputError, match="closed-form"):
         srt.calibrate(unit[0], "closedform")
-
-
-def test_estimators_agree_noise_free(unit, calibration):
-    """All measurements by least squares, 24 of 68 components in closed form: the same 27 errors.
-
-    The iteration of least squares ends within 0.01 of its sigmas.
-    """
-    other = srt.calibrate(unit[0], "least-squares")
-    difference = np.abs(other.errors.vector - calibration.errors.vector)
-    allowed = 1e-8 * accuracy_trials.IN_G + CONVERGED_SIGMAS * other.sigma
-    assert np.all(difference[:24] < allowed[:24])
 
 
 def test_an_edited_file_does_not_match_its_digest(calibration, tmp_path):

@@ -117,7 +117,11 @@ def label_effect(recording, truth):
     return found.errors.vector - labelled.errors.vector, labelled.sigma, nees
 
 
-def assert_recognised(recording, order):
+@pytest.mark.parametrize(
+    "seed", [*range(3), *(pytest.param(k, marks=pytest.mark.slow) for k in (*range(3, 16), *range(1000, 1300)))]
+)
+def test_any_order_with_repeats_moves_and_joins_of_units_off_by_30_percent(seed):
+    recording, order = hard_test(seed)
     found = recognise(recording.with_sequences(()))
     assert found.ids == order, found.summary
     assert min(found.confidence) > 0.5
@@ -127,40 +131,21 @@ def assert_recognised(recording, order):
             assert overlap > 0.5 * (given_[1] - given_[0])
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_any_order_with_repeats_moves_and_joins_of_units_off_by_30_percent(seed):
-    assert_recognised(*hard_test(seed))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", [*range(3, 16), *range(1000, 1300)])
-def test_many_orders_with_repeats_moves_and_joins(seed):
-    assert_recognised(*hard_test(seed))
-
-
 @pytest.mark.parametrize("seed", [0, 1])
 def test_noise_free_labels_change_nothing(seed):
     difference, _, _ = label_effect(*fair_test(seed, "tactical-fog", noise=False))
     assert np.max(np.abs(difference)) < 1e-9
 
 
-def assert_labels_hardly_matter(pairs):
+@pytest.mark.parametrize("seeds", [range(100, 102), pytest.param(range(2000, 2200), marks=pytest.mark.slow)], ids=len)
+@pytest.mark.parametrize("grade", GRADES)
+def test_labels_hardly_matter(grade, seeds):
+    pairs = [label_effect(*fair_test(seed, grade)) for seed in seeds]
     scaled = np.array([difference / sigma for difference, sigma, _ in pairs])
     assert np.sqrt(np.mean(scaled**2)) <= 0.25
     assert np.abs(scaled).max() <= 1.0
     # Each NEES is chi-square with 27 degrees of freedom over 27, of variance 2/27; 3.5 standard errors of the mean.
     assert abs(np.mean([nees for *_, nees in pairs]) - 1.0) < 3.5 * np.sqrt(2.0 / 27.0 / len(pairs))
-
-
-@pytest.mark.parametrize("grade", GRADES)
-def test_labels_hardly_matter(grade):
-    assert_labels_hardly_matter([label_effect(*fair_test(seed, grade)) for seed in range(100, 102)])
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("grade", GRADES)
-def test_labels_hardly_matter_over_200_recordings(grade):
-    assert_labels_hardly_matter([label_effect(*fair_test(seed, grade)) for seed in range(2000, 2200)])
 
 
 def test_the_result_says_what_was_recognised():

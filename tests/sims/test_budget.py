@@ -51,23 +51,31 @@ MODELLED = {"instability": 0.02, "all": 0.02}
 0.1 s, which adds 2 · 0.1 s / 4 s = 5 % to the variance of one of four in a window's mean."""
 
 
-def simulated_errors(plan, units, estimator="closed-form"):
-    """Errors of simulated units, shape (units, 27), every unit with its own errors, fixture, noise and gravity."""
+@pytest.mark.parametrize(
+    ("source", "units", "estimator"),
+    [
+        ("white", 12, "closed-form"),
+        *(pytest.param(source, 2500, "closed-form", marks=pytest.mark.slow) for source in SOURCES),
+        *(pytest.param(source, 600, "graph", marks=pytest.mark.slow) for source in ("instability", "all")),
+    ],
+)
+def test_predicted_sigma_is_that_of_simulated_units(source, units, estimator):
+    """Every unit with its own errors, fixture, noise and gravity."""
+    if estimator == "graph":
+        pytest.importorskip("gtsam")
+    noise, chosen = SOURCES[source]
+    modelled, plan = MODELLED.get(source, 0.0), scenario(noise=noise)
+    (predicted,) = budget(plan, (estimator,), draws=10)
+    assert chosen <= {name for name, sizes in predicted.sources.items() if np.nanmax(sizes) > 0.0}
     errors = []
     for seed in range(units):
         simulation = simulate(plan.model_copy(update={"seed": 1000 + seed}))
         found = srt.calibrate(simulation.recording, estimator, checks=False)
         errors.append(found.errors.vector - simulation.truth.vector)
-    return np.array(errors)
-
-
-def assert_predicted(plan, units, chosen, *, estimator="closed-form", modelled=0.0):
-    (found,) = budget(plan, (estimator,), draws=10)
-    assert chosen <= {name for name, sizes in found.sources.items() if np.nanmax(sizes) > 0.0}
     # Gravity, an error of the accelerometer scale factors, is not drawn by the simulator.
     scale = np.array(["accel_scale" in name for name in NAMES])
-    sigma = np.where(scale, np.sqrt(found.total**2 - found.sources["gravity"] ** 2), found.total)
-    squares = (simulated_errors(plan, units, estimator) / sigma) ** 2
+    sigma = np.where(scale, np.sqrt(predicted.total**2 - predicted.sources["gravity"] ** 2), predicted.total)
+    squares = (np.array(errors) / sigma) ** 2
     # A standard deviation from n draws has a standard error of 1 / √(2n).
     ratio = np.sqrt(squares.mean(axis=0))
     band = 3.5 / math.sqrt(2.0 * units) + modelled
@@ -75,26 +83,6 @@ def assert_predicted(plan, units, chosen, *, estimator="closed-form", modelled=0
     # Over all parameters: parameters of one unit are correlated, units are not.
     by_unit = squares.mean(axis=1)
     assert abs(by_unit.mean() - 1.0) < 3.5 * by_unit.std(ddof=1) / math.sqrt(units) + 2.0 * modelled
-
-
-def test_predicted_sigma_is_that_of_simulated_units():
-    noise, chosen = SOURCES["white"]
-    assert_predicted(scenario(noise=noise), 12, chosen)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("source", SOURCES)
-def test_predicted_sigma_is_that_of_2500_simulated_units(source):
-    noise, chosen = SOURCES[source]
-    assert_predicted(scenario(noise=noise), 2500, chosen, modelled=MODELLED.get(source, 0.0))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("source", ["instability", "all"])
-def test_predicted_sigma_of_the_graph_is_that_of_600_simulated_units(source):
-    pytest.importorskip("gtsam")
-    noise, chosen = SOURCES[source]
-    assert_predicted(scenario(noise=noise), 600, chosen, estimator="graph", modelled=MODELLED[source])
 
 
 def test_bias_instability_limits_the_expected_parameters():
