@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from itertools import count
 from typing import TYPE_CHECKING, Final, TypeVar
 
 import numpy as np
@@ -194,7 +195,12 @@ def optimal_design(
     DataError
         The search cannot close the gap to ten times the value asked for.
     """
-    report = _RoundCounter(progress)
+    rounds = count(1)
+
+    def report(gap: float) -> None:
+        if progress is not None:
+            progress(next(rounds), gap)
+
     for even in _EVEN if start is None else _EVEN[-1:]:
         # While much is unknown, the value of a sequence may depend on another that separates the errors that it mixes,
         # and derivatives say nothing. So a part of the time is spread evenly over all columns.
@@ -220,18 +226,6 @@ def optimal_design(
     return best
 
 
-class _RoundCounter:
-    """Progress reports with the rounds numbered through."""
-
-    def __init__(self, progress: Callable[[int, float], None] | None) -> None:
-        self._progress, self._rounds = progress, 0
-
-    def __call__(self, gap: float) -> None:
-        self._rounds += 1
-        if self._progress is not None:
-            self._progress(self._rounds, gap)
-
-
 def _first_design(columns: Columns, total_s: float) -> ContinuousDesign:
     """First design: the columns that decrease each variance most if all are run for the same time."""
     cost = columns.cost_s
@@ -244,7 +238,7 @@ def _first_design(columns: Columns, total_s: float) -> ContinuousDesign:
 
 
 def _column_generation(
-    columns: Columns, total_s: float, start: ContinuousDesign, gap: float, report: _RoundCounter
+    columns: Columns, total_s: float, start: ContinuousDesign, gap: float, report: Callable[[float], None]
 ) -> ContinuousDesign:
     """Add columns to a design until the gap is closed or no column is worth adding."""
     cost = columns.cost_s

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -160,7 +161,7 @@ class Planner:
         known: Array | None = None,
     ) -> None:
         self.fixture, self.conditions, self.targets, self.limits = fixture, conditions, targets, limits
-        self._progress = progress
+        self.tell: Progress = progress or (lambda *_: None)
         patterns = turn_patterns(largest_turn_deg=limits.largest_turn_deg, most_legs=limits.most_legs)
         candidates = executable_candidates(fixture, patterns)
         if not candidates:
@@ -184,11 +185,6 @@ class Planner:
         cost = (2.0 * self.grid[:, None] + signatures.between_windows_s + self.least_s).ravel()
         columns = rows.reshape(-1, *rows.shape[2:])
         return Columns(columns, cost, self.criterion.prior, self.criterion.targets, self.criterion.floor)
-
-    def tell(self, what: str, count: int, gap: float) -> None:
-        """Report the progress."""
-        if self._progress is not None:
-            self._progress(what, count, gap)
 
     def require_observable(self) -> None:
         """Raise DataError if no sequence that the fixture can execute observes one of the targets."""
@@ -216,9 +212,7 @@ class Planner:
     def _optimum(
         self, signatures: Signatures, coarse: Columns, total_s: float, start: ContinuousDesign | None = None
     ) -> tuple[ContinuousDesign, ContinuousDesign, Columns, Indices, Array]:
-        def tell(count: int, gap: float) -> None:
-            self.tell("optimum", count, gap)
-
+        tell = partial(self.tell, "optimum")
         # No move precedes the first sequence.
         total_s += self.least_s
         rough = optimal_design(coarse, total_s, start=start, progress=tell)
