@@ -31,7 +31,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sims.physics.fixture import FixtureDraw, rotation
-from sims.physics.imu import exact_increments
+from sims.physics.imu import noise_free_increments
 from sims.physics.motion import RateProfile
 from sims.physics.table_motion import Schedule, constants_of_site, run_schedule
 from srt.exceptions import DataError, InputError
@@ -383,7 +383,7 @@ def _in_windows(run: Callable[[Array], TrueMotion], about: SensorErrors, step: f
 
     def readings(motion: TrueMotion, errors: SensorErrors) -> Array:
         only = np.searchsorted(motion.time, np.array(motion.windows)[:, :, 1] - 0.5 * motion.interval)
-        return np.hstack(exact_increments(motion, errors))[only] / motion.interval
+        return np.hstack(noise_free_increments(motion, errors))[only] / motion.interval
 
     def readings_and_attitudes(unknowns: Array) -> Array:
         motion = run(unknowns)
@@ -411,7 +411,7 @@ def _in_turn(motion: TrueMotion, samples: slice, about: SensorErrors, step: floa
 
     def turned_more(change: Array) -> Array:
         more = turn.angle_abs + np.sign(turn.angle) * change  # no rate changes its sign by it
-        return exact_increments(replace(turn, angle=turn.angle + change, angle_abs=more), about)[0]
+        return noise_free_increments(replace(turn, angle=turn.angle + change, angle_abs=more), about)[0]
 
     D = np.linalg.inv(_central(turned_more, 3, step * turn.interval))
     # In the middle of a sample, where its rotation acts to second order in its length.
@@ -421,7 +421,7 @@ def _in_turn(motion: TrueMotion, samples: slice, about: SensorErrors, step: floa
         C[reach:] = C[:-reach] @ C[reach:]
         reach *= 2
     CD = C @ half.transpose(0, 2, 1) @ D
-    dy = _central(lambda change: exact_increments(turn, about.plus(change))[0], N_PARAMETERS, step)
+    dy = _central(lambda change: noise_free_increments(turn, about.plus(change))[0], N_PARAMETERS, step)
     return np.einsum("nab,nbp->ap", CD, dy), np.einsum("nab,ncb->ac", CD, CD) * turn.interval, D[0], D[-1]
 
 

@@ -144,7 +144,7 @@ def is_imu(errors: SensorErrors) -> bool:
     return bool(np.linalg.eigvalsh(Mg)[0] > 0.0 and np.linalg.det(Ma) > 0.0 and singular >= SMALLEST_SINGULAR_VALUE)
 
 
-def exact_increments(
+def noise_free_increments(
     motion: TrueMotion, errors: SensorErrors, g_sensitivity: Array | None = None
 ) -> tuple[Array, Array]:
     """Noise-free increments of gyros (rad) and accelerometers (m/s) by the sensor model, shape (n, 3) each."""
@@ -195,7 +195,7 @@ def read_out(
         If the model is random and no generator is given.
     """
     model = imu or ImuModel()
-    gyro, accel = exact_increments(motion, errors, model.gyro_g_sensitivity)
+    gyro, accel = noise_free_increments(motion, errors, model.gyro_g_sensitivity)
     if model.is_random():
         if rng is None:
             raise InputError("This IMU model is random: pass a numpy.random.Generator to read it out.")

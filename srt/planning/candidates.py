@@ -140,12 +140,7 @@ class Candidate:
 
     def alternatives(self, fixture: FixtureKinematics) -> tuple[Candidate, ...]:
         """Executable sequences with the same attitudes at other angles of the axes, this one included."""
-        choices = []
-        for axis, angle in zip(fixture.axes, self.start_deg, strict=True):
-            angles = axis.rest_angles_deg() if axis.travel_deg is not None or not axis.turns else (angle,)
-            choices.append([a for a in angles if (a - angle) % 360 == 0])
-        found = [Candidate((inner, outer), self.axis_rotations) for inner, outer in product(*choices)]
-        return tuple(c for c in found if c.obstacle(fixture) is None)
+        return tuple(way for way in _shifted(self, fixture) if way.obstacle(fixture) is None)
 
 
 def outer_axis(inner_deg: ArrayLike) -> Array:
@@ -230,12 +225,11 @@ def from_catalogue(sequence: RotationSequence, fixture: FixtureKinematics | None
     candidate = Candidate(starts[0], tuple(rotations))
     if fixture is None:
         return candidate
-    reasons = []
-    for way in _shifted(candidate, fixture):
-        reasons.append(way.obstacle(fixture))
-        if reasons[-1] is None:
-            return way
-    raise InputError(f"Sequence {sequence.id} cannot be executed by this fixture: {reasons[0]}.")
+    ways = candidate.alternatives(fixture)
+    if ways:
+        return ways[0]
+    reason = next(_shifted(candidate, fixture)).obstacle(fixture)
+    raise InputError(f"Sequence {sequence.id} cannot be executed by this fixture: {reason}.")
 
 
 def _shifted(candidate: Candidate, fixture: FixtureKinematics) -> Iterator[Candidate]:

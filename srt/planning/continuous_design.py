@@ -16,13 +16,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from itertools import count
 from typing import TYPE_CHECKING, Final, TypeVar
 
 import numpy as np
 from scipy.optimize import linprog, minimize
 
 from srt.exceptions import DataError
-from srt.planning.information import equilibrated_inverse
+from srt.planning.information import target_variances
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -99,8 +100,7 @@ class Columns:
 
     def variances(self, M: Array) -> tuple[Array, Array]:
         """``g_i`` and the columns of M⁻¹ that belong to the targets, shapes (q,) and (p, q)."""
-        inverse = equilibrated_inverse(M)
-        return np.diag(inverse)[self.targets] + self.floor, inverse[:, self.targets]
+        return target_variances(M, self.targets, self.floor)
 
     def gains(self, X: Array, g: Array, which: Indices | None = None) -> Array:
         """``−∂ log g_i / ∂w_j``, shape (J or n, q)."""
@@ -195,7 +195,12 @@ def optimal_design(
     DataError
         The search cannot close the gap to ten times the value asked for.
     """
-    report = _RoundCounter(progress)
+    rounds = count(1)
+
+    def report(gap: float) -> None:
+        if progress is not None:
+            progress(next(rounds), gap)
+
     for even in _EVEN if start is None else _EVEN[-1:]:
         # While much is unknown, the value of a sequence may depend on another that separates the errors that it mixes,
         # and derivatives say nothing. So a part of the time is spread evenly over all columns.
@@ -221,18 +226,6 @@ def optimal_design(
     return best
 
 
-class _RoundCounter:
-    """Progress reports with the rounds numbered through."""
-
-    def __init__(self, progress: Callable[[int, float], None] | None) -> None:
-        self._progress, self._rounds = progress, 0
-
-    def __call__(self, gap: float) -> None:
-        self._rounds += 1
-        if self._progress is not None:
-            self._progress(self._rounds, gap)
-
-
 def _first_design(columns: Columns, total_s: float) -> ContinuousDesign:
     """First design: the columns that decrease each variance most if all are run for the same time."""
     cost = columns.cost_s
@@ -245,7 +238,7 @@ def _first_design(columns: Columns, total_s: float) -> ContinuousDesign:
 
 
 def _column_generation(
-    columns: Columns, total_s: float, start: ContinuousDesign, gap: float, report: _RoundCounter
+    columns: Columns, total_s: float, start: ContinuousDesign, gap: float, report: Callable[[float], None]
 ) -> ContinuousDesign:
     """Add columns to a design until the gap is closed or no column is worth adding."""
     cost = columns.cost_s
@@ -292,44 +285,61 @@ def remembered(function: Callable[[Array], Value]) -> Callable[[Array], Value]:
     return of
 
 
-def _best_shares(columns: Columns, active: Indices, share: Array, total_s: float) -> Array:
-    """Best shares of the time for a few columns: sequential quadratic programming in epigraph form."""
-    per_share = total_s / columns.cost_s[active]
-    rows = columns.rows[active]
-    n = len(active)
+def smallest_maximum(
+    functions: Callable[[Array], tuple[Array, Array]],
+    first: Array,
+    cost: Array,
+    limits: tuple[float, float],
+    tolerance: float,
+) -> Array:
+    """Minimise the largest of q functions of x, shape (n,), by sequential quadratic programming in epigraph form.
 
-    @remembered
-    def logs(x: Array) -> tuple[Array, Array]:
-        weight = np.maximum(x[:n], 0.0) * per_share
-        g, X = columns.variances(columns.information(active, weight))
-        along = rows @ X
-        slopes = -np.einsum("jmq,jmq->jq", along, along) / g * per_share[:, None]
-        return np.log(g), slopes.T
-
-    first, _ = logs(share)
-    x0 = np.append(share, first.max())
-    result = minimize(
-        lambda x: x[n],
-        x0,
+    Parameters
+    ----------
+    functions : callable
+        Values, shape (q,), and derivatives, shape (q, n), at x.
+    first : ndarray, shape (n,)
+        Initial x.
+    cost : ndarray, shape (n,)
+        ``cost · x`` is at most one.
+    limits : (float, float)
+        Of every element of x.
+    tolerance : float
+        Decrease of the largest function at which to stop.
+    """
+    n, values = len(first), remembered(lambda x: functions(x[:-1]))
+    start = np.append(first, functions(first)[0].max())
+    epigraph = {
+        "fun": lambda x: x[-1] - values(x)[0],
+        "jac": lambda x: np.insert(-values(x)[1], n, 1.0, axis=1),
+    }
+    spare = {"fun": lambda x: 1.0 - cost @ x[:-1], "jac": lambda _: np.append(-cost, 0.0)}
+    found = minimize(
+        lambda x: x[-1],
+        start,
         jac=lambda _: np.append(np.zeros(n), 1.0),
         method="SLSQP",
-        bounds=[(0.0, 1.0)] * n + [(None, None)],
-        constraints=[
-            {
-                "type": "ineq",
-                "fun": lambda x: x[n] - logs(x)[0],
-                "jac": lambda x: np.hstack([-logs(x)[1], np.ones((len(columns.targets), 1))]),
-            },
-            {"type": "ineq", "fun": lambda x: 1.0 - x[:n].sum(), "jac": lambda _: np.append(np.full(n, -1.0), 0.0)},
-        ],
-        options={"maxiter": 200, "ftol": 1e-7},
+        bounds=[limits] * n + [(None, None)],
+        constraints=[{"type": "ineq"} | spare, {"type": "ineq"} | epigraph],
+        options={"maxiter": 200, "ftol": tolerance},
     )
-    found = np.maximum(result.x[:n], 0.0)
+    return np.asarray(np.clip(found.x[:-1], *limits))
+
+
+def _best_shares(columns: Columns, active: Indices, share: Array, total_s: float) -> Array:
+    """Best shares of the time for a few columns."""
+    per_share = total_s / columns.cost_s[active]
+
+    def logs(x: Array) -> tuple[Array, Array]:
+        g, X = columns.variances(columns.information(active, np.maximum(x, 0.0) * per_share))
+        return np.log(g), -(columns.gains(X, g, active) * per_share[:, None]).T
+
+    found = smallest_maximum(logs, share, np.ones(len(active)), (0.0, 1.0), 1e-7)
     total = float(found.sum())
     if not np.isfinite(total) or total <= 0.0:
         return share
     found /= total
-    return found if logs(found)[0].max() <= first.max() else share
+    return found if logs(found)[0].max() <= logs(share)[0].max() else share
 
 
 def _target_weights(gains: Array, g: Array, active: Indices, weight: Array, cost: Array, total_s: float) -> Array:

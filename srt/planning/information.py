@@ -50,8 +50,6 @@ LEAST_DRIFT: Final = np.array([tau <= 10.0 for tau in CORRELATION_TIMES_S], dtyp
 are surely independent from sequence to sequence."""
 _CACHED: Final = 512
 """Sequences whose covariances are computed at a time, so that they fit the cache."""
-_NEARLY_SINGULAR: Final = 1e6
-"""Variance over that with all other unknowns known, from which on a matrix is inverted with pivots."""
 _H, _DOWN, _START_RATE, _END_RATE = slice(0, 2), slice(2, 4), slice(4, 7), slice(7, 10)
 
 
@@ -126,23 +124,6 @@ class Signatures:
 
     def __len__(self) -> int:
         return len(self.candidates)
-
-    @cached_property
-    def _moves(self) -> list[tuple[Indices, Indices, Array]]:
-        """Start and end angle of every sequence, as numbers, shape (K,), and times of the moves, for each axis, s."""
-        out = []
-        ends = np.array([(c.start_deg, c.end_deg) for c in self.candidates], dtype=int).reshape(-1, 2, 2)
-        for axis, of_axis in zip(self.fixture.axes, np.moveaxis(ends, 2, 0), strict=True):
-            angles, numbers = np.unique(of_axis, return_inverse=True)
-            times = np.array([[axis.move_s(before, after) for after in angles.tolist()] for before in angles.tolist()])
-            first, last = numbers.reshape(of_axis.shape).T
-            out.append((first, last, times))
-        return out
-
-    def moves_s(self, which: Indices) -> Array:
-        """Times between consecutive sequences, waits included, shape (n - 1,), s."""
-        moves = sum(times[last[which[:-1]], first[which[1:]]] for first, last, times in self._moves)
-        return np.asarray(self.fixture.pause_s + moves + self.fixture.settle_s)
 
     def _rows_of_earth_rate(self, delta: Array) -> Array:
         """Change of the measurements by an error of the Earth rate in B_Strt, shape (K, 10)."""
@@ -271,25 +252,14 @@ def equilibrated_inverse(M: Array) -> Array:
     return np.asarray(np.linalg.inv(M * outer) * outer)
 
 
-def inverse_diagonals(M: Array) -> Array:
-    """Diagonals of the inverses of symmetric positive definite matrices, shape (n, p).
+def target_variances(M: Array, targets: Indices, floor: Array) -> tuple[Array, Array]:
+    """Variances of the targets from information of shape (..., p, p), and their columns of its inverse.
 
-    As those of :func:`equilibrated_inverse`, in two thirds of its time: by blocks, the second inverse is that of the
-    Schur complement. It lacks the pivots of the other, which does the matrices that are close to singular.
+    Returns
+    -------
+    variances : ndarray, shape (..., q)
+        With the part ``floor``, shape (q,), that no test reduces.
+    columns : ndarray, shape (..., p, q)
     """
-    whole = M
-    d = 1.0 / np.sqrt(np.einsum("naa->na", M))
-    M = M * d[:, :, None] * d[:, None, :]
-    half = M.shape[1] // 2
-    first, across = np.linalg.inv(M[:, :half, :half]), M[:, :half, half:]
-    effect = first @ across
-    second = np.linalg.inv(M[:, half:, half:] - np.swapaxes(across, 1, 2) @ effect)
-    through = np.einsum("nab,nab->na", effect @ second, effect)
-    parts = np.einsum("naa->na", first) + through, np.einsum("naa->na", second)
-    diagonals = np.concatenate(parts, axis=1)
-    # The diagonals of M are one, those of its inverse at least one.
-    doubtful = ~np.all((diagonals > 0.5) & (diagonals < _NEARLY_SINGULAR), axis=1)
-    diagonals *= d**2
-    if doubtful.any():
-        diagonals[doubtful] = np.einsum("naa->na", equilibrated_inverse(whole[doubtful]))
-    return np.asarray(diagonals)
+    inverse = equilibrated_inverse(M)
+    return np.einsum("...aa->...a", inverse)[..., targets] + floor, inverse[..., targets]

@@ -21,8 +21,7 @@ if TYPE_CHECKING:
     from srt.planning.conditions import Conditions
     from srt.planning.fixture_kinematics import FixtureKinematics
     from srt.planning.information import Signatures
-    from srt.planning.selection import Selection
-    from srt.types import Array
+    from srt.types import Array, Indices
 
 
 MET: Final = 1.0 + 1e-4
@@ -185,17 +184,13 @@ class TooLongError(InputError):
 
 
 def scheduled_plan(
-    criterion: AccuracyCriterion,
-    choice: Selection,
-    fixture: FixtureKinematics,
-    conditions: Conditions,
-    targets: Array,
-    total_s: float,
+    criterion: AccuracyCriterion, which: Indices, windows_s: Array, targets: Array, total_s: float
 ) -> Plan:
     """Plan of selected sequences: ordered for short moves, with the remaining time shared among the windows."""
-    order, ways, moves_s = best_order([criterion.signatures.candidates[k] for k in choice.which], fixture)
-    which = choice.which[list(order)]
-    budget = total_s - moves_s - float(criterion.signatures.between_windows_s[which].sum())
+    own = criterion.signatures
+    order, ways, moves_s = best_order([own.candidates[k] for k in which], own.fixture)
+    which = which[list(order)]
+    budget = total_s - moves_s - float(own.between_windows_s[which].sum())
     least = 2.0 * criterion.shortest_s * len(which)
     if budget < least:
         raise TooLongError(
@@ -203,7 +198,7 @@ def scheduled_plan(
             f"{total_s - budget:.0f} s, and the windows at least {least:.0f} s.",
             moves_s / max(1, len(which) - 1),
         )
-    refined = criterion.refine(which, choice.windows_s[list(order)], budget)
-    used = total_s - budget + float(refined.windows_s.sum())
-    prediction = predict(ways, refined.windows_s, fixture, conditions, targets)
-    return Plan(ways, refined.windows_s, used, moves_s, fixture, conditions, targets, prediction)
+    windows_s = criterion.best_windows(which, windows_s[list(order)], budget)
+    used = total_s - budget + float(windows_s.sum())
+    prediction = predict(ways, windows_s, own.fixture, own.conditions, targets)
+    return Plan(ways, windows_s, used, moves_s, own.fixture, own.conditions, targets, prediction)

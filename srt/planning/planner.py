@@ -3,14 +3,15 @@
 1. The sequences that the fixture can execute, each with several lengths of its windows, are the columns of a continuous
    design. Its optimum bounds what any plan can reach (:mod:`srt.planning.continuous_design`).
 2. Whole sequences are selected among the columns of most value (:mod:`srt.planning.selection`), ordered for short moves
-   (:mod:`srt.planning.order`), and the windows share the remaining time.
-3. Single sequences are exchanged by the covariance of the whole test (:mod:`srt.planning.exchange`).
+   (:mod:`srt.planning.order`), and the windows share the remaining time. This is repeated with the times of the moves
+   and the variances that the whole test has in that order.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -25,11 +26,10 @@ from srt.planning.continuous_design import (
     optimal_design,
     unobservable_targets,
 )
-from srt.planning.exchange import ExchangeSearch
 from srt.planning.information import Signatures
 from srt.planning.plan import MET, Plan, PlanLimits, TooLongError, accuracy_criterion, check_targets, scheduled_plan
 from srt.planning.prediction import predict
-from srt.planning.selection import AccuracyCriterion, CandidatePool, Selection, select
+from srt.planning.selection import CandidatePool, SelectionSearch
 from srt.recording.schema import LARGEST_TIME_S
 from srt.sensor_errors import NAMES
 
@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from srt.planning.candidates import Candidate
     from srt.planning.conditions import Conditions
     from srt.planning.fixture_kinematics import FixtureKinematics
+    from srt.planning.selection import AccuracyCriterion
     from srt.types import Array, Indices
 
     Progress = Callable[[str, int, float], None]
@@ -71,16 +72,12 @@ _BISECTIONS: Final = 4
 """Bisections between a plan that meets the targets and a time that was too short."""
 _CLOSE: Final = 0.03
 """Relative distance of those two times at which the bisection ends."""
-_ROUNDS: Final = 4
-"""Selections for one length, each with a better estimate of the time of the moves."""
+_ROUNDS: Final = 12
+"""Selections for one length, each with the times of the moves and the variances of the plan before."""
+_PATIENCE: Final = 4
+"""Selections without a better plan after which the search ends."""
 _LENGTHEN_MOVES: Final = 1.05
 """Increase of the estimated time between sequences when the moves left no time for the windows."""
-_EXCHANGES: Final = 4
-"""Runs of the exchange algorithm, with the order and the windows optimised after each."""
-_BALANCES: Final = 5
-"""Optimisations of the windows after an exchange, each with corrected variances."""
-_LEAST_GAIN: Final = 5e-3
-"""Relative decrease of sigma for which the exchange algorithm runs once more."""
 _TABLE_1_WINDOW_S: Final = 10.0
 """Initial length of the windows of Table 1, s."""
 
@@ -140,9 +137,8 @@ def table_1_plan(
     check_targets(targets)
     candidates = [from_catalogue(s, fixture) for s in SEQUENCES.values()]
     criterion = accuracy_criterion(Signatures(candidates, fixture, conditions), targets, limits)
-    which = np.arange(len(candidates))
-    guess = Selection(which, np.full((len(which), 2), _TABLE_1_WINDOW_S), math.nan)
-    return scheduled_plan(criterion, guess, fixture, conditions, targets, total_s)
+    windows_s = np.full((len(candidates), 2), _TABLE_1_WINDOW_S)
+    return scheduled_plan(criterion, np.arange(len(candidates)), windows_s, targets, total_s)
 
 
 class Planner:
@@ -165,7 +161,7 @@ class Planner:
         known: Array | None = None,
     ) -> None:
         self.fixture, self.conditions, self.targets, self.limits = fixture, conditions, targets, limits
-        self._progress = progress
+        self.tell: Progress = progress or (lambda *_: None)
         patterns = turn_patterns(largest_turn_deg=limits.largest_turn_deg, most_legs=limits.most_legs)
         candidates = executable_candidates(fixture, patterns)
         if not candidates:
@@ -189,11 +185,6 @@ class Planner:
         cost = (2.0 * self.grid[:, None] + signatures.between_windows_s + self.least_s).ravel()
         columns = rows.reshape(-1, *rows.shape[2:])
         return Columns(columns, cost, self.criterion.prior, self.criterion.targets, self.criterion.floor)
-
-    def tell(self, what: str, count: int, gap: float) -> None:
-        """Report the progress."""
-        if self._progress is not None:
-            self._progress(what, count, gap)
 
     def require_observable(self) -> None:
         """Raise DataError if no sequence that the fixture can execute observes one of the targets."""
@@ -221,9 +212,7 @@ class Planner:
     def _optimum(
         self, signatures: Signatures, coarse: Columns, total_s: float, start: ContinuousDesign | None = None
     ) -> tuple[ContinuousDesign, ContinuousDesign, Columns, Indices, Array]:
-        def tell(count: int, gap: float) -> None:
-            self.tell("optimum", count, gap)
-
+        tell = partial(self.tell, "optimum")
         # No move precedes the first sequence.
         total_s += self.least_s
         rough = optimal_design(coarse, total_s, start=start, progress=tell)
@@ -307,25 +296,26 @@ class Planner:
         """Plan of whole sequences near a continuous design; the time of the moves is estimated first, then known."""
         best: Plan | None = None
         pool, criterion = self.pool(design), self.criterion
+        search = SelectionSearch(criterion, pool, total_s, self.limits.most_sequences)
         per_sequence = self.least_s + self.fixture.outer.move_s(0.0, 90.0)
+        starts, vain = pool.starts, 0
         for _ in range(_ROUNDS):
-            most = self.limits.most_sequences
-            try:
-                choice = select(criterion, pool, total_s, per_sequence, most, lambda: self.tell("plan", 0, 0.0))
-                plan = scheduled_plan(criterion, choice, self.fixture, self.conditions, self.targets, total_s)
-            except ValueError:
+            self.tell("plan", 0, 0.0)
+            chosen = search.best(criterion, starts, per_sequence)
+            if chosen is None:
                 break
+            try:
+                plan = scheduled_plan(criterion, pool.which[chosen[0]], chosen[1], self.targets, total_s)
             except TooLongError as error:
                 per_sequence = max(_LENGTHEN_MOVES * per_sequence, error.per_sequence_s)
                 continue
+            vain += 1
             if best is None or plan.ratio < best.ratio:
-                best = plan
+                best, vain = plan, 0
+            if vain == _PATIENCE:
+                break
             per_sequence = plan.moves_s / max(1, len(plan.candidates) - 1)
-            here = np.array([pool.which.tolist().index(k) for k in choice.which])
-            pool = replace(pool, starts=(here,))
-            criterion = self._corrected(criterion, plan)
-        if best is not None and math.isfinite(best.ratio):
-            best = self._exchanged(best, pool, criterion, total_s)
+            starts, criterion = (chosen[0],), self._corrected(plan) or criterion
         if best is None:
             raise InputError(
                 f"{total_s:g} s are too short for a test that observes all targets: give more time, shorter windows "
@@ -333,36 +323,12 @@ class Planner:
             )
         return best
 
-    def _exchanged(self, plan: Plan, pool: CandidatePool, criterion: AccuracyCriterion, total_s: float) -> Plan:
-        """Plan after the exchange of sequences; order and windows are optimised again after each run."""
-        for _ in range(_EXCHANGES):
-            test = ExchangeSearch(criterion, pool, total_s)
-            which, windows_s = test.improved(
-                self._positions(plan.candidates), plan.windows_s, lambda: self.tell("plan", 0, 0.0)
-            )
-            found, choice = plan, Selection(which, windows_s, math.nan)
-            for _ in range(_BALANCES):
-                try:
-                    trial = scheduled_plan(criterion, choice, self.fixture, self.conditions, self.targets, total_s)
-                except TooLongError:
-                    break
-                criterion = self._corrected(criterion, trial)
-                found, before = min(found, trial, key=lambda p: p.ratio), found
-                if found is before:  # the variances no longer need correction, or correcting them does not help
-                    break
-            if found.ratio > plan.ratio * (1.0 - _LEAST_GAIN):
-                return found
-            plan = found
-        return plan
-
-    def _corrected(self, criterion: AccuracyCriterion, plan: Plan) -> AccuracyCriterion:
+    def _corrected(self, plan: Plan) -> AccuracyCriterion | None:
         """Criterion whose variances equal those of the whole test for a plan, in which the drift is not additive."""
         if not math.isfinite(plan.ratio):
-            return criterion
-        raw = replace(criterion, correction=np.ones_like(criterion.correction))
-        information = raw.information(self._positions(plan.candidates), plan.windows_s)
-        simple = raw.variances(raw.prior + information.sum(axis=0))
-        return replace(criterion, correction=plan.ratios[criterion.targets] ** 2 / simple)
+            return None
+        simple, _ = self.criterion.log_variances(self._positions(plan.candidates), plan.windows_s)
+        return replace(self.criterion, correction=plan.ratios[self.criterion.targets] ** 2 / np.exp(simple))
 
     def shortest_plan(self) -> Plan:
         """Shortest plan that meets the targets."""
@@ -444,11 +410,10 @@ class Planner:
 
     def _shortened(self, plan: Plan) -> Plan:
         """Plan with the windows shortened as far as the targets allow."""
-        which = self._positions(plan.candidates)
-        choice = self.criterion.refine(which, plan.windows_s, None)
-        total_s = plan.total_s + float(choice.windows_s.sum() - plan.windows_s.sum())
-        prediction = predict(plan.candidates, choice.windows_s, self.fixture, self.conditions, self.targets)
-        shorter = replace(plan, windows_s=choice.windows_s, total_s=total_s, prediction=prediction)
+        windows_s = self.criterion.shortest_windows(self._positions(plan.candidates), plan.windows_s)
+        total_s = plan.total_s + float(windows_s.sum() - plan.windows_s.sum())
+        prediction = predict(plan.candidates, windows_s, self.fixture, self.conditions, self.targets)
+        shorter = replace(plan, windows_s=windows_s, total_s=total_s, prediction=prediction)
         return shorter if shorter.ratio <= MET and total_s < plan.total_s else plan
 
     def _positions(self, candidates: Sequence[Candidate]) -> Indices:

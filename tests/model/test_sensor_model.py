@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 import sims
-from sims.physics.imu import exact_increments
+from sims.physics.imu import noise_free_increments
 from srt.exceptions import DataError
 from srt.model.analytic_platform import integrate_attitude
 from srt.model.gyro_stream import gyro_stream
@@ -95,7 +95,7 @@ def test_readings_worked_by_hand(groups, true, reading):
     motion = SimpleNamespace(
         interval=1.0, angle=both[0], angle_abs=np.abs(both[0]), velocity=both[1], velocity_abs=np.abs(both[1])
     )
-    found = exact_increments(motion, errors)[:: 1 if of_gyros else -1]
+    found = noise_free_increments(motion, errors)[:: 1 if of_gyros else -1]
     np.testing.assert_allclose(found[0][0], reading, rtol=0, atol=tolerance)
     np.testing.assert_array_equal(found[1][0], 0.0)
 

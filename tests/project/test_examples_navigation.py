@@ -12,7 +12,7 @@ import pytest
 
 import sims
 import srt
-from sims.physics.imu import exact_increments
+from sims.physics.imu import noise_free_increments
 from srt.sensor_errors import N_PARAMETERS
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -51,7 +51,7 @@ def test_readings_equal_the_simulators_but_for_changes_of_sign_within_a_sample(e
     found = example.navigation.sensed(
         motion(example, true.angle, true.velocity, true.interval), faultless_unit(example, errors), None
     )
-    expected = exact_increments(true, errors)
+    expected = noise_free_increments(true, errors)
     rectified = (true.angle_abs - np.abs(true.angle), true.velocity_abs - np.abs(true.velocity))
     for group, value, reading, gap in zip(("gyro", "accel"), found, expected, rectified, strict=True):
         asymmetry = [errors[f"{group}_asymmetry_{axis}"] for axis in "xyz"]

@@ -20,7 +20,7 @@ from sims.accuracy.bound import (
     linearise,
     scenario_bound,
 )
-from sims.physics.imu import ImuModel, exact_increments, gyro_matrix
+from sims.physics.imu import ImuModel, gyro_matrix, noise_free_increments
 from sims.physics.motion import RateProfile
 from sims.scenarios.simulation import schedule_of
 from srt.constants import DEG_PER_SQRT_H
@@ -106,7 +106,7 @@ def compensated(motion, gyro, errors):
     angles = gyro
     for _ in range(12):
         guess = replace(motion, angle=angles, angle_abs=np.abs(angles), velocity=0 * gyro, velocity_abs=0 * gyro)
-        angles = angles + gyro - exact_increments(guess, errors)[0]
+        angles = angles + gyro - noise_free_increments(guess, errors)[0]
     return angles
 
 
@@ -129,7 +129,7 @@ def test_derivatives_predict_what_the_simulator_measures(size):
     )
     results = []
     for motion, added in ((still, 0.0 * change), (moved, change)):
-        gyro, accel = exact_increments(motion, errors.plus(added))
+        gyro, accel = noise_free_increments(motion, errors.plus(added))
         results.append(measured(motion, gyro, accel, compensated(motion, gyro, errors)))
     (means, rotations), (new_means, new_rotations) = results
 
@@ -164,7 +164,7 @@ def test_derivatives_predict_the_moves():
     results, ends = [], []
     for drawn, added in ((None, 0.0 * change), (draw, change)):
         motion = sims.run_schedule(schedule, site=SITE, fixture_draw=drawn)
-        angles = compensated(motion, exact_increments(motion, SensorErrors(added))[0], SensorErrors())
+        angles = compensated(motion, noise_free_increments(motion, SensorErrors(added))[0], SensorErrors())
         windows = np.searchsorted(motion.time, np.array(motion.windows) + 0.5 * motion.interval, side="right")
         results.append([turned(angles[a:b]) for a, b in zip(windows[:-1, 1, 1], windows[1:, 0, 0], strict=True)])
         ends.append(motion.attitudes[:, 1])
@@ -213,7 +213,7 @@ def test_noise_is_that_of_noisy_readings():
         return measured(motion, gyro, accel, gyro @ to_true)
 
     stems = ("gyro_bias", "accel_bias")
-    means, rotations = measure(*exact_increments(motion, errors), [errors.group(stem) for stem in stems])
+    means, rotations = measure(*noise_free_increments(motion, errors), [errors.group(stem) for stem in stems])
     trials, off = 400, []
     for rng in np.random.default_rng(3).spawn(trials):
         # Known biases of many pulses in a window, so that each edge is rounded anew.
