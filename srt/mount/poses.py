@@ -22,7 +22,7 @@ from srt.sensor_errors import GROUP_SLICES, NAMES
 from srt.sequences.clipping import clipped_samples, clipping_levels
 from srt.sequences.plausibility import check_interval, check_rest
 from srt.sequences.stationary_windows import find_windows, window_times
-from srt.sequences.window_means import average_windows
+from srt.sequences.window_means import LEAST_SAMPLES, average_windows
 
 if TYPE_CHECKING:
     from srt.model.sensor_model import Triad
@@ -187,7 +187,7 @@ def _check_samples(recording: Recording, samples: Indices, used: Indices, names:
     levels = clipping_levels(recording)
     for i in used.tolist():
         part = slice(*samples[i].tolist())
-        if part.stop - part.start < 2:
+        if part.stop - part.start < LEAST_SAMPLES:
             raise DataError(f"{names[i]} holds one sample; a pose needs at least two: widen its window.")
         if (recording.gaps_inside(samples[i]) >= 0).any():
             raise DataError(f"{names[i]} has samples missing: the unit may have moved meanwhile; record it again.")

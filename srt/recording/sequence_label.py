@@ -9,7 +9,7 @@ from typing import Final
 from srt.exceptions import InputError
 from srt.model.table1 import AXES, SEQUENCES, SIGNED_AXES
 
-_POSE_MIDDLE: Final = 0.02
+POSE_MIDDLE: Final = 0.02
 """Share of a pose between its two halves; it takes the place of the rotation and holds at least one sample."""
 
 
@@ -71,7 +71,7 @@ class SequenceLabel:
     ) -> SequenceLabel:
         """Label of a pose from its whole stationary window; a fiftieth in the middle separates the halves."""
         a, b = (float(limit) for limit in static_s)
-        apart = 0.5 * _POSE_MIDDLE * (b - a)
+        apart = 0.5 * POSE_MIDDLE * (b - a)
         middle = 0.5 * (a + b)
         return cls((a, middle - apart), (middle + apart, b), id, down, along_outer, pose=True)
 

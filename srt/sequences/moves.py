@@ -13,6 +13,7 @@ import numpy as np
 
 from srt.recording.recording import SequenceLabel
 from srt.sequences.stationary_windows import MIN_TURN_RAD
+from srt.sequences.window_means import LEAST_SAMPLES
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -54,7 +55,7 @@ def _is_move(recording: Recording, before: SequenceLabel, after: SequenceLabel) 
     if before.pose or after.pose:
         return False
     first, last = (recording.window_indices(*w) for w in (before.end_static_s, after.start_static_s))
-    if min(first.stop - first.start, last.stop - last.start) < 2 or last.start <= first.stop:
+    if min(first.stop - first.start, last.stop - last.start) < LEAST_SAMPLES or last.start <= first.stop:
         return False
     if (recording.gaps_inside((first.start, last.stop)) >= 0).any():
         return False

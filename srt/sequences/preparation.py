@@ -17,9 +17,10 @@ from srt.noise.bias_instability import DriftDraws, drift_draws, interval_times, 
 from srt.noise.bias_steps import step_shapes
 from srt.noise.drift_forms import WALK, DriftShape, DriftShapes, Intervals, walk_between_windows
 from srt.noise.noise_model import NoiseModel, noise_model
+from srt.recording.sequence_label import POSE_MIDDLE
 from srt.sequences.manoeuvres import end_attitude
 from srt.sequences.vibration import Vibration, rectified, vibration
-from srt.sequences.window_means import Windows, average_windows, averaging_weights, windows_of_labels
+from srt.sequences.window_means import LEAST_SAMPLES, Windows, average_windows, averaging_weights, windows_of_labels
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Mapping, Sequence
@@ -455,7 +456,7 @@ def _prepare(
     alone = []
     for label in poses:
         s = recording.window_indices(*label.start_static_s)
-        if s.stop - s.start >= 2:
+        if s.stop - s.start >= LEAST_SAMPLES:
             alone.append((label, slices.setdefault((s.start, s.stop), len(slices))))
     samples = np.array(list(slices), dtype=np.intp)
     for k, label in enumerate(labels):
@@ -463,7 +464,7 @@ def _prepare(
             if label.pose:
                 raise DataError(
                     f"{label.title} holds {samples[end[k], 1] - samples[start[k], 0]} samples, but a pose needs at "
-                    "least 100: let the unit rest longer, or widen its window."
+                    f"least {1.0 / POSE_MIDDLE:.0f}: let the unit rest longer, or widen its window."
                 )
             raise DataError(
                 f"Sequence {label.id or k + 1} has no samples between its start window (until "

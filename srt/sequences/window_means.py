@@ -7,7 +7,7 @@ attitude is constant in the windows, the iterations need no other data of the wi
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 
 import numpy as np
 
@@ -20,6 +20,9 @@ if TYPE_CHECKING:
     from srt.recording.recording import Recording, SequenceLabel
     from srt.types import Array, Indices
 
+
+LEAST_SAMPLES: Final = 2
+"""Samples that a stationary window needs."""
 
 Average = Literal["linear", "overlapping"]
 """Plain mean, or mean of overlapping half-window means (Savage 2020, after eq. 1: linear, average of averages)."""
@@ -80,11 +83,11 @@ def windows_of_labels(recording: Recording, labels: Sequence[SequenceLabel]) -> 
     slices: dict[tuple[int, int], int] = {}
     ends = np.empty(len(limits), dtype=np.intp)
     for number, (bounds, s) in enumerate(zip(limits, recording.windows(limits), strict=True)):
-        if s.stop - s.start < 2:
+        if s.stop - s.start < LEAST_SAMPLES:
             raise DataError(
                 f"The window from {bounds[0]:g} s to {bounds[1]:g} s of sequence "
                 f"{labels[number // 2].id or 'without id'} holds {s.stop - s.start} samples; a stationary window needs "
-                "at least 2: correct its times."
+                f"at least {LEAST_SAMPLES}: correct its times."
             )
         ends[number] = slices.setdefault((s.start, s.stop), len(slices))
     return np.array(list(slices), dtype=np.intp), ends.reshape(-1, 2).T
