@@ -70,7 +70,7 @@ ALL_OR_NOTHING = ("", "-")
 MOVED = {
     "gyro_lsb": ("gyro",), "accel_lsb": ("accel",), "gyro_factor": ("gyro",), "accel_factor": ("accel",),
     "one axis of another range": ("gyro", "accel"), "gyro_bias_drift": ("gyro_bias",),
-    "gyro bias steps": ("gyro_bias",), "accel_bias_drift": ("accel_bias",),
+    "gyro bias steps": ("gyro_bias",), "earth_rate_absent": ("gyro_bias",), "accel_bias_drift": ("accel_bias",),
     "wrong_angle and accel_bias_drift": ("accel_bias",), "accelerometer bias steps": ("accel_bias",),
     "accelerometer scale drifts": ("accel_scale",), "gyro scale drifts": ("gyro_scale",),
     "gyro_scale_drift": ("gyro_scale",), "offset subtracted twice": ("gyro_bias",),
