@@ -1,4 +1,4 @@
-"""What ``mutations.py`` changes, and the tests that must notice."""
+"""Mutations of the source that ``mutations.py`` makes, and the tests that must notice them."""
 
 from __future__ import annotations
 

@@ -169,9 +169,10 @@ class _Iteration:
         before, last = self.corrections[:, -2:].T
         # An error tilts the vertical, which the Earth's rate refers to, while the Earth turns.
         turned = EARTH_RATE_RAD_S * float(measurements.integrals.weight_s.max())
-        rate = np.clip(last / before, max(_LEAST_RATE, turned), 1.0)
-        with np.errstate(divide="ignore"):
-            return np.asarray((last * rate / (1.0 - rate))[:, None] * PARAMETER_UNITS)
+        ratio = np.divide(last, before, out=np.ones_like(last), where=before > 0.0)
+        rate = np.clip(ratio, max(_LEAST_RATE, turned), 1.0)
+        left = np.maximum(1.0 - rate, np.finfo(np.float64).eps)  # without convergence, what follows has no bound
+        return np.asarray((last * rate / left)[:, None] * PARAMETER_UNITS)
 
     def _keep(self, which: Indices) -> None:
         """Continue with some of the units."""

@@ -157,11 +157,9 @@ def bias_of_test(data: PreparedRecording, wander: Array) -> Array:
     A bias differs from the unit's by one random draw. A stated bias instability includes this already: its part common
     to all windows is an error of the bias alone.
     """
-    out, bias = (
-        np.zeros((*wander.shape[:-1], N_PARAMETERS, N_PARAMETERS)),
-        np.arange(N_PARAMETERS)[GROUP_SLICES["gyro_bias"]],
-    )
+    out = np.zeros((*wander.shape[:-1], N_PARAMETERS, N_PARAMETERS))
     if data.noise.gyro_flicker is None:
+        bias = np.arange(N_PARAMETERS)[GROUP_SLICES["gyro_bias"]]
         out[..., bias, bias] = wander**2
     return out
 

@@ -147,7 +147,7 @@ class Solution:
     errors : SensorErrors
     U : ndarray, shape (3, 3)
     covariance : ndarray, shape (27, 27)
-        Of the estimate, by all sources.
+        Covariance of the estimate by all sources.
     measurement_covariance : ndarray, shape (n_z, n_z)
     gain : ndarray, shape (27, n_z)
     projection : dict of str to ndarray

@@ -297,6 +297,9 @@ def calibrate_unit(task: UnitTask) -> tuple[int, FleetUnit]:
     from srt.procedure import calibrate
     from srt.recording.folder import load_recording
 
+    # The last recording and its derived values refer to each other: by itself the collector, which counts objects and
+    # not bytes, would keep gigabytes of several units.
+    gc.collect()
     unit = partial(FleetUnit, task.name, task.recording)
     serial = None
     try:
@@ -315,8 +318,6 @@ def calibrate_unit(task: UnitTask) -> tuple[int, FleetUnit]:
             "report it as a defect.",
             DataError.exit_code,
         )
-    finally:
-        gc.collect()  # by itself it waits for many objects, and few of a recording are gigabytes
     code = 0 if result.status in USABLE else DataError.exit_code
     return task.number, unit(serial, result.status, result.message, code, result)
 
