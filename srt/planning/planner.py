@@ -310,7 +310,7 @@ class Planner:
                 per_sequence = max(_LENGTHEN_MOVES * per_sequence, error.per_sequence_s)
                 continue
             vain += 1
-            if best is None or plan.ratio < best.ratio:
+            if plan.ratio < (best.ratio if best else math.inf):
                 best, vain = plan, 0
             if vain == _PATIENCE:
                 break
@@ -319,7 +319,7 @@ class Planner:
         if best is None:
             raise InputError(
                 f"{total_s:g} s are too short for a test that observes all targets: give more time, shorter windows "
-                "(shortest_window_s), or fewer targets."
+                "(shortest_window_s), more sequences (most_sequences), or fewer targets."
             )
         return best
 

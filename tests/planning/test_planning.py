@@ -282,8 +282,9 @@ def test_targets_that_are_none(change, said):
 
 
 def test_a_time_that_is_too_short():
-    with pytest.raises(InputError, match="too short"):
-        make_plan(STAND, file_of().conditions(), file_of().targets.sigma(), total_s=5.0, limits=ONE)
+    for total_s in (5.0, 60.0):  # no sequence, and some that do not observe all targets
+        with pytest.raises(InputError, match=f"^{total_s:g} s are too short for a test that observes all targets"):
+            make_plan(STAND, file_of().conditions(), file_of().targets.sigma(), total_s=total_s, limits=ONE)
     with pytest.raises(InputError, match="too short for 17 sequences"):
         table_1_plan(STAND, file_of().conditions(), file_of().targets.sigma(), 200.0, QUICK)
 
