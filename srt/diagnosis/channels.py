@@ -100,19 +100,20 @@ def _goes_on(evidence: Evidence, channel: int, bounds: tuple[int, int, int, int]
     faster at the end of the run than at the next sample. ``bounds`` are those of the run (inclusive) in those of its
     window or rotation.
     """
-    recording, data = evidence.recording, evidence.data
+    data, (a, first, last, b) = evidence.data, bounds
     sensor, axis = ("gyro", "accel")[channel // 3], channel % 3
-    pulse, (a, first, last, b) = getattr(recording.noise, f"{sensor}_quantization"), bounds
+    stated = getattr(evidence.recording.noise, f"{sensor}_quantization")
+    unit = stated / (evidence.dt * evidence.per_rate) if stated else float(evidence.steps[channel // 3, axis])
     assert data is not None
-    if not pulse:
+    if unit == 0.0:
         return False
     # White noise makes a random walk of the counted angle, which stays within one pulse over n samples with
     # p = exp(−n (π σ)² / 2), for a noise σ of a sample in pulses.
-    sigma = getattr(data.noise, f"{sensor}_white")[axis] * math.sqrt(evidence.dt) / pulse
+    sigma = getattr(data.noise, f"{sensor}_white")[axis] / (unit * evidence.per_rate * math.sqrt(evidence.dt))
     if 0.5 * (last - first) * (math.pi * sigma) ** 2 > -math.log(BY_CHANCE):
         return False
     column = evidence.columns[channel]
-    value, unit = float(column[first]), pulse / (evidence.dt * evidence.per_rate)
+    value = float(column[first])
     for beside in (column[max(a, first - BESIDE) : first][::-1], column[last + 1 : min(b, last + 1 + BESIDE)]):
         changes = np.abs(np.diff(beside[:2], prepend=value))
         # Evenly spaced pulses differ by one. The median, because the edge of a window may lie within a sample.

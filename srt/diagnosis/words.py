@@ -205,6 +205,10 @@ _OUTLIERS: Final = 1e-4
 """Share of readings of each value that no noise explains."""
 _LEAST_NOISE: Final = 0.05
 """Noise in steps below which all readings of a window are equal."""
+_CARRIED: Final = 0.16
+"""Squared range of sums over the variance of independent readings, 1.6 on average, below which pulses carry over."""
+_FEWEST: Final = 10
+"""Readings beyond the two most common of a window below which the widths of the steps do not show."""
 _GRID: Final = 17
 """Number of noises, and of means of a window, that are compared in one pass."""
 _PASSES: Final = 3
@@ -258,10 +262,12 @@ def _likelihood_ratio(column: Array, step: float, windows: Indices) -> float:
         own = np.bincount(whole[np.abs(whole) <= _NEAR] + _NEAR, minlength=2 * _NEAR + 1)
         # Zeros without neighbours are a dead band, or stand for lost readings.
         if own[_NEAR] and (own[_NEAR - 1] + own[_NEAR + 1] or own[_NEAR] == b - a):
-            rows.append((own, np.median(whole), whole.var()))
+            rows.append((own, np.median(whole), whole.var(), np.ptp(np.cumsum(whole - whole.mean())) ** 2 / (b - a)))
     if not rows:
         return 0.0
-    counts, middle, variance = (np.array(values) for values in zip(*rows, strict=True))
+    counts, middle, variance, of_sums = (np.array(values) for values in zip(*rows, strict=True))
+    if np.sort(counts, axis=1)[:, -3].sum() < _FEWEST or of_sums.sum() < _CARRIED * variance.sum():
+        return 0.0
     read = counts.sum(axis=0) > 0
     if np.any(read[[0, -1]] & ~read[[1, -2]]):
         return 0.0  # words that never occur, as with a stuck bit

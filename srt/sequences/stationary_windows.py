@@ -25,6 +25,9 @@ _LONGEST_SUM_S: Final = 2.0
 _SIGMAS: Final = 6.0
 """Limit of a sum of readings, in sigma, for motion: about 0.001 false alarms in the 500,000 tests of a recording."""
 
+_GROWN: Final = 4.0
+"""Ratio of two rates of a motion that begins smoothly: a rate that grows with the square of time begins as long before
+the first as that is before the second. Readings in steps hide more of the beginning than their noise."""
 _DOUBTFUL: Final = 2.5
 """Limit, in sigma, of a single gyro reading next to motion; a larger one is excluded from the window."""
 _CORE_BLOCKS: Final = 20
@@ -67,9 +70,9 @@ def to_the_sample(
 
     The threshold for still blocks may lie far above the noise of the unit, so that the ends of a run may belong to a
     slow rotation. Therefore the quietest part of the run near either end (the core) represents rest. From the core
-    outward, sums of 1, 2, 4 ... readings are compared with it. The first sum beyond its noise ends the window, and as
-    many samples again are excluded, because noise hides the start of a slow rotation. Excluded samples belong to the
-    rotation.
+    outward, sums of 1, 2, 4 ... readings are compared with it. The first sum beyond its noise ends the window. As many
+    samples again are excluded, and the time in which a smooth motion grows to that rate, because noise and steps of the
+    readings hide the start of a rotation. Excluded samples belong to the rotation.
 
     Parameters
     ----------
@@ -167,7 +170,7 @@ def _extend(
 def _still_outward(
     recording: Recording, core: slice, outward: range, factor: float, least: Array, spread: Array | float
 ) -> int:
-    """Number of samples next to a core that are consistent with it."""
+    """Number of samples next to a core that are consistent with it; negative if motion begins in the core."""
     if len(outward) == 0:
         return 0
     beside = np.concatenate([recording.gyro[core], recording.accel[core]], axis=1) * factor
@@ -188,11 +191,15 @@ def _still_outward(
             tremor = np.maximum(tremor, spread)
         # The factor (1 + n/N) is the uncertainty of the core's mean.
         limit = _SIGMAS * np.sqrt(n * tremor * (1.0 + n / len(beside)) + n**2 * wander)
-        beyond = (np.abs(total[n:] - total[:-n]) > limit).any(axis=1)
-        if beyond.any():
+        ratio = (np.abs(total[n:] - total[:-n]) / limit).max(axis=1)
+        if (ratio > 1.0).any():
+            grown = min(_GROWN, float(ratio.max()))
+            first, fast = int(np.argmax(ratio > 1.0)), int(np.argmax(ratio >= grown))
+            hidden = round((fast - first) / max(np.sqrt(grown) - 1.0, 0.5))
             # Longer sums that end later do not shorten the window.
-            best = int(np.argmax(beyond)) + n - 1
-            kept, total = max(0, best - 2 * (n - 1)), total[: best + 1]
+            best = first + n - 1
+            kept = min(kept, max(0, best - 2 * (n - 1)), max(first + n // 2 - hidden, -len(beside) // 4))
+            total = total[: best + 1]
         n *= 2
     # The sample next to the motion may contain its first or last moment, below the detection limit.
     while 0 < kept < len(index) and np.any(np.abs(deviation[kept - 1, :3]) > _DOUBTFUL):

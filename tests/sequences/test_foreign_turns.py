@@ -4,12 +4,15 @@ from functools import lru_cache
 
 import numpy as np
 import pytest
+from foreign_fixture import LATITUDE_DEG, on_fixture, table_1
 from foreign_motion import (
     DEG,
     GRADES,
+    GRAVITY_M_S2,
     NINETEEN_START_DEG,
     PROFILES,
     Grade,
+    angle_share,
     drawn_errors,
     hand_turns,
     nineteen_positions,
@@ -85,6 +88,22 @@ def test_joint_estimators_agree(estimator):
         assert np.max(np.abs(z)) < np.sqrt(chi2.isf(0.01 / (4 * len(NAMES)), 1))
 
 
+def angles_in_windows(samples, turns, rests, profile):
+    """Angle turned inside each found window, rad, and its length, s; ``rests`` are those before and after each turn."""
+    begins, ends = np.array(rests).T
+    found = find_windows(samples)
+    first, last = samples.time[found[:, 0]] - 0.01, samples.time[found[:, 1] - 1]
+    inside = np.zeros(len(found))
+    whole = ends - begins > 1.0  # those between the turns of a sequence are none
+    assert np.count_nonzero(whole) == len(found)
+    for w, rest in enumerate(np.flatnonzero(whole)):
+        for turn, t in ((rest, last[w] - ends[rest]), (rest - 1, begins[rest] - first[w])):
+            if 0 <= turn < len(turns):  # profiles are symmetric: the end of a turn is its start, backward
+                share = angle_share(profile, np.array([t / turns[turn].duration_s]))
+                inside[w] += abs(turns[turn].angle_rad) * float(share[0])
+    return inside, last - first
+
+
 @pytest.mark.parametrize(
     ("grade", "profile"),
     [
@@ -97,24 +116,8 @@ def test_windows_hold_no_end_of_a_turn(grade, profile):
     rng = np.random.default_rng((SEED, 7))
     turns = hand_turns(rng, shortest_s=0.5, longest_s=30.0)
     samples = recording(turns, 5.0, {}, GRADES[grade], rng, profile=profile)
-    found = find_windows(samples)
-    rests = windows(turns, 5.0)
-    begins = np.cumsum([5.0, *(turn.duration_s + turn.rest_s for turn in turns)])
-    assert len(found) == len(rests)
-    from foreign_motion import angle_share
-
-    def turned(turn, begin, t):
-        return abs(turn.angle_rad) * float(angle_share(profile, np.array([(t - begin) / turn.duration_s]))[0])
-
-    for w, (a, b) in enumerate(found.tolist()):
-        first, last = samples.time[a] - 0.01, samples.time[b - 1]
-        inside = 0.0
-        if w < len(turns):  # the turn after it has begun
-            inside += turned(turns[w], begins[w], last)
-        if w:  # the turn before it has not ended
-            inside += abs(turns[w - 1].angle_rad) - turned(turns[w - 1], begins[w - 1], first)
-        noise = GRADES[grade].gyro_rad_per_sqrt_s * np.sqrt(last - first)
-        assert inside < 6.0 * noise, (w, inside, noise)
+    inside, duration_s = angles_in_windows(samples, turns, windows(turns, 5.0), profile)
+    assert np.all(inside < 6.0 * GRADES[grade].gyro_rad_per_sqrt_s * np.sqrt(duration_s))
 
 
 FINE = Grade(0.001 * DEG / 60.0, 10e-6 * 9.80665, 3e-5, 1.5e-4, 0.2 * DEG / 3600.0, 2e-3)
@@ -173,3 +176,37 @@ def test_nineteen_positions_with_noise(estimator, units):
         column = np.array(z)[:, i]
         if np.all(np.isfinite(column)):
             assert chi2.ppf(tail, units) <= np.sum(column**2) <= chi2.isf(tail, units), name
+
+
+def with_pulses(motion, errors, pulse_arcsec, rng, profile="raised-cosine"):
+    """Recording without labels whose gyros count pulses and carry the remainder over, as rates; the fixture: 1 mrad."""
+    samples, pulse = motion.sampled(errors, FINE, rng, hz=100.0, profile=profile), pulse_arcsec * DEG / 3600.0
+    counts = np.rint(np.cumsum(samples["gyro"], axis=0) * 0.01 / pulse)
+    gyro = np.diff(counts, axis=0, prepend=np.zeros((1, 3))) * pulse / 0.01
+    site = srt.Site(GRAVITY_M_S2, latitude_rad=LATITUDE_DEG * DEG)
+    return srt.Recording(samples["time"], gyro, samples["accel"], site, fixture=srt.Fixture(0.0, 1e-3, 1e-3))
+
+
+@pytest.mark.parametrize("pulse_arcsec", [0.75, 3.0])
+@pytest.mark.parametrize("profile", ["raised-cosine", "trapezoid"])
+def test_windows_hold_no_turn_below_the_pulses(profile, pulse_arcsec):
+    """Pulses far above the noise hide the start of a slow turn: not a pulse of it is inside a window."""
+    rng = np.random.default_rng((SEED, 7500))
+    motion = on_fixture(list(table_1())[:6], rng, rest_s=8.0, rate_rad_s=0.1, sigma_rad=1e-3)
+    samples = with_pulses(motion, {}, pulse_arcsec, rng, profile)
+    inside, _ = angles_in_windows(samples, motion.turns, motion.rests(), profile)
+    assert inside.max() < pulse_arcsec * DEG / 3600.0
+
+
+@pytest.mark.parametrize("estimator", ["closed-form", "least-squares"])
+def test_pulses_far_above_the_noise_are_sound(estimator):
+    """An axis without a rate reads zero for a whole window: neither stuck nor truncated, and errors match sigmas."""
+    for number in range(2):
+        rng = np.random.default_rng((SEED, 7600 + number))
+        errors = drawn_errors(FINE, rng)
+        motion = on_fixture(table_1(), rng, rest_s=13.5, rate_rad_s=0.6, sigma_rad=1e-3)
+        found = srt.calibrate(with_pulses(motion, errors, 0.75, rng), estimator)
+        assert found.judgement.word == "sound", found.judgement.reason
+        z = (found.errors.vector - np.array([errors.get(name, 0.0) for name in NAMES])) / found.sigma
+        squares = z @ np.linalg.solve(found.covariance / np.outer(found.sigma, found.sigma), z)
+        assert chi2.sf(squares, len(NAMES)) > 0.01 / 4, number
