@@ -9,8 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
+import harness
 import numpy as np
-from studies import in_processes, scored
+from studies import scored
 
 import srt
 from sims.physics.fixture import FixtureDraw, draw_fixture, rotation
@@ -58,7 +59,7 @@ INSTABILITY: Final = {
 
 def run(trial: Callable[[int], Any], seeds: Iterable[int], *, workers: int = 1) -> list[Any]:
     """Results of ``trial(seed)`` in the order of the seeds."""
-    return list(in_processes(workers, trial, ((seed,) for seed in seeds)))
+    return list(harness.in_processes(workers, trial, ((seed,) for seed in seeds)))
 
 
 def normal_errors(rng: np.random.Generator, sigma: float = 1e-3, gyro_bias: float = 0.0) -> SensorErrors:

@@ -33,7 +33,7 @@ from foreign_motion import GRADES as FOREIGN_GRADES
 from foreign_motion import recording as free_recording
 from protocols import PROTOCOLS
 from scipy.ndimage import uniform_filter1d
-from studies import counts, in_processes, markdown
+from studies import counts, markdown
 
 sys.path.append(str(Path(__file__).parents[1] / "tests"))  # injected_faults
 
@@ -204,7 +204,7 @@ def detection(kind: str, grade: str, seeds: range, jobs: int) -> Detection:
         return Detection(kind, None, Counter())
 
     def told(severity: float, part: Sequence[int]) -> Counter[str]:
-        done = in_processes(jobs, injected, ((kind, grade, severity, seed) for seed in part))
+        done = harness.in_processes(jobs, injected, ((kind, grade, severity, seed) for seed in part))
         return Counter(outcome.told for outcome in done)
 
     def all_named(severity: float) -> bool:
@@ -303,7 +303,7 @@ def drawn_outcome(number: int, seed: int) -> tuple[str, str, Outcome]:
 def drawn(seeds: range, seed: int, jobs: int) -> bool:
     """Print the outcome of each drawn fault, and the sums; True if too few are right, or one is silently wrong."""
     harmful, right, silent = 0, 0, 0
-    for title, kind, outcome in in_processes(jobs, drawn_outcome, ((number, seed) for number in seeds)):
+    for title, kind, outcome in harness.in_processes(jobs, drawn_outcome, ((number, seed) for number in seeds)):
         good, wrong = outcome.first in causes_of(kind), outcome.word == "sound" and outcome.error > SIGMAS
         if wrong and not good and kind in CANNOT_BE_SEEN:
             print(f"unseen   {title}: {outcome.error:.1f} sigma", flush=True)
@@ -411,7 +411,7 @@ def clean_recording(number: int, seed: int) -> tuple[str, list[str], str]:
 def clean(seeds: range, seed: int, jobs: int) -> bool:
     """Print the recordings without a fault that raise a finding, and the verdicts; True if there is one."""
     alarms, words = 0, Counter[str]()
-    for title, faults, word in in_processes(jobs, clean_recording, ((number, seed) for number in seeds)):
+    for title, faults, word in harness.in_processes(jobs, clean_recording, ((number, seed) for number in seeds)):
         if faults or word not in ("sound", "partial"):
             print(f"{title}: {', '.join((*faults, word))}", flush=True)
         alarms, words[word] = alarms + bool(faults), words[word] + 1

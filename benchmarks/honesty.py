@@ -276,7 +276,7 @@ def main(
     print(*studies.markdown((*chosen.head, "by", *chosen.columns), (), len(chosen.head) + 1), sep="\n", flush=True)
     for cell in cells:
         tasks = [(cell, unit, estimators) for unit in range(first, first + units)]
-        done = list(studies.in_processes(jobs, chosen.trial, tasks))
+        done = list(harness.in_processes(jobs, chosen.trial, tasks))
         for name in done[0]:
             scores = [rows[name] for rows in done]
             beyond += (not chosen.limited or name in chosen.limited) and chosen.beyond(scores, tests)

@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 from collections import Counter
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
     from pathlib import Path
 
     from srt.result.calibration import Calibration
@@ -126,13 +126,3 @@ def replace_tables(page: Path, tables: dict[str, str]) -> None:
             raise ValueError(f"{page}: no place for the table {name}")
         text = f"{before}{begin}\n\n{table}\n\n{end}{after}"
     page.write_text(text, encoding="utf-8")
-
-
-def in_processes(
-    jobs: int, trial: Callable[..., Any], tasks: Iterable[Sequence[Any]], *, as_they_end: bool = False
-) -> Iterator[Any]:
-    """Results of ``trial(*task)`` in the order of the tasks, or as they end."""
-    from joblib import Parallel, delayed
-
-    order = "generator_unordered" if as_they_end else "generator"
-    return iter(Parallel(n_jobs=jobs, return_as=order)(delayed(trial)(*task) for task in tasks))
