@@ -20,10 +20,10 @@ import sys
 from collections import Counter
 from collections.abc import Callable, Collection, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any, NamedTuple, NoReturn, get_args
+from typing import Any, NamedTuple, get_args
 
 import harness
 import numpy as np
@@ -38,6 +38,7 @@ from studies import counts, markdown
 sys.path.append(str(Path(__file__).parents[1] / "tests"))  # injected_faults
 
 from injected_faults import execution, foreign_operators, logger, site_and_drift  # noqa: F401 - they register
+from injected_faults.foreign_operators import PAIRS
 from injected_faults.injection import GRADES, INJECTIONS, VARIANTS, Case, Injection
 
 import srt
@@ -88,6 +89,15 @@ OF_FIXTURE = (
     "north", "table faces the other way", "frame_turned", "east, north, up for north, east, down",
 )  # fmt: skip
 """Faults of a heading or a frame, which units turned by hand do not have."""
+OF_MOTION = (
+    "labels_shifted", "labels_exchanged", "wrong_direction", "wrong_angle", "sequence_missing", "sequence_repeated",
+    "unsettled", "bump", "creep", "vibration", "noisy_window", "sensor_time_offset", "gyro_axis_delayed",
+    "accel_axis_delayed", "samples_lost", "increments_as_rates", "rates_as_increments", "gravity_absent", "spikes",
+    "gyro_clipped", "accel_clipped", "latitude", "gyro_bias_drift", "units_joined", "accel_settling", "gyro_noise",
+    "accel_noise", "asymmetry_omitted", "samples dropped, stamps closed up", "labels of a fast clock",
+    "time of the labels from the start", "mounted anew in the middle", *(f"{a} and {b}" for a, b in PAIRS),
+)  # fmt: skip
+"""Faults of the motion, of the noise, or of a size relative to them, which are those of a simulated unit."""
 KINDS = {**INJECTIONS, **VARIANTS}
 case_of = lru_cache(LADDER_UNITS)(Case)
 """Unit of a grade and a seed, simulated once for faults in a row."""
@@ -239,16 +249,12 @@ def catalogue(kinds: Sequence[str], grades: Sequence[str], seeds: range, jobs: i
     return missed
 
 
-@dataclass(frozen=True)
-class ForeignCase:
+class ForeignCase(NamedTuple):
     """Unit of a generator that shares nothing with the simulator or the checks, for faults of what is recorded."""
 
     grade: str
     seed: int
     recording: srt.Recording
-
-    def __getattr__(self, name: str) -> NoReturn:
-        raise NotImplementedError(f"The {name} of the unit is not simulated.")
 
 
 def foreign_unit(grade: str, seed: int, rng: np.random.Generator, *, by_hand: bool) -> tuple[ForeignCase, np.ndarray]:
@@ -278,19 +284,17 @@ def drawn_fault(number: int, seed: int) -> tuple[str, str, Callable[[], srt.Reco
     made, unlabelled = KINDS[kind], rng.random() < 0.5
     grade, by_hand = str(rng.choice(list(made.severity))), rng.random() < 0.3 and kind not in OF_FIXTURE
     case: ForeignCase | Case
-    case, truth = foreign_unit(grade, seed + number, rng, by_hand=by_hand)
-    test = ("by hand" if by_hand else "fixture") + (", no labels" if unlabelled else "")
+    if kind in OF_MOTION:
+        case, test, unlabelled = Case(grade, seed + number), "simulated", False
+        truth = case.simulation.truth.vector
+    else:
+        case, truth = foreign_unit(grade, seed + number, rng, by_hand=by_hand)
+        test = ("by hand" if by_hand else "fixture") + (", no labels" if unlabelled else "")
 
     def make() -> srt.Recording:
         faulty = made.recording(case)
         return faulty.with_sequences(()) if unlabelled and faulty.sequences == case.recording.sequences else faulty
 
-    try:
-        with suppress(InputError):
-            make()
-    except NotImplementedError:
-        case, test, unlabelled = Case(grade, seed + number), "simulated", False
-        truth = case.simulation.truth.vector
     return f"{number}: {kind}, {grade}, {test}", kind, make, truth
 
 
