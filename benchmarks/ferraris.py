@@ -186,9 +186,3 @@ def mars_errors(gyro_matrix: Array, accel_matrix: Array, gyro_bias: Array, accel
         values |= {f"gyro_bias_{a}": gyro_bias[i], f"accel_bias_{a}": accel_bias[i]}
         values |= {f"accel_misalignment_{a}{b}": Ma[i, j] for j, b in enumerate("xyz") if i != j}
     return SensorErrors.from_dict({name: float(value) for name, value in values.items()})
-
-
-def non_orthogonality(matrix: Array) -> Array:
-    """Cosines of the angles between the axes xy, yz and zx of a triad, whose rows are the axes, in whatever frame."""
-    rows = matrix / np.linalg.norm(matrix, axis=1, keepdims=True)
-    return np.array([rows[0] @ rows[1], rows[1] @ rows[2], rows[2] @ rows[0]])
