@@ -237,13 +237,8 @@ def silent_and_wrong(scores: Scores, _tests: int) -> bool:
     return len(silent) > 0.05 * len(scores) and bool(np.mean(silent) > limit)
 
 
-def above_band(scores: Scores, tests: int) -> bool:
-    """True if the pooled NEES of the usable results is; where none is usable, nothing wrong is said."""
-    return pooled_nees(scores) > band(scores, tests)
-
-
 def not_in_band(scores: Scores, tests: int) -> bool:
-    """The same where results must be usable."""
+    """True if the pooled NEES of the usable results is above the band, or no result is usable."""
     return not pooled_nees(scores) <= band(scores, tests)
 
 
