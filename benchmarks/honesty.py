@@ -125,7 +125,8 @@ def error_of_group(group: str) -> Callable[[Scores, int], str]:
         bound = scores[0].bound
         error = of_most(usable(scores, lambda s: s.error)[:, part] * factors)
         limit = np.nan if bound is None else of_most(bound[part] * factors)
-        return digits(error) + ("" if np.isnan(limit) else f" ({digits(error / limit)} of {digits(limit)})")
+        ratio = "–" if np.isnan(error) else f"{error / limit:.2f}"
+        return digits(error) + ("" if np.isnan(limit) else f" ({ratio} of {digits(limit)})")
 
     return column
 
