@@ -253,7 +253,10 @@ def novatel() -> list[Seed]:
 
 
 def _stored(kind: str) -> dict[str, bytes]:
-    return _made("recording", lambda path: srt.write_recording(RECORDING, path, samples_format=kind)).files
+    """Folder of a recording; samples as the seed of their format has them, so that no compression hides a damage."""
+    made = _made("recording", lambda path: srt.write_recording(RECORDING, path, samples_format=kind)).files
+    (samples,) = {"csv": csv, "npz": npz, "parquet": parquet, "h5": hdf5}[kind]()[0].files.values()
+    return {**made, f"samples.{kind}": samples}
 
 
 def recording_toml() -> list[Seed]:
