@@ -7,10 +7,12 @@ Estimators are reached through the registry (:func:`srt.calibrate`) only.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
+import harness
 import numpy as np
-from studies import in_processes, scored
+from studies import scored
 
 import srt
 from sims.physics.fixture import FixtureDraw, draw_fixture, rotation
@@ -58,7 +60,7 @@ INSTABILITY: Final = {
 
 def run(trial: Callable[[int], Any], seeds: Iterable[int], *, workers: int = 1) -> list[Any]:
     """Results of ``trial(seed)`` in the order of the seeds."""
-    return list(in_processes(workers, trial, ((seed,) for seed in seeds)))
+    return list(harness.in_processes(workers, trial, ((seed,) for seed in seeds)))
 
 
 def normal_errors(rng: np.random.Generator, sigma: float = 1e-3, gyro_bias: float = 0.0) -> SensorErrors:
@@ -213,6 +215,26 @@ def large_trial(seed: int, *, sigma_rad: float = 5e-3, sample_rate_hz: float = 1
     difference = np.abs(found.errors.vector - reference.errors.vector) / IN_G
     distance = float(np.max(difference / np.maximum(1e-8, 0.01 * found.sigma / IN_G)))
     return replace(score(found, truth), distance=distance, redrawn=redrawn)
+
+
+NOISE_FREE: Final[dict[str, Callable[[int], Trial]]] = {
+    "perfect fixture": exact_trial,
+    **{f"perfect fixture, {hz:g} Hz": partial(exact_trial, sample_rate_hz=hz) for hz in (50.0, 100.0, 1000.0)},
+    "perfect fixture, increments": partial(exact_trial, kind="increment"),
+    "perfect fixture, MARS turned by 0.2 rad": partial(exact_trial, turned_rad=0.2),
+    "1 mrad": fixture_trial,
+    "1 mrad, Earth's rate off": partial(fixture_trial, earth_rate=False),
+    "3 mrad": partial(fixture_trial, sigma_rad=3e-3),
+    "10 mrad": partial(fixture_trial, sigma_rad=1e-2),
+    "1 mrad, half turns of 150°-210°": partial(fixture_trial, stretch_rad=30.0 * DEG),
+    "large errors, 5 mrad": large_trial,
+}
+"""Cases without noise: 200 Hz and errors of 1e-3 on a perfect fixture, 100 Hz on others, and :func:`large_errors`."""
+
+
+def noise_free(cell: tuple[str], unit: int, _estimators: object) -> dict[str, Trial]:
+    """Closed form on one unit of a case."""
+    return {"closed-form": NOISE_FREE[cell[0]](unit)}
 
 
 def noisy_recording(

@@ -20,10 +20,10 @@ import sys
 from collections import Counter
 from collections.abc import Callable, Collection, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any, NamedTuple, NoReturn, get_args
+from typing import Any, NamedTuple, get_args
 
 import harness
 import numpy as np
@@ -33,11 +33,12 @@ from foreign_motion import GRADES as FOREIGN_GRADES
 from foreign_motion import recording as free_recording
 from protocols import PROTOCOLS
 from scipy.ndimage import uniform_filter1d
-from studies import counts, in_processes, markdown
+from studies import counts, markdown
 
 sys.path.append(str(Path(__file__).parents[1] / "tests"))  # injected_faults
 
 from injected_faults import execution, foreign_operators, logger, site_and_drift  # noqa: F401 - they register
+from injected_faults.foreign_operators import PAIRS
 from injected_faults.injection import GRADES, INJECTIONS, VARIANTS, Case, Injection
 
 import srt
@@ -88,6 +89,15 @@ OF_FIXTURE = (
     "north", "table faces the other way", "frame_turned", "east, north, up for north, east, down",
 )  # fmt: skip
 """Faults of a heading or a frame, which units turned by hand do not have."""
+OF_MOTION = (
+    "labels_shifted", "labels_exchanged", "wrong_direction", "wrong_angle", "sequence_missing", "sequence_repeated",
+    "unsettled", "bump", "creep", "vibration", "noisy_window", "sensor_time_offset", "gyro_axis_delayed",
+    "accel_axis_delayed", "samples_lost", "increments_as_rates", "rates_as_increments", "gravity_absent", "spikes",
+    "gyro_clipped", "accel_clipped", "latitude", "gyro_bias_drift", "units_joined", "accel_settling", "gyro_noise",
+    "accel_noise", "asymmetry_omitted", "samples dropped, stamps closed up", "labels of a fast clock",
+    "time of the labels from the start", "mounted anew in the middle", *(f"{a} and {b}" for a, b in PAIRS),
+)  # fmt: skip
+"""Faults of the motion, of the noise, or of a size relative to them, which are those of a simulated unit."""
 KINDS = {**INJECTIONS, **VARIANTS}
 case_of = lru_cache(LADDER_UNITS)(Case)
 """Unit of a grade and a seed, simulated once for faults in a row."""
@@ -204,7 +214,7 @@ def detection(kind: str, grade: str, seeds: range, jobs: int) -> Detection:
         return Detection(kind, None, Counter())
 
     def told(severity: float, part: Sequence[int]) -> Counter[str]:
-        done = in_processes(jobs, injected, ((kind, grade, severity, seed) for seed in part))
+        done = harness.in_processes(jobs, injected, ((kind, grade, severity, seed) for seed in part))
         return Counter(outcome.told for outcome in done)
 
     def all_named(severity: float) -> bool:
@@ -239,16 +249,12 @@ def catalogue(kinds: Sequence[str], grades: Sequence[str], seeds: range, jobs: i
     return missed
 
 
-@dataclass(frozen=True)
-class ForeignCase:
+class ForeignCase(NamedTuple):
     """Unit of a generator that shares nothing with the simulator or the checks, for faults of what is recorded."""
 
     grade: str
     seed: int
     recording: srt.Recording
-
-    def __getattr__(self, name: str) -> NoReturn:
-        raise NotImplementedError(f"The {name} of the unit is not simulated.")
 
 
 def foreign_unit(grade: str, seed: int, rng: np.random.Generator, *, by_hand: bool) -> tuple[ForeignCase, np.ndarray]:
@@ -278,19 +284,17 @@ def drawn_fault(number: int, seed: int) -> tuple[str, str, Callable[[], srt.Reco
     made, unlabelled = KINDS[kind], rng.random() < 0.5
     grade, by_hand = str(rng.choice(list(made.severity))), rng.random() < 0.3 and kind not in OF_FIXTURE
     case: ForeignCase | Case
-    case, truth = foreign_unit(grade, seed + number, rng, by_hand=by_hand)
-    test = ("by hand" if by_hand else "fixture") + (", no labels" if unlabelled else "")
+    if kind in OF_MOTION:
+        case, test, unlabelled = Case(grade, seed + number), "simulated", False
+        truth = case.simulation.truth.vector
+    else:
+        case, truth = foreign_unit(grade, seed + number, rng, by_hand=by_hand)
+        test = ("by hand" if by_hand else "fixture") + (", no labels" if unlabelled else "")
 
     def make() -> srt.Recording:
         faulty = made.recording(case)
         return faulty.with_sequences(()) if unlabelled and faulty.sequences == case.recording.sequences else faulty
 
-    try:
-        with suppress(InputError):
-            make()
-    except NotImplementedError:
-        case, test, unlabelled = Case(grade, seed + number), "simulated", False
-        truth = case.simulation.truth.vector
     return f"{number}: {kind}, {grade}, {test}", kind, make, truth
 
 
@@ -303,7 +307,7 @@ def drawn_outcome(number: int, seed: int) -> tuple[str, str, Outcome]:
 def drawn(seeds: range, seed: int, jobs: int) -> bool:
     """Print the outcome of each drawn fault, and the sums; True if too few are right, or one is silently wrong."""
     harmful, right, silent = 0, 0, 0
-    for title, kind, outcome in in_processes(jobs, drawn_outcome, ((number, seed) for number in seeds)):
+    for title, kind, outcome in harness.in_processes(jobs, drawn_outcome, ((number, seed) for number in seeds)):
         good, wrong = outcome.first in causes_of(kind), outcome.word == "sound" and outcome.error > SIGMAS
         if wrong and not good and kind in CANNOT_BE_SEEN:
             print(f"unseen   {title}: {outcome.error:.1f} sigma", flush=True)
@@ -411,7 +415,7 @@ def clean_recording(number: int, seed: int) -> tuple[str, list[str], str]:
 def clean(seeds: range, seed: int, jobs: int) -> bool:
     """Print the recordings without a fault that raise a finding, and the verdicts; True if there is one."""
     alarms, words = 0, Counter[str]()
-    for title, faults, word in in_processes(jobs, clean_recording, ((number, seed) for number in seeds)):
+    for title, faults, word in harness.in_processes(jobs, clean_recording, ((number, seed) for number in seeds)):
         if faults or word not in ("sound", "partial"):
             print(f"{title}: {', '.join((*faults, word))}", flush=True)
         alarms, words[word] = alarms + bool(faults), words[word] + 1

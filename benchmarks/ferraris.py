@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from sims.physics.motion import RateProfile
     from sims.physics.true_motion import TrueMotion
     from srt.recording.recording import Recording
-    from srt.types import Array, Mask
+    from srt.types import Array
 
     Picks = Mapping[str, tuple[tuple[int, int], ...]]
 
@@ -97,29 +97,17 @@ class Take:
 
     def still(self, picks: tuple[tuple[int, int], ...], seconds: float) -> tuple[Array, Array]:
         """Samples of a face, as long as asked for and equally from each window: gyro, accel, shape (n, 3)."""
-        rate = self._sample_rate_hz()
-        count = round(seconds * rate / len(picks))
-        parts = []
-        for sequence, window in picks:
-            inside = np.flatnonzero(self._between(*self.windows[sequence][window]))
-            assert len(inside) >= count, "the window is shorter than the share of the face that it is to give"
-            parts.append(inside[:count])
-        samples = np.concatenate(parts)
+        count = round(seconds / self.recording.nominal_interval_s / len(picks))
+        inside = [self.recording.window_indices(*self.windows[sequence][window]) for sequence, window in picks]
+        assert all(part.stop - part.start >= count for part in inside), "a window is shorter than its share of the face"
+        samples = np.concatenate([np.arange(part.start, part.start + count) for part in inside])
         return self.recording.gyro[samples], self.recording.accel[samples]
 
     def turning(self, sequence: int) -> tuple[Array, Array]:
         """Samples between the two windows of a sequence: gyro, accel, shape (n, 3)."""
         (_, begin), (end, _) = self.windows[sequence]
-        samples = self._between(begin, end)
+        samples = self.recording.window_indices(begin, end)
         return self.recording.gyro[samples], self.recording.accel[samples]
-
-    def _between(self, begin: float, end: float) -> Mask:
-        half = 0.5 / self._sample_rate_hz()
-        inside: Mask = (self.recording.time > begin + half) & (self.recording.time <= end + half)
-        return inside
-
-    def _sample_rate_hz(self) -> float:
-        return 1.0 / float(np.median(np.diff(self.recording.time)))
 
 
 def face_seconds(total_s: float, profile: RateProfile) -> float:
@@ -186,9 +174,3 @@ def mars_errors(gyro_matrix: Array, accel_matrix: Array, gyro_bias: Array, accel
         values |= {f"gyro_bias_{a}": gyro_bias[i], f"accel_bias_{a}": accel_bias[i]}
         values |= {f"accel_misalignment_{a}{b}": Ma[i, j] for j, b in enumerate("xyz") if i != j}
     return SensorErrors.from_dict({name: float(value) for name, value in values.items()})
-
-
-def non_orthogonality(matrix: Array) -> Array:
-    """Cosines of the angles between the axes xy, yz and zx of a triad, whose rows are the axes, in whatever frame."""
-    rows = matrix / np.linalg.norm(matrix, axis=1, keepdims=True)
-    return np.array([rows[0] @ rows[1], rows[1] @ rows[2], rows[2] @ rows[0]])

@@ -13,55 +13,32 @@ import foreign_files as ff
 import numpy as np
 import scipy.io
 
+import srt
 from srt.recording.import_options import ImportOptions, parse_columns
+from srt.recording.recording import Fixture, Site
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
 ROWS = 24
+STAMPS, VALUES = ff.samples(ROWS)
+MICROSECONDS = ((STAMPS - STAMPS[0]) // 1000 + 1_000_000).astype(np.uint64)
+GYRO, ACCEL = VALUES[:, :3], VALUES[:, 3:]
+TIME, TEMPERATURE = (STAMPS - STAMPS[0]) / 1e9 + 0.005, np.linspace(20.0, 21.0, ROWS)
 NAMES = ("time", "gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z", "temperature")
+TABLE = np.column_stack([TIME, GYRO, ACCEL, TEMPERATURE])
+COLUMNS = dict(zip(NAMES, TABLE.T, strict=True))
+UNITS = ImportOptions(gyro_unit="deg/s", accel_unit="g", time_unit="ms")
 
-TOML = """[recording]
-samples = "samples.{suffix}"
-kind = "rate"
-gyro_unit = "rad/s"
-accel_unit = "m/s^2"
-time_unit = "s"
-sample_rate_hz = 200.0
-serial = "SN-0042"
-date = "2024-02-29"
-temperature_c = 21.5
-[site]
-latitude_deg = 45.0
-gravity_m_s2 = 9.80665
-height_m = 120.0
-gravity_sigma_m_s2 = 5e-6
-[fixture]
-heading_deg = 10.0
-alignment_sigma_mrad = 1.0
-rotation_sigma_mrad = 1.0
-[imu]
-gyro_noise_deg_per_sqrt_h = 0.002
-accel_noise_ug_per_sqrt_hz = 20.0
-gyro_quantization_arcsec = 0.5
-accel_quantization_m_s = 1e-5
-gyro_bias_instability_deg_per_h = 0.003
-accel_bias_instability_ug = 5.0
-gyro_range_deg_s = 400.0
-accel_range_g = 10.0
-[[sequence]]
-id = "1"
-start_static_s = [0.0, 0.03]
-end_static_s = [0.06, 0.11]
-[[sequence]]
-id = "own"
-start_static_s = [0.06, 0.08]
-end_static_s = [0.1, 0.11]
-down = "z"
-along_outer = "y"
-rotations = [["y", 180.0], ["z", -90.0]]
-"""
-
+RECORDING = srt.Recording(
+    TIME, GYRO, ACCEL, Site(9.80665, 5e-6, 0.8), fixture=Fixture(0.2), temperature=TEMPERATURE, serial="SN-0042",
+    date="2024-02-29", clock_sigma=1e-6, noise=srt.ImuNoise(1e-6, 2e-4, 2e-6, 1e-5, 1e-8, 5e-5, 40.0, 400.0),
+    sample_rate_hz=200.0,
+    sequences=(
+        srt.SequenceLabel((0.0, 0.03), (0.06, 0.11), id="1"),
+        srt.SequenceLabel((0.06, 0.08), (0.1, 0.11), "own", "z", "y", (("y", 3.0), ("z", -1.5))),
+    ),
+)  # fmt: skip
 COUNTS_TOML = """[recording]
 samples = "samples.csv"
 gyro_unit = "counts"
@@ -71,6 +48,7 @@ accel_unit = "counts"
 accel_lsb = 1e-3
 accel_offset_counts = [1.0, 2.0, 3.0]
 sample_rate_hz = 200.0
+temperature_c = 21.5
 [site]
 latitude_deg = 45.0
 height_m = 120.0
@@ -90,44 +68,38 @@ class Seed:
     damaged: tuple[str, ...] = ()
 
 
-UNITS = ImportOptions(gyro_unit="deg/s", accel_unit="g", time_unit="ms")
-
-
-def _made(write: Callable[[Path], Any], name: str = "file", *, options: ImportOptions | None = None) -> Seed:
-    """Let a writer write, and take what is there afterwards."""
+def _made(
+    name: str, write: Callable[..., Any], *arguments: Any, options: ImportOptions | None = None, **how: Any
+) -> Seed:
+    """Let a writer write a file or a folder, and take what is there afterwards."""
     with TemporaryDirectory() as folder:
         place = Path(folder) / name
-        write(place)
+        write(place, *arguments, **how)
         options = options or ImportOptions()
         if place.is_dir():
             return Seed({each.name: each.read_bytes() for each in place.iterdir()}, ".", options)
         return Seed({name: place.read_bytes()}, name, options)
 
 
-def _swapped(write: Callable[..., None], arguments: tuple[Any, ...], path: Path) -> None:
-    """Write a file at a path that is given last."""
-    write(path, *arguments)
+def _text(name: str, text: str, options: ImportOptions | None = None) -> Seed:
+    return Seed({name: text.encode()}, name, options or ImportOptions())
 
 
-def _columns() -> dict[str, np.ndarray]:
-    stamps, values = ff.samples(ROWS)
-    time = (stamps - stamps[0]) / 1e9 + 0.005
-    return dict(zip(NAMES, (time, *values.T, np.linspace(20.0, 21.0, ROWS)), strict=True))
+def _rows(table: np.ndarray, header: str = "", separator: str = ",", form: str = "%.9g") -> str:
+    rows = [separator.join(form % value for value in row) for row in table.tolist()]
+    return "\n".join(([header] if header else []) + rows + [""])
 
 
 def rosbag1() -> list[Seed]:
-    stamps, values = ff.samples(ROWS)
-    whole, other = {"/imu": (stamps, values, "")}, {"/other": (stamps[:4], values[:4], "")}
-    apart = {"/gyro": (stamps, values, "accel"), "/accel": (stamps[:20] + 1_000_000, values[:20], "gyro")}
+    whole, other = {"/imu": (STAMPS, VALUES, "")}, {"/other": (STAMPS[:4], VALUES[:4], "")}
+    apart = {"/gyro": (STAMPS, VALUES, "accel"), "/accel": (STAMPS[:20] + 1_000_000, VALUES[:20], "gyro")}
     bags = (whole, ""), (whole, "bz2"), (whole | other, "lz4"), (apart, "")
-    return [_made(partial(_swapped, ff.write_bag1, bag), "imu.bag") for bag in bags]
+    return [_made("imu.bag", ff.write_bag1, *bag) for bag in bags]
 
 
 def rosbag2() -> list[Seed]:
-    stamps, values = ff.samples(ROWS)
-    whole = {"/imu": (stamps, values, "")}
     pairs = [("mcap", ""), ("mcap", "storage"), ("mcap", "message"), ("sqlite3", ""), ("mcap", "file")]
-    folders = [_made(partial(_swapped, ff.write_bag2, (whole, *pair)), "bag") for pair in pairs]
+    folders = [_made("bag", ff.write_bag2, {"/imu": (STAMPS, VALUES, "")}, *pair) for pair in pairs]
     alone = []
     for folder in folders[:4]:
         name = next(each for each in folder.files if each != "metadata.yaml")
@@ -151,114 +123,88 @@ def _without_checksums(data: bytes) -> bytes:
 
 
 def ulog() -> list[Seed]:
-    stamps, values = ff.samples(ROWS)
-    us = ((stamps - stamps[0]) // 1000 + 1_000_000).astype(np.uint64)
-    combined = ("sensor_combined", 0, ff.COMBINED, ff.combined(us, values))
-    late = ("sensor_combined", 1, ff.COMBINED, ff.combined(us, values, -1000))
+    stamped = {"timestamp": MICROSECONDS, "timestamp_sample": MICROSECONDS}
+    combined = ("sensor_combined", 0, ff.COMBINED, ff.combined(MICROSECONDS, VALUES))
+    late = ("sensor_combined", 1, ff.COMBINED, ff.combined(MICROSECONDS, VALUES, -1000))
     increments = {
-        "timestamp": us, "timestamp_sample": us, **ff.triad("delta_angle", values[:, :3]),
-        **ff.triad("delta_velocity", values[:, 3:]),
+        **stamped, **ff.triad("delta_angle", GYRO), **ff.triad("delta_velocity", ACCEL),
         "delta_angle_dt": np.full(ROWS, 5000), "delta_velocity_dt": np.full(ROWS, 4900),
     }  # fmt: skip
-    stamped = {"timestamp": us, "timestamp_sample": us}
     drivers = [
         (name, 0, ff.SENSOR, stamped | dict(zip("xyz", part.T, strict=True)))
-        for name, part in (("sensor_gyro", values[:, :3]), ("sensor_accel", values[:, 3:]))
+        for name, part in (("sensor_gyro", GYRO), ("sensor_accel", ACCEL))
     ]
-    logs = ([combined], {}), ([combined, late], {"instance": 1}), ([("vehicle_imu", 0, ff.VEHICLE_IMU, increments)], {})
-    return [
-        _made(partial(_swapped, ff.write_ulog, (topics,)), "log.ulg", options=ImportOptions(**options))
-        for topics, options in (*logs, (drivers, {}))
-    ]
+    logs = [combined], [("vehicle_imu", 0, ff.VEHICLE_IMU, increments)], drivers
+    second = _made("log.ulg", ff.write_ulog, [combined, late], options=ImportOptions(instance=1))
+    return [second, *(_made("log.ulg", ff.write_ulog, topics) for topics in logs)]
 
 
 def ardupilot() -> list[Seed]:
-    stamps, values = ff.samples(ROWS)
-    us = (stamps - stamps[0]) // 1000 + 1_000_000
     columns = "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ"
-    imu = [("IMU", "QBffffff", columns, ff.imu_rows(us, values))]
+    imu = [("IMU", "QBffffff", columns, ff.imu_rows(MICROSECONDS, VALUES))]
     raw = [
         (name, "QBQfff", f"TimeUS,I,SampleUS,{kind}X,{kind}Y,{kind}Z",
-         [[t, 0, t + late, *row] for t, row in zip(us, part, strict=True)])
-        for name, kind, late, part in (("GYR", "Gyr", 0, values[:, :3]), ("ACC", "Acc", 9, values[:, 3:]))
+         [[t, 0, t + late, *row] for t, row in zip(MICROSECONDS, part, strict=True)])
+        for name, kind, late, part in (("GYR", "Gyr", 0, GYRO), ("ACC", "Acc", 9, ACCEL))
     ]  # fmt: skip
-    old = [(f"IMU{k}", "Qffffff", columns.replace("I,", ""), ff.imu_rows(us, values, None)) for k in ("", "2")]
-    logs = [_made(partial(_swapped, ff.write_dataflash, (messages,)), "log.bin") for messages in (imu, raw, old)]
-    return [*logs, _made(partial(_swapped, ff.write_dataflash_text, (imu,)), "log.log")]
-
-
-def _text(header: str, table: np.ndarray, separator: str = ",", form: str = "%.9g") -> bytes:
-    rows = [separator.join(form % value for value in row) for row in table.tolist()]
-    return "\n".join(([header] if header else []) + rows + [""]).encode()
+    rows = ff.imu_rows(MICROSECONDS, VALUES, None)
+    old = [(f"IMU{k}", "Qffffff", columns.replace("I,", ""), rows) for k in ("", "2")]
+    logs = [_made("log.bin", ff.write_dataflash, messages) for messages in (imu, raw, old)]
+    return [*logs, _made("log.log", ff.write_dataflash_text, imu)]
 
 
 def euroc() -> list[Seed]:
-    stamps, values = ff.samples(ROWS)
     header = "#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1],a_RS_S_x [m s^-2],"
-    rows = [",".join(map(repr, (t, *row))) for t, row in zip(stamps.tolist(), values.tolist(), strict=True)]
-    text = "\n".join([header + "a_RS_S_y [m s^-2],a_RS_S_z [m s^-2]", *rows, ""])
-    return [Seed({"data.csv": text.encode()}, "data.csv")]
+    rows = [",".join(map(repr, (t, *row))) for t, row in zip(STAMPS.tolist(), VALUES.tolist(), strict=True)]
+    return [_text("data.csv", "\n".join([header + "a_RS_S_y [m s^-2],a_RS_S_z [m s^-2]", *rows, ""]))]
 
 
 def kalibr() -> list[Seed]:
-    text = euroc()[0].files["data.csv"].decode().partition("\n")[2]
-    header = "timestamp,omega_x,omega_y,omega_z,alpha_x,alpha_y,alpha_z\n"
-    return [Seed({"imu0.csv": (header + text).encode()}, "imu0.csv")]
+    rows = euroc()[0].files["data.csv"].decode().partition("\n")[2]
+    return [_text("imu0.csv", "timestamp,omega_x,omega_y,omega_z,alpha_x,alpha_y,alpha_z\n" + rows)]
 
 
 def imu_tk() -> list[Seed]:
-    columns = _columns()
-    time = columns["time"]
     pair = {
-        f"xsens_{name}.mat": _text("", np.column_stack([time, *(columns[f"{key}_{a}"] for a in "xyz")]), "  ", "%.7e")
-        for name, key in (("acc", "accel"), ("gyro", "gyro"))
+        f"xsens_{name}.mat": _rows(np.column_stack([TIME, part]), "", "  ", "%.7e").encode()
+        for name, part in (("acc", ACCEL), ("gyro", GYRO))
     }
     options = ImportOptions(gyro_unit="rad/s", accel_unit="m/s^2", time_unit="s", second=Path("xsens_gyro.mat"))
     return [Seed(pair, "xsens_acc.mat", options)]
 
 
 def csv() -> list[Seed]:
-    columns = _columns()
-    table = np.column_stack(list(columns.values()))
-    dated = [f"2024-05-06T07:08:09.{k:03d}Z," + ",".join(map(repr, row)) for k, row in enumerate(table[:, 1:].tolist())]
+    dated = [f"2024-05-06T07:08:09.{k:03d}Z," + ",".join(map(repr, row)) for k, row in enumerate(TABLE[:, 1:].tolist())]
     headless = replace(UNITS, time_unit=None, sample_rate_hz=100.0, columns=parse_columns("accel,gyro"), skip=0)
-    commas = _text(";".join(NAMES), table, ";").replace(b".", b",")
-    dates = "\n".join([",".join(NAMES), *dated, "," * 7, ""]).encode()
+    commas = _rows(TABLE, ";".join(NAMES), ";").replace(".", ",")
     return [
-        Seed({"a.csv": _text(",".join(NAMES), table)}, "a.csv", UNITS),
-        Seed({"a.txt": commas}, "a.txt", replace(UNITS, decimal_comma=True)),
-        Seed({"a.log": _text("", table[:, [4, 5, 6, 1, 2, 3]], " ")}, "a.log", headless),
-        Seed({"b.csv": dates}, "b.csv", replace(UNITS, time_unit=None)),
+        _text("a.csv", _rows(TABLE, ",".join(NAMES)), UNITS),
+        _text("a.txt", commas, replace(UNITS, decimal_comma=True)),
+        _text("a.log", _rows(np.column_stack([ACCEL, GYRO]), "", " "), headless),
+        _text("b.csv", "\n".join([",".join(NAMES), *dated, "," * 7, ""]), replace(UNITS, time_unit=None)),
     ]
 
 
 def npz() -> list[Seed]:
-    columns = _columns()
-    return [
-        _made(lambda path: np.savez(path, **columns), "a.npz", options=UNITS),  # type: ignore[arg-type]
-        _made(lambda path: np.savez_compressed(path, **columns), "a.npz", options=UNITS),  # type: ignore[arg-type]
-    ]
+    return [_made("a.npz", write, options=UNITS, **COLUMNS) for write in (np.savez, np.savez_compressed)]
+
+
+def _hdf5(path: Path, version: str = "earliest", *, stated: bool = False, **how: Any) -> None:
+    import h5py
+
+    with h5py.File(path, "w", libver=version) as file:
+        for name, values in COLUMNS.items():
+            column = file.create_dataset(name, data=values, **how)
+            if stated:
+                column.attrs["units"] = {"g": "deg/s", "a": "m s-2", "t": "s"}[name[0]]
 
 
 def hdf5() -> list[Seed]:
-    import h5py
-
-    def write(path: Path, version: str = "earliest", **how: Any) -> None:
-        with h5py.File(path, "w", libver=version) as file:
-            for name, values in _columns().items():
-                file.create_dataset(name, data=values, **how)
-
-    def stated(path: Path) -> None:
-        with h5py.File(path, "w") as file:
-            for name, values in _columns().items():
-                of_sensor = {"g": "deg/s", "a": "m s-2", "t": "s"}
-                file.create_dataset(name, data=values).attrs["units"] = of_sensor[name[0]]
-
     return [
-        _made(write, "a.h5", options=UNITS),
-        _made(lambda path: write(path, chunks=(8,), compression="gzip"), "a.h5", options=UNITS),
-        _made(lambda path: write(path, "latest", chunks=(8,)), "a.h5", options=UNITS),
-        _made(stated, "a.h5"),
+        _made("a.h5", _hdf5, options=UNITS),
+        _made("a.h5", _hdf5, options=UNITS, chunks=(8,), compression="gzip"),
+        _made("a.h5", _hdf5, "latest", options=UNITS, chunks=(8,)),
+        _made("a.h5", _hdf5, stated=True),
     ]
 
 
@@ -266,127 +212,86 @@ def parquet() -> list[Seed]:
     import pyarrow as pa
     from pyarrow import parquet as writer
 
-    table = pa.table(_columns())
-    writers = [partial(writer.write_table, table, compression=each) for each in ("none", "snappy", "zstd")]
-    return [_made(write, "a.parquet", options=UNITS) for write in writers]
+    write = partial(writer.write_table, pa.table(COLUMNS))
+    return [_made("a.parquet", write, options=UNITS, compression=each) for each in ("none", "snappy", "zstd")]
 
 
 def matlab() -> list[Seed]:
     import h5py
 
-    columns = _columns()
-
-    gyro, accel = (np.column_stack([columns[f"{name}_{a}"] for a in "xyz"]) for name in ("gyro", "accel"))
-    navego = {"t": columns["time"], "wb": gyro, "fb": accel, "freq": 200.0}
+    navego = {"t": TIME, "wb": GYRO, "fb": ACCEL, "freq": 200.0}
 
     def version_73(path: Path) -> None:
         with h5py.File(path, "w", userblock_size=512) as file:
-            for name, values in columns.items():
+            for name, values in COLUMNS.items():
                 file.create_dataset(name, data=values[None, :])
         with path.open("r+b") as raw:
             raw.write(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM")
 
     return [
-        _made(lambda path: scipy.io.savemat(path, columns), "a.mat", options=UNITS),
-        _made(lambda path: scipy.io.savemat(path, columns, do_compression=True), "a.mat", options=UNITS),
-        _made(version_73, "a.mat", options=UNITS),
-        _made(lambda path: scipy.io.savemat(path, {"imu1": navego}), "a.mat"),
+        _made("a.mat", scipy.io.savemat, COLUMNS, options=UNITS),
+        _made("a.mat", scipy.io.savemat, COLUMNS, options=UNITS, do_compression=True),
+        _made("a.mat", version_73, options=UNITS),
+        _made("a.mat", scipy.io.savemat, {"imu1": navego}),
     ]
 
 
 def psins() -> list[Seed]:
-    columns = _columns()
-    table = np.column_stack([*(columns[name] for name in NAMES[1:7]), columns["time"]])
+    table = np.column_stack([GYRO, ACCEL, TIME])
     return [
-        _made(lambda path: scipy.io.savemat(path, {"imu": table}), "a.mat"),
+        _made("a.mat", scipy.io.savemat, {"imu": table}),
         Seed({"a.bin": table.astype("<f8").tobytes()}, "a.bin"),
         Seed({"b.bin": table.astype("<f4").tobytes()}, "b.bin"),
-        Seed({"a.txt": _text("", table, " ")}, "a.txt"),
+        _text("a.txt", _rows(table, "", " ")),
     ]
-
-
-def sensor_logger() -> list[Seed]:
-    stamps, values = ff.samples(ROWS)
-    return [
-        _made(lambda path: ff.write_sensor_logger(path, stamps, values), "a.zip"),
-        _made(lambda path: ff.write_sensor_logger(path, stamps, values, folder=True), "a"),
-    ]
-
-
-def phyphox() -> list[Seed]:
-    stamps, values = ff.samples(ROWS)
-    return [
-        _made(lambda path: ff.write_phyphox(path, stamps, values), "a.zip"),
-        _made(lambda path: ff.write_phyphox(path, stamps, values, mark=";"), "a.zip"),
-    ]
-
-
-def microstrain() -> list[Seed]:
-    stamps, values = ff.samples(ROWS)
-    return [Seed({"a.csv": ff.microstrain_text(stamps, values).encode()}, "a.csv", ImportOptions(time_unit="ns"))]
-
-
-def xsens() -> list[Seed]:
-    stamps, values = ff.samples(ROWS)
-    return [Seed({"MT_0.txt": ff.xsens_text(stamps, values).encode()}, "MT_0.txt")]
-
-
-def kf_gins() -> list[Seed]:
-    columns = _columns()
-    table = np.column_stack([columns[name] for name in NAMES[:7]])
-    return [Seed({"imu.txt": _text("", table, " ")}, "imu.txt")]
 
 
 def novatel() -> list[Seed]:
-    stamps, values = ff.samples(ROWS)
     options = ImportOptions(gyro_lsb=(1e-6,) * 3, accel_lsb=(1e-6,) * 3)
-    counts = np.round(1000.0 * values).astype(int)
-    return [
-        Seed({"a.log": ff.novatel_text(stamps, counts, name).encode()}, "a.log", options)
-        for name in ("RAWIMUA", "RAWIMUSXA")
-    ]
+    counts = np.round(1000.0 * VALUES).astype(int)
+    return [_text("a.log", ff.novatel_text(STAMPS, counts, name), options) for name in ("RAWIMUA", "RAWIMUSXA")]
 
 
-def vectornav() -> list[Seed]:
-    text = ff.vectornav_text(ff.samples(ROWS)[1])
-    return [Seed({"a.txt": text.encode()}, "a.txt", ImportOptions(sample_rate_hz=200.0))]
+def _stored(kind: str) -> dict[str, bytes]:
+    """Folder of a recording; samples as the seed of their format has them, so that no compression hides a damage."""
+    made = _made("recording", lambda path: srt.write_recording(RECORDING, path, samples_format=kind)).files
+    (samples,) = {"csv": csv, "npz": npz, "parquet": parquet, "h5": hdf5}[kind]()[0].files.values()
+    return {**made, f"samples.{kind}": samples}
 
 
 def recording_toml() -> list[Seed]:
-    samples = _text(",".join(NAMES), np.column_stack(list(_columns().values())))
-    others = {f"samples.{kind}": _samples(kind) for kind in ("npz", "h5")}
-    return [
-        Seed({"recording.toml": text.encode(), "samples.csv": samples, **others}, ".", damaged=("recording.toml",))
-        for text in (TOML.format(suffix="csv"), COUNTS_TOML, TOML.format(suffix="h5"))
-    ]
+    files = [_stored("csv"), _stored("h5")]
+    # All kinds of samples are there, for a damaged name of the file.
+    every = {**_stored("npz"), **files[0], **files[1]}
+    texts = *(each["recording.toml"] for each in files), COUNTS_TOML.encode()
+    return [Seed({**every, "recording.toml": text}, ".", damaged=("recording.toml",)) for text in texts]
 
 
-def _samples(kind: str) -> bytes:
-    makers = {"npz": npz, "h5": hdf5, "parquet": parquet, "csv": csv}
-    seed = makers[kind]()[0]
-    return seed.files[seed.target]
-
-
-def _recording(kind: str) -> Callable[[], list[Seed]]:
-    def make() -> list[Seed]:
-        name = f"samples.{kind}"
-        toml = TOML.format(suffix=kind).encode()
-        return [Seed({"recording.toml": toml, name: _samples(kind)}, ".", damaged=(name,))]
-
-    return make
+def _samples(kind: str) -> list[Seed]:
+    return [Seed(_stored(kind), ".", damaged=(f"samples.{kind}",))]
 
 
 READERS: dict[str, Callable[[], list[Seed]]] = {
-    make.__name__.replace("_", "-"): make
-    for make in (
-        rosbag1, rosbag2, ulog, ardupilot, matlab, hdf5, parquet, npz, euroc, kalibr, imu_tk, psins, sensor_logger,
-        phyphox, microstrain, xsens, kf_gins, novatel, vectornav, csv,
-    )
+    **{
+        make.__name__.replace("_", "-"): make
+        for make in (
+            rosbag1, rosbag2, ulog, ardupilot, matlab, hdf5, parquet, npz, euroc, kalibr, imu_tk, psins, novatel, csv,
+        )
+    },
+    "sensor-logger": lambda: [
+        _made("a.zip", ff.write_sensor_logger, STAMPS, VALUES),
+        _made("a", ff.write_sensor_logger, STAMPS, VALUES, folder=True),
+    ],
+    "phyphox": lambda: [_made("a.zip", ff.write_phyphox, STAMPS, VALUES, mark) for mark in ",;"],
+    "microstrain": lambda: [_text("a.csv", ff.microstrain_text(STAMPS, VALUES), ImportOptions(time_unit="ns"))],
+    "xsens": lambda: [_text("MT_0.txt", ff.xsens_text(STAMPS, VALUES))],
+    "kf-gins": lambda: [_text("imu.txt", _rows(TABLE[:, :7], "", " "))],
+    "vectornav": lambda: [_text("a.txt", ff.vectornav_text(VALUES), ImportOptions(sample_rate_hz=200.0))],
 }  # fmt: skip
 """Seeds by the name of the importer."""
 
 RECORDINGS: dict[str, Callable[[], list[Seed]]] = {
     "recording.toml": recording_toml,
-    **{f"samples.{kind}": _recording(kind) for kind in ("csv", "npz", "parquet", "h5")},
+    **{f"samples.{kind}": partial(_samples, kind) for kind in ("csv", "npz", "parquet", "h5")},
 }
 """Seeds for what load_recording reads itself."""

@@ -16,8 +16,7 @@ simulated with all sensor and fixture errors show it.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import harness
 import numpy as np
@@ -50,19 +49,12 @@ BIAS_DEG_PER_S: Final = 0.5
 _BIAS: Final = GROUP_SLICES["gyro_bias"]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class BiasCorrection:
+class BiasCorrection(NamedTuple):
     """Prediction and observation of one correction of the gyro bias.
 
-    Attributes
-    ----------
-    predicted : Budget
-    observed : ndarray, shape (27,)
-        Rms error over the units, SI.
-    left_predicted, left_observed : float
-        Rms of the residual gyro bias in the windows, rad/s.
-    nees : float
-        Mean of the squared error of Γ over its covariance, by its nine elements; NaN where it is not estimated.
+    ``observed``, shape (27,), SI, is the rms error over the units, ``left_predicted`` and ``left_observed`` the rms of
+    the residual gyro bias in the windows, rad/s. ``nees`` is the mean of the squared error of Γ over its covariance, by
+    its nine elements; NaN where it is not estimated.
     """
 
     predicted: Budget

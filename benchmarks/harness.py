@@ -1,4 +1,4 @@
-"""Command lines of the benchmarks, and one thread of linear algebra in each process; to be imported before numpy."""
+"""Command lines and processes of the benchmarks, with one thread of linear algebra each; imported before numpy."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from types import NoneType
 from typing import TYPE_CHECKING, Any, get_args, get_origin, get_type_hints
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection
+    from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 
 # The matrices are small: threads would wait for each other. Child processes inherit it.
 for _library in ("OPENBLAS", "OMP", "MKL"):
@@ -47,3 +47,10 @@ def run(main: Callable[..., int | None], doc: str | None, **choices: Collection[
             given["nargs"] = "?"
         parser.add_argument(label, **given)
     sys.exit(main(**vars(parser.parse_args())))
+
+
+def in_processes(jobs: int, trial: Callable[..., Any], tasks: Iterable[Sequence[Any]]) -> Iterator[Any]:
+    """Results of ``trial(*task)`` in the order of the tasks."""
+    from joblib import Parallel, delayed
+
+    return iter(Parallel(n_jobs=jobs, return_as="generator")(delayed(trial)(*task) for task in tasks))

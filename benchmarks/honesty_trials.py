@@ -13,11 +13,10 @@ from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from time import process_time
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from accuracy_trials import fixture_recording, noisy_recording
-from efficiency import bound_si
+from accuracy_trials import GRADES, IN_G, SITE, fixture_recording, noisy_recording
 from foreign_motion import (
     DEG,
     GRAVITY_M_S2,
@@ -34,7 +33,7 @@ from foreign_motion import GRADES as HAND_GRADES
 from foreign_motion import nineteen_positions as nineteen_turns
 from protocols import Chain, Conditions, Leg, motion_bound
 from scipy.spatial.transform import Rotation
-from studies import Score, scored
+from studies import Cell, Rows, Score, scored
 from worse_recordings import CASES, HAND_RESTS_S, unit_of, unstated_unit
 
 sys.path.append(str(Path(__file__).parents[1] / "tests"))  # injected_faults
@@ -43,16 +42,20 @@ from injected_faults.disturbances import vibrating
 from injected_faults.injection import Case
 
 import srt
+from sims.accuracy.bound import bayesian_bound
 from sims.physics.imu import read_out
-from sims.physics.table_motion import run_schedule
+from sims.physics.sequences import TABLE_1, table_sequences
+from sims.physics.table_motion import Schedule, run_schedule
 from sims.scenarios.simulation import schedule_of
 from srt.comparison.estimator_comparison import compare
 from srt.constants import DEG_PER_H, MICRO_G, STANDARD_GRAVITY_M_S2
 from srt.diagnosis.staged_diagnosis import diagnose
+from srt.model.prior import Prior
 from srt.result.verdict import OF_FIXTURE
-from srt.sensor_errors import NAMES
+from srt.sensor_errors import GROUP_SLICES, NAMES
 
 if TYPE_CHECKING:
+    from sims.physics.table_motion import Moves
     from sims.physics.true_motion import TrueMotion
 
 Change = Callable[[Case, np.random.Generator], srt.Recording]
@@ -205,23 +208,19 @@ def hand_unit(seed: int, grade: str, profile: str, *, stated: bool) -> tuple[srt
     return unit, truth_of(errors)
 
 
-def drifting_unit(
-    seed: int, grade: str, form: str, change: str, *, profile: str | None = None
-) -> tuple[srt.Recording, np.ndarray]:
+def drifting_unit(seed: int, grade: str, form: str, change: str) -> tuple[srt.Recording, np.ndarray]:
     """Unit turned by hand whose biases drift by "mg, °/h" over the recording, and its errors."""
     rng = np.random.default_rng((HAND_SEED, 7, seed))
     errors = drawn_errors(HAND_GRADES[grade], rng)
     count, rest_s = LONG_RESTS.get(change, (36, 5.0))
     turns = hand_turns(rng, shortest_s=0.5, longest_s=12.0, count=count, rest_s=rest_s)
-    profile = profile or PROFILES[seed % len(PROFILES)]
+    profile = PROFILES[seed % len(PROFILES)]
     unit = recording(turns, rest_s, errors, HAND_GRADES[grade], rng, profile=profile)
     accel_mg, gyro_deg_h = map(float, change.split(", "))
     unit = drifting(unit, turns, rest_s, rng, form=form, accel_mg=accel_mg, gyro_deg_h=gyro_deg_h)
     return unit, truth_of(errors)
 
 
-Cell = tuple[Any, ...]
-Rows = dict[str, Score]
 SENSITIVITIES = {"navigation": 0.002, "tactical": 0.1, "industrial": 1.0}
 """G-sensitivity by grade, °/h/g."""
 SIMULATED = {
@@ -260,6 +259,47 @@ def simulated(cell: Cell, unit: int, estimators: list[str]) -> Rows:
         changes["g_sensitivity"] *= SENSITIVITIES[grade]
     recording, truth = noisy_recording(1000 + unit, grade, **changes)
     return calibrated(recording, truth.vector, estimators)
+
+
+@cache
+def bound_si(grade: str, rotation_sigma_rad: float = 1e-3, moves: Moves = "skipped") -> np.ndarray:
+    """Cramér-Rao bound (1 sigma, SI) at zero errors, shape (27,), for :func:`accuracy_trials.fixture_recording`."""
+    alignment = ("level_sigma_rad", "north_sigma_rad", "mounting_sigma_rad", "non_orthogonality_sigma_rad")
+    rotations = {"rotation_sigma_rad": rotation_sigma_rad, "wobble_sigma_rad": 1e-2 * rotation_sigma_rad}
+    return bayesian_bound(
+        Schedule(table_sequences(tuple(TABLE_1)), moves=moves),
+        site=SITE,
+        imu=GRADES[grade],
+        fixture_sigma=dict.fromkeys(alignment, 1e-3) | rotations,
+        sample_rate_hz=100.0,
+    ).sigma
+
+
+PRIOR_SIGMA = 1e-3 * IN_G
+"""Distribution of the units, 1-sigma; the gyro bias is uniform within 10 °/h."""
+PRIOR_SIGMA[GROUP_SLICES["gyro_bias"]] = 10.0 * DEG_PER_H / np.sqrt(3.0)
+
+
+def efficient(
+    cell: Cell, unit: int, estimators: list[str], *, sample_rate_hz: float = 100.0, innovations: bool = True
+) -> Rows:
+    """Noisy unit on the 1 mrad fixture, of which all is stated.
+
+    The innovations are those of a second filter, whose prior is the distribution of the units: with the default, very
+    wide prior the first innovations would be far smaller than their sigma.
+    """
+    (grade,) = cell
+    seed = 10_000 * (1 + list(GRADES).index(grade)) + unit
+    recording, truth = fixture_recording(seed, grade, sample_rate_hz=sample_rate_hz)
+    rows = {
+        name: replace(score, bound=bound_si(grade))
+        for name, score in calibrated(recording, truth.vector, estimators).items()
+    }
+    if innovations and "ekf" in rows:
+        informed = srt.calibrate(recording, "ekf", prior=Prior.from_sigma(PRIOR_SIGMA), checks=False)
+        by_sequence = tuple(row.innovations for row in informed.diagnostics.filter or ())
+        rows["ekf"] = replace(rows["ekf"], innovations=by_sequence)
+    return rows
 
 
 def on_the_fixture(cell: Cell, unit: int, estimators: list[str], *, moves: str) -> Rows:

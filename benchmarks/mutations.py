@@ -2,8 +2,8 @@
 
 ``python benchmarks/mutations.py`` copies the tree, applies each mutation to the copy, runs the tests of its subject and
 prints "killed" or "survived" with file, line and change. Mutations are the sign of every term in the functions of
-``SUBJECTS`` (plus and minus swapped, a leading minus dropped) and changes given as text. ``--only SUBJECT`` restricts
-them, ``--list`` prints them. Exits with 1 if a mutation survives.
+``mutation_subjects.toml`` (plus and minus swapped, a leading minus dropped) and changes given as text. ``--only
+SUBJECT`` restricts them, ``--list`` prints them. Exits with 1 if a mutation survives.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import subprocess
 import sys
 import tempfile
 import time
+import tomllib
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -24,14 +25,28 @@ import scipy.optimize
 import scipy.signal
 import scipy.spatial.transform
 import scipy.stats  # noqa: F401
-from mutation_subjects import SUBJECTS, Subject
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
 ROOT = Path(__file__).parents[1]
 TESTS_FAILED = 1
 """Exit code of pytest if tests ran and failed."""
+
+
+class Subject(NamedTuple):
+    """Mutations of one file: ``functions`` have their signs changed, ``changes`` are pairs of texts."""
+
+    name: str
+    file: str
+    tests: Sequence[str]
+    functions: Sequence[str] = ()
+    changes: Sequence[tuple[str, str]] = ()
+    without_effect: Sequence[str] = ()
+
+
+_TABLE = tomllib.loads((ROOT / "benchmarks" / "mutation_subjects.toml").read_text(encoding="utf-8"))
+SUBJECTS = [Subject(name, **row) for name, row in _TABLE.items()]
 
 
 class Mutation(NamedTuple):
@@ -93,7 +108,7 @@ def _sign_changes(source: str, offsets: list[int], subject: Subject) -> Iterator
 
 def _chosen(tree: ast.Module, subject: Subject) -> Iterator[ast.AST]:
     """Named functions and assignments of a module, or all of it."""
-    if subject.functions == ("*",):
+    if subject.functions == ["*"]:
         yield tree
         return
     wanted = set(subject.functions)
@@ -135,7 +150,7 @@ _COUNTING = {"range", "reshape", "zeros", "empty", "ones", "arange", "reversed",
 """Calls whose arguments are numbers of elements."""
 
 
-def run_tests(folder: Path, tests: tuple[str, ...]) -> int:
+def run_tests(folder: Path, tests: Sequence[str]) -> int:
     """Exit code of pytest for tests of a copy of the tree, in a fork that has imported nothing of it."""
     child = os.fork()
     if not child:

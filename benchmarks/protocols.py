@@ -1,9 +1,8 @@
-"""Accuracy of the shipped protocols in equal time: Cramér-Rao bound, and rms error of simulated units.
+"""Shipped protocols in equal time, for ``honesty.py``: the Cramér-Rao bound of a motion, and simulated units.
 
 Every protocol lasts 600 s, its rests scaled to that, without a fixture: a tactical unit with white noise alone, poses
-placed to 1°, turns to 0.5°. The bound is computed from the nominal motion; the units are simulated and calibrated by
-least squares, asymmetries fixed at zero, which they are. ``python benchmarks/protocols.py --units 20 --markdown
-docs/protocols.md`` writes the tables of the page.
+placed to 1°, turns to 0.5°. The bound is computed from the nominal motion; units without asymmetry are calibrated with
+asymmetries fixed at zero, or estimated.
 
 Measurements of the bound: mean readings of gyros and accelerometers in every rest, the rotation that the gyros
 integrate between two rests, and the mean rate in runs at a stated rate. Unknowns: the free sensor errors, gravity with
@@ -14,53 +13,46 @@ derivatives are those at a unit without errors.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
-from pathlib import Path  # noqa: TC003 - the type of an option
+from dataclasses import dataclass, field, replace
+from functools import cache
+from typing import TYPE_CHECKING
 
-import harness
 import numpy as np
-import studies
+from foreign_motion import EARTH_RATE_RAD_S, readings
 from scipy.spatial.transform import Rotation
+from studies import Cell, Rows, scored
 
 import sims
 import srt
 from sims.scenarios.scenario import scenario_from_dict
 from srt.constants import DEG, DEG_PER_SQRT_H, MICRO_G
-from srt.recording.protocol import Protocol, load_protocol
-from srt.sensor_errors import DISPLAY_FACTORS, GROUP_SLICES, INDEX, NAMES
+from srt.recording.protocol import load_protocol
+from srt.sensor_errors import GROUP_SLICES, INDEX, NAMES
+
+if TYPE_CHECKING:
+    from srt.recording.protocol import Protocol
 
 PROTOCOLS = (
     "table-1", "19-positions", "11-positions", "7-positions", "9-positions", "two-axis-table", "hand-turned",
     "ferraris", "rate-table", "24-face-tumble", "six-face-tumble",
 )  # fmt: skip
+ASYMMETRIES = {"fixed": ("gyro_asymmetry", "accel_asymmetry"), "estimated": ()}
+"""Parameters fixed at zero, which they are."""
 TOTAL_S = 600.0
 GYRO_DEG_PER_SQRT_H, ACCEL_UG_PER_SQRT_HZ = 0.05, 50.0
 LATITUDE_DEG, GRAVITY_M_S2, GRAVITY_SIGMA_M_S2 = 45.0, 9.80665, 5e-6
 FIRST_SEED = 70_000
-FIXED = ("gyro_asymmetry", "accel_asymmetry")
-GROUPS = {
-    "gyro_scale": "gyro scale, ppm",
-    "gyro_orthogonality": "gyro orthogonality, µrad",
-    "gyro_bias": "gyro bias, °/h",
-    "accel_scale": "accelerometer scale, ppm",
-    "accel_misalignment": "accelerometer misalignment, µrad",
-    "accel_bias": "accelerometer bias, µg",
-}
-ASYMMETRIES = {"gyro_asymmetry": "gyro asymmetry, ppm", "accel_asymmetry": "accelerometer asymmetry, ppm"}
-PRIOR = {"scale": 0.1, "orthogonality": 0.1, "misalignment": 0.1, "asymmetry": 0.01}
+WIDE_PRIOR = {"scale": 0.1, "orthogonality": 0.1, "misalignment": 0.1, "asymmetry": 0.01}
 NOT_SHOWN = 1.0 / 3.0
-"""A bound above this share of the prior means that the protocol does not show the group."""
-
-
-def prior() -> np.ndarray:
-    out = np.array([PRIOR.get(name.split("_")[1], math.inf) for name in NAMES])
-    out[GROUP_SLICES["accel_bias"]], out[GROUP_SLICES["gyro_bias"]] = 1.0, 0.02
-    return out
-
-
-EARTH_RATE_RAD_S = 7.292115e-5
+"""A bound above this share of the prior means that the protocol does not show the parameter."""
 STEPS = 200
 """Steps of the integral over a rotation."""
+
+
+def wide_prior() -> np.ndarray:
+    out = np.array([WIDE_PRIOR.get(name.split("_")[1], math.inf) for name in NAMES])
+    out[GROUP_SLICES["accel_bias"]], out[GROUP_SLICES["gyro_bias"]] = 1.0, 0.02
+    return out
 
 
 @dataclass(frozen=True)
@@ -135,9 +127,8 @@ def motion_bound(chains: list[Chain], conditions: Conditions, free: list[str], p
                 s = (np.arange(STEPS) + 0.5) / STEPS
                 part = turned * Rotation.from_rotvec((s * leg.angle_rad)[:, None] * leg.axis)
                 spin = leg.angle_rad / leg.duration_s * leg.axis
-                for R in part:
-                    seen = spin + (attitude * R).inv().apply(earth)
-                    rows[:, :n_errors] += R.as_matrix() @ by_errors(free, "gyro", seen) * leg.duration_s / STEPS
+                seen = by_errors(free, "gyro", spin + (attitude * part).inv().apply(earth))
+                rows[:, :n_errors] += np.einsum("nij,njk->ik", part.as_matrix(), seen) * leg.duration_s / STEPS
                 if leg.steady_s > 0.0:
                     along = np.zeros((1, n))
                     along[0, :n_errors] = np.sign(leg.angle_rad) * leg.axis @ by_errors(free, "gyro", spin)
@@ -164,26 +155,11 @@ def cross(v: np.ndarray) -> np.ndarray:
 
 
 def by_errors(free: list[str], sensor: str, v: np.ndarray) -> np.ndarray:
-    """Derivative of a reading of v with respect to the free errors, shape (3, n)."""
-    out = np.zeros((3, len(free)))
-    for j, name in enumerate(free):
-        group, _, axes = name.rpartition("_")
-        if not group.startswith(sensor):
-            continue
-        i = "xyz".index(axes[0])
-        kind = group.removeprefix(sensor + "_")
-        if kind == "bias":
-            out[i, j] = 1.0
-        elif kind == "scale":
-            out[i, j] = v[i]
-        elif kind == "asymmetry":
-            out[i, j] = abs(v[i])
-        else:
-            k = "xyz".index(axes[1])
-            out[i, j] = v[k] if kind == "misalignment" else 0.5 * v[k]
-            if kind == "orthogonality":
-                out[k, j] = 0.5 * v[i]
-    return out
+    """Derivatives of readings of v, shape (..., 3), with respect to the free errors, in which they are linear."""
+    flat = v.reshape(-1, 3)
+    of_sensor = {"gyro": 0, "accel": 1}[sensor]
+    columns = [readings(flat[:, None], flat, {name: 1.0}, None, 1.0, None)[of_sensor] - flat for name in free]
+    return np.stack(columns, axis=-1).reshape(*v.shape, len(free))
 
 
 def chains(protocol: Protocol) -> list[Chain]:
@@ -205,9 +181,10 @@ def chains(protocol: Protocol) -> list[Chain]:
     return out
 
 
+@cache
 def bound(name: str, fixed: tuple[str, ...]) -> np.ndarray:
-    """Bound of the 27 errors in the units of the tables; NaN where the protocol does not show them."""
-    protocol = load_protocol(name).lasting(TOTAL_S)
+    """Bound of the 27 errors, SI; NaN where the protocol does not show them."""
+    protocol, prior = load_protocol(name).lasting(TOTAL_S), wide_prior()
     free = [n for n in NAMES if not n.startswith(fixed)] if fixed else list(NAMES)
     if all(step.pose for step in protocol.steps):  # the axes are those of the accelerometers
         free = [n for n in free if n not in ("accel_misalignment_xy", "accel_misalignment_xz", "accel_misalignment_yz")]
@@ -215,17 +192,17 @@ def bound(name: str, fixed: tuple[str, ...]) -> np.ndarray:
         GYRO_DEG_PER_SQRT_H * DEG_PER_SQRT_H, ACCEL_UG_PER_SQRT_HZ * MICRO_G, GRAVITY_M_S2, GRAVITY_SIGMA_M_S2,
         LATITUDE_DEG * DEG, protocol.rate_sigma or 1.0,
     )  # fmt: skip
-    sigma = motion_bound(chains(protocol), conditions, free, prior())
-    shown = (sigma > 0.0) & (sigma < NOT_SHOWN * prior())
-    return np.where(shown, sigma, math.nan) * DISPLAY_FACTORS
+    sigma = motion_bound(chains(protocol), conditions, free, prior)
+    return np.where((sigma > 0.0) & (sigma < NOT_SHOWN * prior), sigma, math.nan)
 
 
-def simulated(name: str, seed: int) -> tuple[np.ndarray, str]:
-    """Errors of a calibrated unit in the units of the tables, NaN where not observed, and the status."""
+def by_protocol(cell: Cell, unit: int, estimators: list[str]) -> Rows:
+    """Scores of a simulated unit by the steps of a protocol, over their bound."""
+    name, fixed = cell[0], ASYMMETRIES[cell[1]]
     quiet = dict.fromkeys(("gyro_bias_instability_deg_per_h", "accel_bias_instability_ug"), 0.0)
     noise = {"gyro_noise_deg_per_sqrt_h": GYRO_DEG_PER_SQRT_H, "accel_noise_ug_per_sqrt_hz": ACCEL_UG_PER_SQRT_HZ}
     tables = {
-        "seed": seed,
+        "seed": FIRST_SEED + unit,
         "imu": {
             "from": "tactical-fog",
             "noise": quiet | noise,
@@ -237,57 +214,7 @@ def simulated(name: str, seed: int) -> tuple[np.ndarray, str]:
         "protocol": {"from": name, "total_time_s": TOTAL_S, "settle_s": 0.0},
         "recording": {"sample_rate_hz": 50.0},
     }  # fmt: skip
-    simulation = sims.simulate(scenario_from_dict(tables))
-    found = srt.calibrate(simulation.recording, "least-squares", checks=False, hold=FIXED)
-    off = (found.errors.vector - simulation.truth.vector) * DISPLAY_FACTORS
-    usable = found.status in ("converged", "partial")
-    return np.where(found.observed & usable, off, math.nan), found.status
-
-
-def rms(values: np.ndarray) -> float:
-    """Root mean square of the shown values; NaN if a third of them or more is not shown."""
-    shown = values[np.isfinite(values)]
-    return float(np.sqrt(np.mean(shown**2))) if 3 * shown.size > 2 * values.size else math.nan
-
-
-def shown(value: float) -> str:
-    """Text of at least two digits; a dash for NaN."""
-    digits = 0 if math.isnan(value) else min(max(0, 1 - math.floor(math.log10(max(value, 1e-9)))), 3)
-    return "–" if math.isnan(value) else f"{value:.{digits}f}"
-
-
-def main(*, units: int = 20, markdown: Path | None = None) -> None:
-    bounds = {name: bound(name, FIXED) for name in PROTOCOLS}
-    errors, notes = {}, []
-    for name in PROTOCOLS:
-        runs = [simulated(name, seed) for seed in range(FIRST_SEED, FIRST_SEED + units)]
-        errors[name] = np.array([off for off, _ in runs])
-        bad = sum(status not in ("converged", "partial") for _, status in runs)
-        if bad:
-            notes.append(f"{name}: {bad} of {units} units not converged or inconsistent, and left out")
-        print(name, flush=True)
-
-    def column(group: str, name: str) -> str:
-        at = GROUP_SLICES[group]
-        return f"{shown(rms(errors[name][:, at]))} ({shown(rms(bounds[name][at]))})"
-
-    more = GROUPS | ASYMMETRIES
-    limits = {name: bound(name, ()) for name in PROTOCOLS}
-    found = ([name, *(column(group, name) for group in GROUPS)] for name in PROTOCOLS)
-    lines = [
-        *studies.markdown(("protocol", *GROUPS.values()), found),
-        "", "The bound where asymmetries are estimated too:", "",
-        *studies.markdown(
-            ("protocol", *more.values()),
-            ([name, *(shown(rms(limit[GROUP_SLICES[g]])) for g in more)] for name, limit in limits.items()),
-        ),
-        *(["", "; ".join(notes) + "."] if notes else []),
-    ]  # fmt: skip
-    text = "\n".join(lines)
-    print(text)
-    if markdown is not None:
-        studies.replace_tables(markdown, {"benchmarks/protocols.py": text})
-
-
-if __name__ == "__main__":
-    harness.run(main, __doc__)
+    run = sims.simulate(scenario_from_dict(tables))
+    found = {each: srt.calibrate(run.recording, each, checks=False, hold=fixed) for each in estimators}
+    known = {"bound": bound(name, fixed)}
+    return {each: replace(scored(result, run.truth.vector), **known) for each, result in found.items()}

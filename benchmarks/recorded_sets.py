@@ -1,10 +1,10 @@
-"""Three public sets of recorded data: readers, and the figures of their calibration beside published ones.
+"""Three public sets of recorded data: readers, and the results of one beside published ones.
 
 xsens_mti (Tedaldi, Pretto and Menegatti, ICRA 2014), mpu9150 (mikoff/imu-calib) and imucal's Ferraris example. The data
 are not part of the project; the environment variable :data:`DATA_VARIABLE` names their folder.
 
-``python benchmarks/recorded_sets.py [ESTIMATOR...]`` prints gains, offsets and 1-sigma values beside published ones,
-and residuals before and after calibration. Default estimators: least-squares, ekf, graph.
+``python benchmarks/recorded_sets.py [ESTIMATOR...]`` prints gains, offsets and 1-sigma values of the first beside
+published ones. Default estimators: least-squares, ekf, graph.
 """
 
 from __future__ import annotations
@@ -162,17 +162,6 @@ def xsens(recording: srt.Recording, estimator: str, gyro_bias: str) -> None:
         print(f"  {warning}")
 
 
-def before_and_after(name: str, recording: srt.Recording, estimator: str) -> None:
-    result = srt.calibrate(recording, estimator)
-    labelled = recording.with_sequences(srt.find_turns(recording))
-    before, after = (residuals(labelled, errors) for errors in (None, result.errors))
-    print(
-        f"{name}, {estimator}: {len(labelled.sequences)} turns, "
-        f"gravity {before['gravity_m_s2']:.4f} -> {after['gravity_m_s2']:.4f} m/s², "
-        f"turns {before['turn_deg']:.2f} -> {after['turn_deg']:.2f}°, {result.status}"
-    )
-
-
 def main(estimators: tuple[str, ...] = ("least-squares", "ekf", "graph")) -> None:
     folder = data_folder()
     if folder is None:
@@ -180,9 +169,6 @@ def main(estimators: tuple[str, ...] = ("least-squares", "ekf", "graph")) -> Non
     for estimator in estimators:
         for gyro_bias in ("auto", "pooled"):  # imu_tk has one bias for the whole recording
             xsens(xsens_mti(folder), estimator, gyro_bias)
-        before_and_after("xsens_mti", xsens_mti(folder), estimator)
-        for unit in (0, 1):
-            before_and_after(f"mpu9150 unit {unit}", mpu9150(folder, unit), estimator)
 
 
 if __name__ == "__main__":

@@ -2,21 +2,15 @@
 
 ``python benchmarks/robustness.py`` runs 17 sequences at 100 Hz with noise, and short noise-free ones, through the
 closed form, each trial in a motion of its own and all in one, one trial after the other and in batches. The fixed
-numpy load of ``benchmarks/numpy_load.py`` stands beside. ``--memory N`` runs N short trials in this process and prints
-the peak of its memory; ``--equal N`` compares N units of ±50 % and 0.3 rad with single runs. Ratios are of runs that
-take turns, so that a machine busy with other work moves them less.
+numpy load of ``benchmarks/numpy_load.py`` stands beside. ``--trials N`` are those of each figure. ``--memory N`` runs N
+short trials in this process and prints the peak of its memory; ``--equal N`` compares N units of ±50 % and 0.3 rad with
+single runs. Ratios are of runs that take turns, so that a machine busy with other work moves them less.
 """
 
-import os
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-
-import argparse
 import math
+import os
 import resource
 import statistics
-import sys
 import tempfile
 import time
 from collections import Counter
@@ -25,9 +19,9 @@ from dataclasses import replace
 from itertools import chain, islice
 from pathlib import Path
 
+import harness
 import numpy as np
 from numpy_load import cpu_time, numpy_load
-from rich.console import Console
 
 import srt
 from sims.robustness.campaign import Campaign, EstimatorChoice, load_campaign
@@ -39,7 +33,6 @@ from srt.estimation.options import Options
 from srt.model.platform_steps import COMPILED_RECORDINGS
 from srt.sensor_errors import NAMES
 
-console = Console(width=120)
 ROUNDS = 5
 """Rounds of a comparison; figures are their medians."""
 
@@ -96,8 +89,8 @@ def wall(campaign: Campaign, workers: int, folder: Path) -> float:
 
 
 def speed(trials: int) -> None:
-    console.print("| trials | motion | fixed point | batch | ms of CPU | a second and core | numpy loads |")
-    console.print("|---|---|---|---:|---:|---:|---:|")
+    print("| trials | motion | fixed point | batch | ms of CPU | a second and core | numpy loads |")
+    print("|---|---|---|---:|---:|---:|---:|")
     for name, campaign in (("17 sequences, 100 Hz, noise", full()), ("50 Hz, 2 s of dwell, 2 rad/s", lean())):
         for motion, size in (("each", 1), ("one", trials + 1)):
             for checked in (True, False):
@@ -107,12 +100,12 @@ def speed(trials: int) -> None:
                     load_s, each = cpu_time(numpy_load), per_trial(chosen, trials, batch)
                     figures = f"{1e3 * each:.1f} | {1.0 / each:.1f} | {each / load_s:.3f}"
                     what = "checked" if checked else "not checked"
-                    console.print(f"| {name} | {motion} | {what} | {batch} | {figures} |")
+                    print(f"| {name} | {motion} | {what} | {batch} | {figures} |")
         shares = ", ".join(f"{part} {spent:.1f} ms" for part, spent in parts(campaign, min(trials, 20)).items())
-        console.print(f"\n{name}, parts of a trial one after the other: {shares}\n")
+        print(f"\n{name}, parts of a trial one after the other: {shares}\n")
 
 
-def equal(trials: int) -> float:
+def largest_difference(trials: int) -> float:
     """Largest difference of an estimate in a batch from that of a single run, in sigma."""
     campaign = lean()
     recording = {**campaign.scenario["recording"], "noise": True}
@@ -135,13 +128,13 @@ def equal(trials: int) -> float:
         except srt.SrtError as error:
             told = None, str(error)
         if (row.get("status"), row["message"]) != told:
-            console.print(f"trial {task}: {row['message']} in a batch, {told[1]} alone")
+            print(f"trial {task}: {row['message']} in a batch, {told[1]} alone")
             largest = math.inf
         elif row["outcome"] == "converged":
             off = np.array([row[f"error_{name}"] for name in NAMES]) - errors
             largest = max(largest, float(np.nanmax(np.abs(off) / alone.sigma)))
-    console.print(f"{trials} units of ±50 % and 0.3 rad, with noise, in batches of {LARGEST_BATCH}: {dict(outcomes)}")
-    console.print(f"largest difference from single runs: {largest:.1e} sigma")
+    print(f"{trials} units of ±50 % and 0.3 rad, with noise, in batches of {LARGEST_BATCH}: {dict(outcomes)}")
+    print(f"largest difference from single runs: {largest:.1e} sigma")
     return largest
 
 
@@ -154,47 +147,42 @@ def workers(trials: int) -> None:
             one.append(wall(campaign, 1, Path(folder) / "one"))
             two.append(wall(campaign, 2, Path(folder) / "two"))
     ratio = statistics.median(a / b for a, b in zip(one, two, strict=True))
-    console.print(
+    print(
         f"{trials} trials: one worker {statistics.median(one):.2f} s, two {statistics.median(two):.2f} s; "
         f"two against one {ratio:.2f} (median of {ROUNDS} rounds; {os.cpu_count()} cores)"
     )
 
 
-def memory(trials: int) -> None:
+def peak_memory(trials: int) -> None:
     campaign = lean()
     campaign = replace(campaign, trials=-(-trials // len(campaign.points)), trials_per_motion=100)
 
     def look(done: int, size: int) -> None:
         if done == size:
             peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
-            console.print(f"{done} trials: peak of the memory {peak:.0f} MiB")
+            print(f"{done} trials: peak of the memory {peak:.0f} MiB")
 
     load_s, began = cpu_time(numpy_load), time.process_time()
     with tempfile.TemporaryDirectory() as folder:
         run_campaign(campaign, Path(folder), progress=look)
     spent = time.process_time() - began
     each = spent / campaign.size
-    console.print(
+    print(
         f"{spent:.0f} s of CPU, {1.0 / each:.1f} trials a second and core ({each / load_s:.3f} numpy loads each); "
         f"100,000 would take {1e5 * each / 60.0:.0f} minutes of CPU"
     )
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--trials", type=int, default=60, help="of each figure (default 60)")
-    parser.add_argument("--memory", type=int, metavar="N", help="run N trials of a campaign instead")
-    parser.add_argument("--equal", type=int, metavar="N", help="compare N units with single runs instead")
-    arguments = parser.parse_args()
-    if arguments.memory:
-        memory(arguments.memory)
-    elif arguments.equal:
-        return int(equal(arguments.equal) > 1e-9)
+def main(*, trials: int = 60, memory: int | None = None, equal: int | None = None) -> int:
+    if memory is not None:
+        peak_memory(memory)
+    elif equal is not None:
+        return int(largest_difference(equal) > 1e-9)
     else:
-        speed(arguments.trials)
-        workers(arguments.trials)
+        speed(trials)
+        workers(trials)
     return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    harness.run(main, __doc__)

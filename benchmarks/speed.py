@@ -1,21 +1,20 @@
 """Speed of everything in one table: estimators in memory, commands as processes, length of a recording.
 
-``python benchmarks/speed.py`` prints it as Markdown; ``--only PART ...`` takes parts of it, or another: inspection of
-an hour at 1 kHz. ``--long`` adds 20 million samples, ``--rounds N`` takes medians of N. Times are CPU times on one
-core. Each has its ratio to a fixed numpy load that runs right before it, so that a busy or another machine matters
-less. benchmarks/README.md says what the rows are.
+``python benchmarks/speed.py`` prints it as Markdown; ``--only PART ...`` takes parts of it, or others: inspection of
+an hour at 1 kHz, a stream. ``--long`` adds 20 million samples, or takes a million lines of a stream in place of
+100,000. ``--rounds N`` takes medians of N. Times are CPU times on one core. Each has its ratio to a fixed numpy load
+that runs right before it, so that a busy or another machine matters less. benchmarks/README.md says what the rows are.
 """
 
 import os
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-
+import socket
 import subprocess
 import sys
 import tempfile
+import time
 import tracemalloc
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -40,6 +39,7 @@ from srt.model.sensor_model import gyro_triad
 from srt.noise.noise_model import noise_model
 from srt.reports.figures.inspection import inspection_figure
 from srt.reports.inspection import inspect
+from srt.sensor_errors import N_PARAMETERS
 from srt.sequences.preparation import prepare
 from srt.sequences.recognition import recognise
 
@@ -235,18 +235,98 @@ def traced(call: Callable[[], object]) -> tuple[float, int]:
     return seconds, peak
 
 
-MORE = {"inspection": inspection}
+def memory_mib(pid: int) -> float:
+    """Resident memory of a process, MiB."""
+    return int(Path(f"/proc/{pid}/status").read_text(encoding="ascii").split("VmRSS:")[1].split()[0]) / 1024
+
+
+def latencies(what: str, pid: int, inputs: Iterable, count: int, answered: Callable[[object], object]) -> Row:
+    """Time from an input sent to its answer received; memory of the command early and at the end."""
+    spans, early, load_s = np.empty(count), 0.0, cpu_time(numpy_load)
+    for i, each in enumerate(inputs):
+        began = time.perf_counter()
+        answered(each)
+        spans[i] = time.perf_counter() - began
+        if i == count // 10:
+            early = memory_mib(pid)
+    median, high = 1e6 * np.percentile(spans[100:], (50, 99))
+    memory = f"memory {early:.1f} MiB after a tenth, {memory_mib(pid):.1f} MiB at the end"
+    name = f"{count:,} {what}: latency median {median:.0f} µs, 99th percentile {high:.0f} µs, {memory}"
+    return Row(name, spans.sum(), load_s)
+
+
+def stream(count: int) -> Iterator[Row]:
+    """``srt apply`` of lines through its pipes and of MAVLink (HIGHRES_IMU) over UDP, each answer awaited."""
+    rng = np.random.default_rng(2)
+    readings = rng.standard_normal((count, 6)) * np.repeat([1.0, 9.8], 3)
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "unit.json"
+        errors = srt.SensorErrors(rng.normal(0.0, 0.01, N_PARAMETERS))
+        srt.Calibration("", "converged", "", errors, np.eye(N_PARAMETERS) * 1e-8).save(file)
+        command = [sys.executable, "-m", "srt.cli", "apply", str(file)]
+        lines = [f"{0.005 * i:.9g}," + ",".join(f"{v:.9g}" for v in row) + "\n" for i, row in enumerate(readings)]
+        yield by_pipes(command, lines)
+        yield by_mavlink(command, readings)
+
+
+def by_pipes(command: list[str], lines: list[str]) -> Row:
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
+    with subprocess.Popen([*command, "-"], **pipes, text=True, bufsize=1) as child:
+
+        def answered(text: str) -> None:
+            child.stdin.write(text)
+            child.stdout.readline()
+
+        return latencies("lines through the command", child.pid, lines, len(lines), answered)
+
+
+def packets(readings: np.ndarray) -> Iterator[bytes]:
+    """HIGHRES_IMU of one sender at 200 Hz."""
+    from pymavlink.dialects.v20 import common
+
+    link = common.MAVLink(None, srcSystem=1, srcComponent=1)
+    for i, (*gyro, ax, ay, az) in enumerate(readings.tolist()):
+        yield link.highres_imu_encode(5000 * i, ax, ay, az, *gyro, *[0.0] * 6, 25.0, 0b111111).pack(link)
+        link.seq = (link.seq + 1) % 256
+
+
+def by_mavlink(command: list[str], readings: np.ndarray) -> Row:
+    with socket.socket(type=socket.SOCK_DGRAM) as answers, socket.socket(type=socket.SOCK_DGRAM) as sender:
+        with socket.socket(type=socket.SOCK_DGRAM) as free:
+            free.bind(("127.0.0.1", 0))
+            source = free.getsockname()
+        answers.bind(("127.0.0.1", 0))
+        answers.settimeout(0.2)
+        into, out = (f"udp:{host}:{port}" for host, port in (source, answers.getsockname()))
+
+        def answered(packet: bytes) -> bytes:
+            sender.sendto(packet, source)
+            return answers.recv(4096)
+
+        with subprocess.Popen([*command, "--from", into, "--to", out], stderr=subprocess.DEVNULL) as child:
+            try:
+                for _ in range(300):
+                    with suppress(TimeoutError):
+                        answered(next(packets(readings)))
+                        break
+                answers.settimeout(10.0)
+                return latencies("MAVLink packets", child.pid, packets(readings), len(readings), answered)
+            finally:
+                child.terminate()
+
+
+MORE = ("inspection", "stream")
 
 
 def main(*, long: bool = False, only: tuple[str, ...] = DEFAULT_PARTS, rounds: int = ROUNDS) -> None:
     print("| what | CPU time, ms | over the numpy load | over one read of the samples | peer |")
     print("|---|---|---|---|---|")
-    lengths = (100_000, 1_000_000, 20_000_000) if long else (100_000, 1_000_000)
     parts = {
         "memory": partial(in_memory, rounds),
         "processes": partial(processes, rounds),
-        "length": partial(length, lengths),
-        **{name: partial(part, rounds) for name, part in MORE.items()},
+        "length": partial(length, (100_000, 1_000_000, 20_000_000) if long else (100_000, 1_000_000)),
+        "inspection": partial(inspection, rounds),
+        "stream": partial(stream, 1_000_000 if long else 100_000),
     }
     for name, part in parts.items():
         if name in only:

@@ -1,19 +1,19 @@
 """Factor graph and Kalman filter against the Cramér-Rao bound: nearly efficient, with honest sigmas and innovations.
 
-8 units of two grades here, 2,000 of three with ``-m slow``; ``benchmarks/efficiency.py`` runs 2,000 of each grade.
-Claims and their statistical bounds are those of :mod:`efficiency`: limit plus 3.5 standard errors at this
-size.
+4 units of two grades here, 667 of three with ``-m slow``. Claims and their statistical bounds are those of ``honesty.py
+efficiency``: limit plus 3.5 standard errors at this size.
 """
 
 import math
-from functools import partial
 
-import efficiency
 import numpy as np
 import pytest
-from accuracy_trials import GRADES, Trial, run
-from efficiency import LIMITS, Criterion, UnitTrials, bound_sigma, criteria, innovation_criteria, summarise
+from accuracy_trials import GRADES
+from honesty import LARGEST_RMS, MEAN_RMS, missed
+from honesty_trials import bound_si, efficient
+from studies import Score
 
+from srt.model.table1 import SEQUENCES
 from srt.sensor_errors import N_PARAMETERS
 
 pytest.importorskip("gtsam")
@@ -21,11 +21,22 @@ pytest.importorskip("filterpy")
 threadpoolctl = pytest.importorskip("threadpoolctl")
 
 ESTIMATORS = ("graph", "ekf", "closed-form")
-FIRST_SEED = {grade: 40_000 + 10_000 * i for i, grade in enumerate(GRADES)}
+FIRST_UNIT = 30_000
 
 
-def missed(claims):
-    return [c for c in claims if not c.holds]
+def missed_by_innovations(scores):
+    """Whiteness and unit variance of the innovations: pooled variance, lag-one correlation, NIS of each sequence."""
+    runs = [s.innovations for s in scores if s.innovations]
+    series = [np.concatenate(run) for run in runs]
+    squares, number = sum(float(v @ v) for v in series), sum(len(v) for v in series)
+    products, pairs = sum(float(v[1:] @ v[:-1]) for v in series), sum(len(v) - 1 for v in series)
+    freedom = np.array([len(v) for v in runs[0]])
+    nis = np.mean([[float(v @ v) for v in run] for run in runs], axis=0) / freedom
+    off = {"variance": (squares / number - 1.0) / math.sqrt(2.0 / number)}
+    off["correlation"] = products / squares * math.sqrt(pairs)
+    by_sequence = (nis - 1.0) / np.sqrt(2.0 / freedom / len(runs))
+    off |= {f"sequence {name}": ratio for name, ratio in zip(SEQUENCES, by_sequence, strict=True)}
+    return [name for name, ratio in off.items() if abs(ratio) > 3.5]
 
 
 @pytest.mark.parametrize(
@@ -34,49 +45,44 @@ def missed(claims):
 )
 def test_graph_and_filter_are_nearly_efficient(grade, count):
     """All criteria in one test, or each worker would simulate the units anew; 50 Hz shows the same as 100 Hz."""
-    trial = partial(
-        efficiency.calibrate_unit, grade=grade, estimators=ESTIMATORS, innovations_every=5, sample_rate_hz=50.0
-    )
     # The runner uses every core: threads waiting for each other over matrices this small would take most of the time.
     with threadpoolctl.threadpool_limits(limits=1, user_api="blas"):
-        units = run(trial, range(FIRST_SEED[grade], FIRST_SEED[grade] + count))
-    found, claims = summarise(grade, units)
-    assert not missed(claims)
-    for name, (mean, largest) in LIMITS.items():
+        rows = [
+            efficient((grade,), FIRST_UNIT + k, ESTIMATORS, sample_rate_hz=50.0, innovations=k % 5 == 0)
+            for k in range(count)
+        ]
+    found = {name: [row[name] for row in rows] for name in ESTIMATORS}
+    for name in ("graph", "ekf"):
+        assert missed(found[name], efficient=True) == []
         # The sigmas say the same without any scatter; but for the gyro bias, which chance may take for a wandering one.
-        own = found[name].own[:24]
-        assert own.mean() < mean
-        assert own.max() < largest
+        own = np.sqrt(np.mean([(s.sigma / s.bound) ** 2 for s in found[name]], axis=0))[:24]
+        assert own.mean() < MEAN_RMS
+        assert own.max() < LARGEST_RMS
         assert own.min() > 0.99
+    assert missed_by_innovations(found["ekf"]) == []
+    assert missed(found["closed-form"], efficient=False) == []
     # Held to what is claimed of the others, the closed form fails: these samples are large enough to tell.
-    as_graph = criteria("graph", found["closed-form"])
-    assert [c.name.split(" (")[0] for c in missed(as_graph)] == [
-        "graph: rms / bound, mean",
-        "graph: rms / bound, largest",
-    ]
+    assert missed(found["closed-form"], efficient=True) == ["mean", "largest"]
 
 
 def made_up(count, *, error=1.0, sigma=1.0, colour=0.0, seed=1):
     """Units of an estimator with errors and sigmas of so many times the bound, and innovations that may be coloured."""
     rng = np.random.default_rng(seed)
-    bound = bound_sigma("navigation")
-    units = []
+    bound = bound_si("navigation")
+    scores = []
     for _ in range(count):
         z = rng.standard_normal(N_PARAMETERS) * error
-        trial = Trial(z * bound, sigma * bound, float(z @ z) / sigma**2 / N_PARAMETERS, "converged", 3)
         v = rng.standard_normal(17 * 12 + 1)
         v = (v[1:] + colour * v[:-1]) / math.hypot(1.0, colour)
-        units.append(UnitTrials({"graph": trial}, tuple(v.reshape(17, 12))))
-    return units
+        known = {"nees": float(z @ z) / sigma**2, "freedom": N_PARAMETERS, "innovations": tuple(v.reshape(17, 12))}
+        scores.append(Score("converged", "sound", z * bound, z / sigma, sigma * bound, bound=bound, **known))
+    return scores
 
 
 def test_an_estimator_that_reaches_the_bound_meets_all_criteria():
-    units = made_up(400)
-    found, claims = summarise("navigation", units)
-    assert not missed(claims)
-    # 27 independent parameters: the scatter of their mean is that of one, over √27.
-    expected = 1.0 / math.sqrt(2.0 * 400 * 27)
-    np.testing.assert_allclose(found["graph"].mean_error, expected, rtol=3.5 / math.sqrt(2.0 * 400))
+    scores = made_up(400)
+    assert missed(scores, efficient=True) == []
+    assert missed_by_innovations(scores) == []
 
 
 @pytest.mark.parametrize(
@@ -90,19 +96,23 @@ def test_an_estimator_that_reaches_the_bound_meets_all_criteria():
     ids=["inefficient", "overconfident", "better than the bound", "coloured"],
 )
 def test_each_criterion_catches_its_fault(fault, what):
-    _, claims = summarise("navigation", made_up(400, **fault))
-    caught = " ".join(c.name for c in missed(claims))
-    assert all(word in caught for word in what)
-    assert len(missed(claims)) == len(what)
+    scores = made_up(400, **fault)
+    assert {*missed(scores, efficient=True), *missed_by_innovations(scores)} == what
 
 
 def test_a_wrong_sequence_shows_in_its_innovations():
-    units = made_up(400)
-    wrong = [u._replace(innovations=(*u.innovations[:6], 1.15 * u.innovations[6], *u.innovations[7:])) for u in units]
-    assert not missed(innovation_criteria(units))
-    assert any("sequence 4" in c.name for c in missed(innovation_criteria(wrong)))
+    scores = made_up(400)
+    for score in scores:
+        score.innovations[6][:] *= 1.15
+    assert missed_by_innovations(scores) == ["sequence 4"]
 
 
 def test_limits_are_passed_by_no_more_than_their_standard_errors():
-    limit = Criterion("", 1.0, 0.01, 0.9, 1.1)
-    assert [limit._replace(value=v).holds for v in (0.864, 0.866, 1.134, 1.136)] == [False, True, True, False]
+    """NEES / 27 of 400 units whose sigmas are wrong by just less, and just more, than 3.5 standard errors."""
+    allowed = 3.5 * math.sqrt(2.0 / 27.0 / 400)
+    for sign in (-1.0, 1.0):
+        for share, expected in ((0.99, []), (1.01, ["NEES / 27"])):
+            scores = made_up(400)
+            scale = 27.0 * (1.0 + sign * share * allowed) / np.mean([s.nees for s in scores])
+            scaled = [Score(s.status, s.word, s.error, s.z, s.sigma, scale * s.nees, 27, bound=s.bound) for s in scores]
+            assert missed(scaled, efficient=True) == expected
