@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from srt.model.prior import Prior, prior_sigma
-from srt.sensor_errors import GROUP_SLICES, INDEX, N_PARAMETERS, expand_names
+from srt.sensor_errors import GROUP_SLICES, INDEX, N_PARAMETERS, NAMES, expand_names
 
 if TYPE_CHECKING:
     from srt.types import Array, Mask
@@ -24,7 +25,10 @@ _ADMISSION: Final = (
 _SHARE: Final = 1.0 / 3.0
 """Share of the prior sigma below which the sigma of an observed parameter lies."""
 _LARGEST_ANGLE: Final = 0.03
-"""Largest sigma of an observed misalignment, rad: the covariance is linear, and squares of larger ones exceed 1e-3."""
+"""Largest sigma of an observed misalignment, rad."""
+_MISALIGNMENTS: Final = ("gyro_orthogonality", "accel_misalignment")
+_MATRICES: Final = np.flatnonzero([name.split("_")[1] in ("scale", "orthogonality", "misalignment") for name in NAMES])
+"""Parameters of the sensor matrices."""
 
 
 def admission_sigma() -> Array:
@@ -35,12 +39,25 @@ def admission_sigma() -> Array:
     return sigma
 
 
-def observed_limit(admission: Array | None = None) -> Array:
-    """Largest sigma of an observed parameter, shape (27,), if the prior has the sigma ``admission``."""
+def observed_limit(admission: Array | None = None, finest: float = math.inf) -> Array:
+    """Largest sigma of an observed parameter, shape (27,), if the prior has the sigma ``admission``.
+
+    The covariance is linear. The cosine of a misalignment changes a scale factor by half its square, which must not
+    exceed ``finest``, the smallest sigma of a combination of elements of the sensor matrices.
+    """
     limit = _SHARE * (admission_sigma() if admission is None else admission)
-    for group in ("gyro_orthogonality", "accel_misalignment"):
-        limit[GROUP_SLICES[group]] = np.minimum(limit[GROUP_SLICES[group]], _LARGEST_ANGLE)
+    for group in _MISALIGNMENTS:
+        limit[GROUP_SLICES[group]] = np.minimum(
+            limit[GROUP_SLICES[group]], min(_LARGEST_ANGLE, math.sqrt(2.0 * finest))
+        )
     return limit
+
+
+def finest_sigma(covariance: Array) -> float:
+    """Smallest sigma of a combination of elements of the sensor matrices; infinite if none is estimated."""
+    variance = np.diag(covariance)
+    at = _MATRICES[variance[_MATRICES] > 0.0]
+    return math.sqrt(max(float(np.linalg.eigvalsh(covariance[np.ix_(at, at)])[0]), 0.0)) if at.size else math.inf
 
 
 def default_prior() -> Prior:
@@ -65,7 +82,8 @@ def admit(A: Array, wanted: Mask) -> Mask:
     """
     admitted = np.zeros(N_PARAMETERS, dtype=np.bool_)
     basis: list[Array] = []
-    least = admission_sigma() / observed_limit()
+    finest = 1.0 / np.linalg.norm(A[:, _MATRICES] / admission_sigma()[_MATRICES], 2)
+    least = admission_sigma() / observed_limit(finest=float(finest))
     for name in _ADMISSION:
         j = INDEX[name]
         if not wanted[j]:

@@ -14,7 +14,7 @@ from srt.estimation.calibration_builder import build_calibration
 from srt.estimation.error_sources import accel_drift, by_drift, latitude_error
 from srt.estimation.fixed_parameters import determined_by_fixture, reason_not_observed, value_of_fixed
 from srt.estimation.g_sensitivity import MODE as G_SENSITIVE
-from srt.estimation.observability import observed_limit
+from srt.estimation.observability import finest_sigma, observed_limit
 from srt.estimation.solver_result import SolverResult
 from srt.joint.block_solution import BlockSolution, apply_weights, covariance_by_source
 from srt.joint.linear_system import N_ERRORS
@@ -67,12 +67,15 @@ def make_calibration(
     """Calibration from the final solution of an iteration."""
     data, reasons = joint.data, dict(fixed.reasons)
     warnings = [joint.U_note] if joint.U_note and joint.fixture_states else []
+    analysis = analyse_solution(joint, solver, iteration, fixed.sigma)
     if iteration.point is not None and iteration.covariance is not None:
-        weak = ~iteration.free | (iteration.sigma > observed_limit(joint.admission))
+        limit = observed_limit(joint.admission, finest_sigma(iteration.covariance))
+        # Beside a fixture, the sigma by fixed values is that of its angles.
+        vague = np.sqrt(np.diag(analysis.total)) > (limit if data.nominal is None else observed_limit(joint.admission))
+        weak = ~iteration.free | (iteration.sigma > limit) | vague
         for i in np.flatnonzero(weak):
             value = value_of_fixed(NAMES[i], fixed.sigma, data, joint.options)
             reasons.setdefault(NAMES[i], f"{reason_not_observed(NAMES[i])}; {value}")
-    analysis = analyse_solution(joint, solver, iteration, fixed.sigma)
     # Parameters that are not observable have their fixed value, not the one from a wide prior and correlations.
     supported = joint.relies_on_fixture & determined_by_fixture(data)
     not_observed = np.array([name in reasons for name in NAMES]) & ~supported
