@@ -24,6 +24,7 @@ from scipy.special import chdtri
 from srt.constants import ARCSEC, DEG_PER_H, DEG_PER_SQRT_H, HOUR_S, MICRO_G
 from srt.exceptions import DataError, MissingExtraError
 from srt.noise.nonnegative import nonnegative_least_squares
+from srt.recording.readings import six_channels
 
 if TYPE_CHECKING:
     from types import ModuleType
@@ -140,8 +141,7 @@ def allan_deviation(recording: Recording, windows: Indices) -> AllanDeviation:
     allantools = _allantools()
     octaves, variances, counts, steps = _pooled(allantools, recording, long)
     tau: Array = np.asarray(dt * 2.0**octaves, dtype=np.float64)
-    squares = np.concatenate([recording.gyro[long[:, 0]], recording.accel[long[:, 0]]], axis=1) ** 2
-    rounding = _ROUNDING**2 * squares.mean(axis=0) * (1.0 if recording.kind == "rate" else dt**-2)
+    rounding = _ROUNDING**2 * np.mean(six_channels(recording, long[:, 0]) ** 2, axis=0)
     changes = variances.max(axis=1) > rounding
     design = design_matrix(tau)
     freedom = np.full(variances.shape, np.nan)
@@ -232,7 +232,7 @@ def _pooled(
         For each octave and the windows that reach it: number of readings of the integral, and of steps in an average.
     """
     dt = recording.nominal_interval_s
-    factor = 1.0 if recording.kind == "rate" else 1.0 / dt
+    factor = recording.rates_factor
     lengths = windows[:, 1] - windows[:, 0]
     halvings = max(0, int(np.ceil(np.log2(lengths.sum() / _MOST_SAMPLES))))
     share = min(1.0, _MOST_SAMPLES / float(lengths.sum()))

@@ -18,7 +18,7 @@ from srt.constants import STANDARD_GRAVITY_M_S2
 from srt.noise.instability_at_rest import instability_at_rest
 from srt.noise.random_walk import random_walk
 from srt.noise.variance_components import expected_variance
-from srt.recording.recording import by_length
+from srt.recording.readings import by_length
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -165,7 +165,7 @@ def noise_models(recordings: Sequence[Recording], windows: Sequence[Indices]) ->
     windows : sequence of ndarray of int, shape (W, 2)
         First sample and one past the last of every window of each recording, of equal lengths in all.
     """
-    stated, dt, unit = recordings[0].noise, recordings[0].nominal_interval_s, _unit(recordings[0])
+    stated, dt, unit = recordings[0].noise, recordings[0].nominal_interval_s, 1.0 / recordings[0].rates_factor
     found = [random_walk(*pair) for pair in zip(recordings, windows, strict=True)]
     seen_white, seen_edge = (np.stack([getattr(own, name) for own in found]) / unit for name in ("white", "edge"))
     of_sensors = (("gyro", slice(0, 3), GYRO_FLOOR), ("accel", slice(3, 6), ACCEL_FLOOR))
@@ -226,9 +226,8 @@ def _accel_instability(
     That of the gyros is not taken from the windows, where angle random walk and the quantization of slow rates hide it:
     the scatter of the rest rates between sequences is its measure.
     """
-    dt = recording.nominal_interval_s
-    force = recording.accel if recording.kind == "rate" else recording.accel / dt
-    found = instability_at_rest(force, windows, dt, filter_s)
+    force = recording.accel if recording.kind == "rate" else recording.accel * recording.rates_factor
+    found = instability_at_rest(force, windows, recording.nominal_interval_s, filter_s)
     if found is None:
         return 0.0, 0.0, 0.0, (0.0, 0.0)
     if recording.noise.accel_noise is not None:
@@ -261,7 +260,7 @@ def _resolution(recordings: Sequence[Recording], windows: Sequence[Indices], sen
         # Readings constant at rest: the step is estimated during motion.
         every = _some(tables[u])
         step[u] = np.where(constant[u], smallest_step(every), step[u])
-    return step / _unit(recordings[0])
+    return step * recordings[0].rates_factor
 
 
 def _step_error(
@@ -272,18 +271,13 @@ def _step_error(
     error, remainder = np.zeros((count, len(windows[0]), 3)), np.zeros((count, 3))
     if pulse or (pulse is None and recordings[0].kind == "increment"):
         return error, remainder  # the error of pulse counts is that of the integral at the edges
-    coarse = _on_grid([getattr(own, sensor) for own in recordings], step * _unit(recordings[0]))
+    coarse = _on_grid([getattr(own, sensor) for own in recordings], step / recordings[0].rates_factor)
     for u in np.flatnonzero(coarse.any(axis=1)).tolist():
         if pulse is None:
             pulses = edge[u] >= _PULSES * step[u] * recordings[u].nominal_interval_s / math.sqrt(12.0)
             coarse[u] &= ~pulses
         error[u], remainder[u] = _rounding(recordings[u], windows[u], sensor, step[u], coarse[u])
     return error, remainder
-
-
-def _unit(recording: Recording) -> float:
-    """Readings of a recording over their rates: one, or the interval, s, of increments."""
-    return 1.0 if recording.kind == "rate" else recording.nominal_interval_s
 
 
 def _some(readings: Array) -> Array:
@@ -316,7 +310,7 @@ def _rounding(recording: Recording, windows: Indices, sensor: str, step: Array, 
     first order the correlation at x and y is cos(2 π (x − y)/q). As errors of single windows, which are independent, it
     counts so many times as there are such windows, for the reading that most of them share.
     """
-    table, scale = getattr(recording, sensor), _unit(recording)
+    table, scale = getattr(recording, sensor), 1.0 / recording.rates_factor
     error, remainder = np.zeros((len(windows), 3)), np.zeros(3)
     each = np.concatenate([np.var(readings, axis=1) for _, readings in by_length(table, windows)])
     variance = each.mean(axis=0) / scale**2

@@ -171,7 +171,7 @@ def noise_terms(recording: Recording, window: tuple[int, int], rng: np.random.Ge
             f"The longest stationary window lasts {n * dt:.3g} s ({n} samples), but noise terms need {SHORTEST_S:g} s "
             f"and {FEWEST} samples: log the unit at rest, for hours if its bias instability is wanted."
         )
-    factor = 1.0 if recording.kind == "rate" else 1.0 / dt
+    factor = recording.rates_factor
     shape = (len(CHANNELS), len(ALL_TERMS))
     found = NoiseTerms(
         np.full(shape, np.nan),

@@ -33,7 +33,7 @@ def reading_steps(recording: Recording) -> Array:
     """
     stride = max(1, len(recording.time) // _SAMPLES)
     step = np.concatenate([smallest_step(table[::stride]) for table in (recording.gyro, recording.accel)])
-    return step * recording.nominal_interval_s if recording.kind == "rate" else step
+    return step * recording.nominal_interval_s * recording.rates_factor
 
 
 def quantization_step(readings: Array) -> Array:

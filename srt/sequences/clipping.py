@@ -11,6 +11,7 @@ import numpy as np
 from srt.constants import STANDARD_GRAVITY_M_S2
 from srt.model.table1 import AXES
 from srt.noise.noise_model import smallest_step
+from srt.recording.readings import derived
 
 if TYPE_CHECKING:
     from srt.recording.recording import Recording
@@ -112,6 +113,7 @@ class Clipping:
         return f"{self.channel} is at the limit of its range in {self.count} samples, from {self.first_s:.6g} s"
 
 
+@derived
 def clipping_levels(recording: Recording) -> ClippingLevels:
     """Find the readings at which channels are clipped, from the stated range and from the readings.
 
@@ -121,12 +123,7 @@ def clipping_levels(recording: Recording) -> ClippingLevels:
     hold one extreme. Other coarse, and noise-free readings repeat at any value: clipping is then found by the stated
     range only.
     """
-    return recording.memo("clipping levels", lambda: _clipping_levels(recording))
-
-
-def _clipping_levels(recording: Recording) -> ClippingLevels:
-    dt = recording.nominal_interval_s
-    per_sample = dt if recording.kind == "increment" else 1.0
+    dt, per_sample = recording.nominal_interval_s, 1.0 / recording.rates_factor
     low, high = np.full(6, -np.inf), np.full(6, np.inf)
     noise = recording.noise
     sensors = (
@@ -277,23 +274,20 @@ def _fewest_in_a_row(channel: Array, extreme: float) -> int:
     return max(_IN_A_ROW, 1 + math.ceil(math.log(_CHANCE) / math.log(rate)))
 
 
-def clipped_samples(recording: Recording, part: slice, levels: ClippingLevels | None = None) -> tuple[Clipping, ...]:
+def clipped_samples(recording: Recording, part: slice) -> tuple[Clipping, ...]:
     """Find the channels that are clipped in a part of a recording; a sequence with any of them is void.
 
     Parameters
     ----------
     part : slice
         Samples to look at.
-    levels : ClippingLevels, optional
-        From :func:`clipping_levels`, to be found once for all parts of a recording.
 
     Returns
     -------
     tuple of Clipping
         Empty: nothing is clipped.
     """
-    levels = clipping_levels(recording) if levels is None else levels
-    found = []
+    levels, found = clipping_levels(recording), []
     for s, (sensor, values) in enumerate((("gyro", recording.gyro), ("accel", recording.accel))):
         block = values[part]
         mine = slice(3 * s, 3 * s + 3)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import permutations, product
 from typing import TYPE_CHECKING, Final
 
@@ -125,7 +125,7 @@ class SequenceReading:
     ) -> SequenceReading:
         """Match the manoeuvres of all pieces, the axes named by ``mapping``."""
         gyro, accel = mapping
-        mapped = [Manoeuvre(t.start_window, t.end_window, t.first, t.last, t.legs @ gyro.T, t.bounds) for t in turns]
+        mapped = [replace(turn, legs=turn.legs @ gyro.T) for turn in turns]
         face = faces(force @ accel.T, gravity)
         scale = scales(mapped, face)
         words: list[Word | None] = []
