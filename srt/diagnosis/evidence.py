@@ -42,7 +42,7 @@ from srt.diagnosis.triad_fits import (
 from srt.diagnosis.window_averages import quantization, window_averages
 from srt.estimation.options import Options
 from srt.exceptions import DataError
-from srt.noise.noise_model import smallest_step
+from srt.noise.quantization import smallest_step
 from srt.sequences.clipping import clipped_samples
 from srt.sequences.manoeuvres import end_attitude
 from srt.sequences.preparation import nominal_attitude, prepare

@@ -322,6 +322,10 @@ class Recording(Presented):
         value: Derived = self._memo[key]
         return value
 
+    def give(self, key: Hashable, value: object) -> None:
+        """Store a derived value that was computed with those of other recordings, unless there is one."""
+        self._memo.setdefault(key, value)
+
     def forget(self) -> None:
         """Drop the derived values, which refer to the recording in turn: both would wait for the garbage collector.
 

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from srt.exceptions import DataError
-from srt.noise.noise_model import noise_models
 from srt.noise.random_walk import allan_octaves, octaves_key
 from srt.recording.readings import derived, of_each, side_by_side
 from srt.sequences.clipping import clipped_samples
+from srt.sequences.manoeuvres import whole_rotations
 from srt.sequences.plausibility import check_interval, check_rest, check_turns
-from srt.sequences.preparation import means_key, move_title, noise_key, prepare, sequence_of_label
+from srt.sequences.preparation import means_key, move_title, prepare, sequence_of_label
 from srt.sequences.window_means import average_windows, windows_of_labels
 
 if TYPE_CHECKING:
@@ -94,21 +93,11 @@ def _check_turned(data: PreparedRecording) -> None:
     single = [k for k, s in enumerate(sequences) if s is not None and len(s.rotations) == 1]
     if not single:
         return
-    recording, rest = data.recording, data.windows.gyro_mean
-    angle, seconds = _turned(recording, data.rotation[single])
-    angle = angle - 0.5 * (rest[data.start[single]] + rest[data.end[single]]) * seconds[:, None]
+    rest = data.windows.gyro_mean
+    angle = whole_rotations(data.rotation_stream, 0.5 * (rest[data.start] + rest[data.end]))[single]
     nominal = [abs(s.rotations[0][1]) for k in single if (s := sequences[k]) is not None]
     titles = [data.labels[k].title for k in single]
-    check_turns(np.linalg.norm(angle, axis=1), nominal, titles, interval_s=recording.nominal_interval_s)
-
-
-def _turned(recording: Recording, spans: Indices) -> tuple[Array, Array]:
-    """Angles that the gyros turned by in spans of samples, (spans, 3), rad, and their duration, s."""
-    steps = np.broadcast_to(recording.interval_s, len(recording.time))
-    parts = [slice(a, b) for a, b in spans.tolist()]
-    weights = [steps[own] if recording.kind == "rate" else np.ones(own.stop - own.start) for own in parts]
-    angles = [weight @ recording.gyro[own] for weight, own in zip(weights, parts, strict=True)]
-    return np.stack(angles), np.array([steps[own].sum() for own in parts])
+    check_turns(np.linalg.norm(angle, axis=1), nominal, titles, interval_s=data.recording.nominal_interval_s)
 
 
 _RATE_AGREES: Final = (0.25, 4.0)
@@ -199,16 +188,11 @@ def prepare_together(units: Sequence[tuple[Recording, tuple[SequenceLabel, ...],
 def _derive_together(recordings: Sequence[Recording], samples: Sequence[Indices], average: Average) -> None:
     def give(key: Callable[[Indices], Hashable], values: Sequence[object]) -> None:
         for recording, own, value in zip(recordings, samples, values, strict=True):
-            recording.memo(key(own), partial(_given, value))
+            recording.give(key(own), value)
 
     give(lambda own: means_key(own, average), average_windows(recordings, samples, average))
     give(octaves_key, allan_octaves(recordings, samples))
     give(_rates_key, _rates(recordings, samples))
-    give(noise_key, noise_models(recordings, samples))
-
-
-def _given(value: object) -> object:
-    return value
 
 
 def _as_arrays(first: tuple[Recording, Indices], other: tuple[Recording, Indices]) -> bool:

@@ -111,7 +111,7 @@ class PreparedRecording:
     @property
     def _noise_with_vibration(self) -> NoiseModel:
         samples = self.windows.samples
-        return self.recording.memo(noise_key(samples), lambda: noise_model(self.recording, samples))
+        return self.recording.memo(("noise", samples.tobytes()), lambda: noise_model(self.recording, samples))
 
     @property
     def K(self) -> int:
@@ -402,11 +402,6 @@ class PreparedRecording:
 def means_key(samples: Indices, average: Average) -> Hashable:
     """Name of the means of windows among the derived values of a recording."""
     return "window means", samples.tobytes(), average
-
-
-def noise_key(samples: Indices) -> Hashable:
-    """Name of the noise model of windows among them."""
-    return "noise", samples.tobytes()
 
 
 def move_title(label: SequenceLabel) -> str:

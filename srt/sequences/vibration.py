@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from scipy.special import betaincinv
 
-from srt.noise.noise_model import smallest_step
+from srt.noise.quantization import smallest_step, thinned
 from srt.recording.readings import six_channels
 from srt.sequences.window_means import averaging_weights
 
@@ -54,8 +54,6 @@ _DITHERED: Final = 2.0
 a quieter unit at rest are periodic, with an amplitude of less than one step."""
 _PIECE: Final = 1 << 13
 """Samples of windows whose spectra are computed together: they fit into a processor's cache."""
-_STEP_SAMPLES: Final = 4000
-"""Samples from which the quantization step is taken where it is not stated."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -174,11 +172,7 @@ def _step(recording: Recording, sensor: str, windows: Indices) -> Array:
     stated = getattr(recording.noise, f"{sensor}_quantization")
     if stated is not None:
         return np.full(3, stated)
-    # Every so many samples of the windows, as if these were joined: a copy of all is as large as the recording.
-    table, before = getattr(recording, sensor), np.cumsum(windows[:, 1] - windows[:, 0])
-    stride = max(1, int(before[-1]) // _STEP_SAMPLES)
-    firsts = windows[:, 0] + -np.concatenate([[0], before[:-1]]) % stride
-    step = smallest_step(np.concatenate([table[a:b:stride] for a, b in zip(firsts, windows[:, 1], strict=True)]))
+    step = smallest_step(thinned(getattr(recording, sensor), windows))
     return step * recording.nominal_interval_s * recording.rates_factor
 
 
