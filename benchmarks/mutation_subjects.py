@@ -207,9 +207,15 @@ SUBJECTS = (
             ("before.id is not None and after.id is not None", "(before.id is not None or after.id is not None)"),
             ("if before.pose or after.pose:", "if before.pose and after.pose:"),
             ("gaps_inside((first.start, last.stop))", "gaps_inside((first.start, first.stop))"),
-            ("per_sample > MIN_TURN_RAD", "per_sample > 0.0 * MIN_TURN_RAD"),
-            ('if recording.kind == "rate" else 1.0', 'if recording.kind != "rate" else 1.0'),
+            ("angles.sum(axis=0))) > MIN_TURN_RAD", "angles.sum(axis=0))) > 0.0 * MIN_TURN_RAD"),
         ),
+    ),
+    Subject(
+        "angles between windows",
+        "srt/sequences/manoeuvres.py",
+        ("tests/sequences/test_recognition.py",),
+        ("angles_between",),
+        (('if recording.kind == "rate":', 'if recording.kind != "rate":'),),
     ),
     Subject(
         "moves that contradict",
