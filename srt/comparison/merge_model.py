@@ -23,7 +23,7 @@ from scipy.special import chdtrc
 
 from srt.exceptions import InputError
 from srt.model.prior import prior_sigma
-from srt.noise.variance_components import restricted_likelihood
+from srt.noise.variance_components import RestrictedLikelihood
 from srt.result.repeatability import (
     Deviation,
     GroupRepeatability,
@@ -146,7 +146,7 @@ def between_sigma(stack: StackedEstimates) -> Array:
     sizes = np.zeros(len(GROUP_SLICES))
     if len(groups):
         left = stack.y - X @ estimate(stack.y, X, R)[0]
-        found = restricted_likelihood(left, X, R, tuple(stack.between(g) for g in groups))
+        found = RestrictedLikelihood(left, X, R, tuple(stack.between(g) for g in groups)).variances()
         sizes[groups] = np.sqrt(found)
         # A variance below a millionth of the other variance is rounding of the likelihood: zero.
         for g in groups:

@@ -25,7 +25,6 @@ from srt.diagnosis.rotation_readings import (
     ROUNDING,
     block_averages,
     find_rotations,
-    rates_factor,
     raw_integrals,
     turning_windows,
 )
@@ -43,8 +42,8 @@ from srt.diagnosis.triad_fits import (
 from srt.diagnosis.window_averages import quantization, window_averages
 from srt.estimation.options import Options
 from srt.exceptions import DataError
-from srt.noise.noise_model import smallest_step
-from srt.sequences.clipping import clipped_samples, clipping_levels
+from srt.noise.quantization import smallest_step
+from srt.sequences.clipping import clipped_samples
 from srt.sequences.manoeuvres import end_attitude
 from srt.sequences.preparation import nominal_attitude, prepare
 from srt.sequences.recognition import labelled, recognise
@@ -123,7 +122,7 @@ class Evidence:
     @cached_property
     def per_rate(self) -> float:
         """Factor from stored values to rates: 1, or one over the interval for increments."""
-        return rates_factor(self.recording)
+        return self.recording.rates_factor
 
     @cached_property
     def rate(self) -> Array:
@@ -379,17 +378,14 @@ class Evidence:
     def clipped_parts(self) -> list[tuple[int | None, tuple[Clipping, ...]]]:
         """Numbers of the sequences with saturated readings, and their channels; None for all samples without labels."""
         recording, data = self.recording, self.data
-        levels = clipping_levels(recording)
-        if not (np.isfinite(levels.low).any() or np.isfinite(levels.high).any()):
-            return []
         if not self.has_labels:
-            whole = clipped_samples(recording, slice(0, len(recording.time)), levels)
+            whole = clipped_samples(recording, slice(None))
             return [(None, whole)] if whole else []
         if data is None:
             return []
         windows = data.windows.samples
         parts = ((k, slice(int(windows[data.start[k], 0]), int(windows[data.end[k], 1]))) for k in range(data.K))
-        return [(k, channels) for k, part in parts if (channels := clipped_samples(recording, part, levels))]
+        return [(k, channels) for k, part in parts if (channels := clipped_samples(recording, part))]
 
     wrapped_readings = _from(wrapped_readings, "columns", "extremes", "recording", "data")
     """First axis of a triad that wraps, and the numbers of the samples after its jumps, by sensor."""

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from srt.diagnosis.false_alarms import limit
-from srt.diagnosis.rotation_readings import AGREE, ROUNDING, cross, rates_factor
+from srt.diagnosis.rotation_readings import AGREE, ROUNDING, cross
 from srt.sequences.rest_detection import BLOCK_S
 
 if TYPE_CHECKING:
@@ -74,7 +74,7 @@ def labelled_manoeuvres(data: PreparedRecording, contiguous: Mask) -> ManoeuvreR
 def recognised_manoeuvres(recording: Recording, found: Recognition) -> ManoeuvreReadings:
     """Readings of the recognised manoeuvres."""
     rate, force = (
-        np.array([table[a:b].mean(axis=0) for a, b in found.windows.tolist()]) * rates_factor(recording)
+        np.array([table[a:b].mean(axis=0) for a, b in found.windows.tolist()]) * recording.rates_factor
         for table in (recording.gyro, recording.accel)
     )
     spans = np.array([(turn.first, turn.last) for turn in found.turns], dtype=np.intp).reshape(-1, 2)
@@ -89,7 +89,7 @@ def block_size(recording: Recording) -> int:
 
 def block_means(recording: Recording) -> tuple[Array, Array]:
     """Mean rates and specific forces of the blocks of a recording, rad/s and m/s², (n, 3) each."""
-    size, factor = block_size(recording), rates_factor(recording)
+    size, factor = block_size(recording), recording.rates_factor
     count = len(recording.time) // size
     gyro, accel = (
         np.einsum("bsc->bc", table[: count * size].reshape(count, size, 3)) * (factor / size)

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d
 
 from srt.diagnosis.false_alarms import limit, robust_freedom, robust_sigma
-from srt.diagnosis.rotation_readings import BESIDE, ROUNDING, rates_factor
+from srt.diagnosis.rotation_readings import BESIDE, ROUNDING
 
 if TYPE_CHECKING:
     from srt.recording.recording import Recording
@@ -111,7 +111,7 @@ def _is_bump(columns: Array, data: PreparedRecording, at: int, there: Spikes) ->
     mean, angle = before.mean(axis=1), np.zeros(3)
     change = after.mean(axis=1) - mean
     noise = np.std(np.diff(before), axis=1) / np.sqrt(fewest)
-    angle[there.channel[own]] = there.jump[own] * rates_factor(data.recording) * data.recording.nominal_interval_s
+    angle[there.channel[own]] = there.jump[own] * data.recording.rates_factor * data.recording.nominal_interval_s
     turned = np.cross(mean, angle)
     square = float(turned @ turned)
     if square < limit("normal") * float(np.linalg.norm(noise * turned)):
@@ -150,7 +150,7 @@ def _jumps(
     """
     (low, high), step = extremes, np.diff(column)
     large = np.flatnonzero(np.abs(step) > 0.5 * max(-low, high)) + 1
-    fastest = _MOTION[sensor] * recording.nominal_interval_s / rates_factor(recording)
+    fastest = _MOTION[sensor] * recording.nominal_interval_s / recording.rates_factor
     for a, b in ((0.0, low), (0.0, high), (low, high)):
         size = abs(b - a)
         if large.size == 0 or size < fastest or size < (1.0 - _EDGE) * max(-low, high):

@@ -11,7 +11,7 @@ import numpy as np
 
 from srt.diagnosis.cause_comparison import CLOSE, Cause, compare
 from srt.diagnosis.false_alarms import limit
-from srt.diagnosis.rotation_readings import ROTATING, cross, rates_factor
+from srt.diagnosis.rotation_readings import ROTATING, cross
 from srt.exceptions import DataError
 from srt.sequences.rest_detection import BLOCK_S
 from srt.sequences.stationary_windows import find_windows
@@ -146,7 +146,7 @@ def _edge(data: PreparedRecording, seen: RawIntegrals, sequence: int, sense: int
     ``sense`` is 1 for the start window, -1 for the end window. Statistic: rate over its standard deviation.
     Distribution: normal.
     """
-    recording, factor = data.recording, rates_factor(data.recording)
+    recording, factor = data.recording, data.recording.rates_factor
     dt = recording.nominal_interval_s
     a, b = data.windows.samples[(data.start if sense > 0 else data.end)[sequence]].tolist()
     most = (b - a) // 4

@@ -12,7 +12,6 @@ from srt.sequences.manoeuvres import MOVING, leg_borders
 from srt.sequences.rest_detection import BLOCK_S
 
 if TYPE_CHECKING:
-    from srt.recording.recording import Recording
     from srt.sequences.preparation import PreparedRecording
     from srt.types import Array, Indices, Mask
 
@@ -37,11 +36,6 @@ AGREE: Final = 0.5
 blocks. Lost samples and asymmetric scale factors make a difference of the whole error."""
 _SLOWEST_RAD_S: Final = 0.05
 """Slowest rotation of a manoeuvre, rad/s: 180° in a minute."""
-
-
-def rates_factor(recording: Recording) -> float:
-    """Factor from stored values to rates: 1, or one over the interval for increments."""
-    return 1.0 if recording.kind == "rate" else 1.0 / recording.nominal_interval_s
 
 
 def cross(a: Array, b: Array) -> Array:
@@ -105,7 +99,7 @@ def block_averages(data: PreparedRecording, contiguous: Mask) -> BlockAverages |
     if not contiguous.any():
         return None
     recording, per_force = data.recording, _bias_per_force(data)
-    dt, per_rate = recording.nominal_interval_s, rates_factor(recording)
+    dt, per_rate = recording.nominal_interval_s, recording.rates_factor
     rest = data.windows.gyro_mean - data.windows.accel_mean @ per_force.T
     size, margin, sequences = max(1, round(_STEP_S / dt)), round(_MARGIN_S / dt), np.flatnonzero(contiguous)
     first, means = [], []
@@ -134,7 +128,7 @@ def turning_windows(data: PreparedRecording, columns: Array, seen: RawIntegrals)
     stored values of all channels, shape (6, N).
     """
     recording, samples = data.recording, data.windows.samples
-    size, factor = max(1, round(BLOCK_S / recording.nominal_interval_s)), rates_factor(recording)
+    size, factor = max(1, round(BLOCK_S / recording.nominal_interval_s)), recording.rates_factor
     # Without rotations (static poses only), the slowest rotation is the lower limit.
     slowest = 2.0 * ROTATING * max(float(np.median(seen.speed)), _SLOWEST_RAD_S)
     span, scatter = np.zeros((2, len(samples), 3))

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.linalg import polar
 
 from srt.diagnosis.false_alarms import robust_sigma
-from srt.diagnosis.rotation_readings import RANK, rates_factor, robust_fit
+from srt.diagnosis.rotation_readings import RANK, robust_fit
 from srt.model.table1 import AXES
 from srt.result.verdict import USABLE
 from srt.sensor_errors import GROUP_SLICES
@@ -218,7 +218,7 @@ def accel_ratios(recording: Recording, turns: ManoeuvreReadings | None, fit: Lin
     """
     gravity = recording.site.gravity_m_s2
     if turns is None or len(turns.force) == 0:
-        sizes = np.linalg.norm(recording.accel, axis=1) * (rates_factor(recording) / gravity)
+        sizes = np.linalg.norm(recording.accel, axis=1) * (recording.rates_factor / gravity)
         if not np.any(sizes > 0.0):
             return UNKNOWN
         low, typical, high = np.quantile(sizes[sizes > 0.0], (0.25, 0.5, 0.75))

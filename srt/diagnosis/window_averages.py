@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from srt.diagnosis.false_alarms import limit, robust_sigma
-from srt.diagnosis.rotation_readings import rates_factor
 from srt.diagnosis.triad_fits import LEAST_FREEDOM
 from srt.noise.noise_model import ACCEL_FLOOR, GYRO_FLOOR
 from srt.noise.quantization import quantization_step
@@ -76,7 +75,7 @@ def window_averages(data: PreparedRecording, columns: Array, quantum: Array) -> 
     ``columns`` (6, N) are the stored values of all channels, and ``quantum`` (6,) their quantization steps.
     """
     recording, samples = data.recording, data.windows.samples
-    dt, per_rate = recording.nominal_interval_s, rates_factor(recording)
+    dt, per_rate = recording.nominal_interval_s, recording.rates_factor
     lengths = samples[:, 1] - samples[:, 0]
     size = max(1, int(np.median(lengths)) // _BLOCKS)
     chosen = np.flatnonzero(lengths >= LEAST_FREEDOM * size)
@@ -175,5 +174,5 @@ def quantization(data: PreparedRecording, least: Array) -> Array:
     seen = np.sort(steps, axis=0)[::-1]
     shown = np.maximum(np.count_nonzero(steps, axis=0), 1)
     stated = np.repeat([noise.gyro_quantization or 0.0, noise.accel_quantization or 0.0], 3)
-    per_pulse = recording.nominal_interval_s * rates_factor(recording)
+    per_pulse = recording.nominal_interval_s * recording.rates_factor
     return np.asarray(np.max([seen[shown // 2, np.arange(6)], stated / per_pulse, least.ravel()], axis=0))

@@ -25,9 +25,9 @@ from srt.estimation.drift_model import (
 )
 from srt.estimation.error_sources import by_drift
 from srt.model.analytic_platform import equal_parts
-from srt.noise.bias_instability import correlation_times, interval_times
+from srt.noise.bias_instability import correlation_times, interval_times, regular_root
 from srt.noise.drift_forms import LINEAR, WALK
-from srt.noise.markov_drift import MarkovSteps, markov_steps, regular_root
+from srt.noise.markov_drift import MarkovSteps, markov_steps
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

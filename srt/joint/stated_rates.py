@@ -56,7 +56,7 @@ class SteadyReadings:
     def of(cls, data: PreparedRecording) -> SteadyReadings:
         """Gather what the labels state, and the mean readings in the steady windows."""
         recording = data.recording
-        factor = 1.0 if recording.kind == "rate" else 1.0 / recording.nominal_interval_s
+        factor = recording.rates_factor
         rated, means, edges, stated, sigma = [], [], [], [], []
         for k, label in enumerate(data.labels):
             if label.rate is None or label.steady_s is None or label.rate_sigma is None:

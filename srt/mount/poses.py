@@ -19,7 +19,7 @@ from srt.noise.noise_model import noise_model
 from srt.recording.recording import Fixture
 from srt.result.calibration import software
 from srt.sensor_errors import GROUP_SLICES, NAMES
-from srt.sequences.clipping import clipped_samples, clipping_levels
+from srt.sequences.clipping import clipped_samples
 from srt.sequences.plausibility import check_interval, check_rest
 from srt.sequences.stationary_windows import find_windows, window_times
 from srt.sequences.window_means import LEAST_SAMPLES, average_windows
@@ -184,14 +184,13 @@ def _candidates(recording: Recording) -> Indices:
 
 def _check_samples(recording: Recording, samples: Indices, used: Indices, names: list[str]) -> None:
     """Refuse poses that are too short, interrupted or saturated."""
-    levels = clipping_levels(recording)
     for i in used.tolist():
         part = slice(*samples[i].tolist())
         if part.stop - part.start < LEAST_SAMPLES:
             raise DataError(f"{names[i]} holds one sample; a pose needs at least two: widen its window.")
         if (recording.gaps_inside(samples[i]) >= 0).any():
             raise DataError(f"{names[i]} has samples missing: the unit may have moved meanwhile; record it again.")
-        clipped = [c for c in clipped_samples(recording, part, levels) if c.channel.startswith("accel")]
+        clipped = [c for c in clipped_samples(recording, part) if c.channel.startswith("accel")]
         if clipped:
             raise DataError(f"{names[i]}: {clipped[0]}; an alignment needs readings inside the range.")
 

@@ -19,7 +19,7 @@ import numpy as np
 from srt.constants import EARTH_RATE_RAD_S, STANDARD_GRAVITY_M_S2
 from srt.exceptions import InputError
 from srt.model import measurement_model as model
-from srt.model.rotation_integrals import RotationIntegrals, ideal_rotations
+from srt.model.rotation_integrals import ideal_rotations
 from srt.model.table1 import AXES, SEQUENCES, axis_vector
 
 if TYPE_CHECKING:
@@ -165,7 +165,7 @@ def paper_budget(setting: PaperSetting) -> dict[str, Array]:
 
 def bias_effects(setting: PaperSetting) -> Array:
     """Errors of the quantities by a gyro bias of 1 rad/s about each axis ([P] eq. 22), shape (18, 3), s."""
-    integrals = _integrals(setting)
+    integrals = ideal_rotations(tuple(SEQUENCES.values()), setting.rate_rad_s, setting.window_s)
     number = {name: k for k, name in enumerate(SEQUENCES)}
     rows = []
     for quantity in QUANTITIES:
@@ -176,7 +176,3 @@ def bias_effects(setting: PaperSetting) -> Array:
         by_attitude = model.attitude_to_horizontal(basis, -down[None])[0, 0]
         rows.append(by_attitude @ integrals.time[k] / quantity.sensitivity)
     return np.array(rows)
-
-
-def _integrals(setting: PaperSetting) -> RotationIntegrals:
-    return ideal_rotations(tuple(SEQUENCES.values()), setting.rate_rad_s, setting.window_s)

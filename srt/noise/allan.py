@@ -16,7 +16,7 @@ upper limit.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from scipy.special import chdtri
@@ -24,8 +24,10 @@ from scipy.special import chdtri
 from srt.constants import ARCSEC, DEG_PER_H, DEG_PER_SQRT_H, HOUR_S, MICRO_G
 from srt.exceptions import DataError, MissingExtraError
 from srt.noise.nonnegative import nonnegative_least_squares
+from srt.recording.readings import six_channels
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from types import ModuleType
 
     from srt.recording.recording import Recording
@@ -91,22 +93,13 @@ class AllanDeviation:
 
     def fitted(self, tau_s: Array) -> Array:
         """Deviation by the identified terms, shape (6, k), for times of shape (k,), s."""
-        return np.asarray(np.sqrt(np.nan_to_num(self.value) ** 2 @ design_matrix(tau_s).T))
+        return deviation(TERMS, self.value, tau_s)
 
-    def figures(self) -> dict[str, dict[str, Any]]:
+    def figures(self) -> dict[str, dict[str, dict[str, float]]]:
         """Identified figures by channel and key, in the units of their keys, as JSON values."""
-        out: dict[str, dict[str, Any]] = {}
-        for c, channel in enumerate(CHANNELS):
-            sensor = c // 3
-            seen = out.setdefault(channel, {})
-            for t, term in enumerate(TERMS):
-                interval = np.array([self.value[c, t], self.value_low[c, t], self.value_high[c, t]])
-                if np.isfinite(interval[0]):
-                    value, low, high = (interval / term.scales[sensor]).tolist()
-                    seen[term.keys[sensor]] = {"value": value, "low": low, "high": high}
-                elif t == FLAT and np.isfinite(self.bound[c]):
-                    seen[term.keys[sensor]] = {"below": float(self.bound[c] / term.scales[sensor])}
-        return out
+        limit = np.full(self.value.shape, np.nan)
+        limit[:, FLAT] = self.bound
+        return figures(TERMS, self.value, self.value_low, self.value_high, limit)
 
 
 def allan_deviation(recording: Recording, windows: Indices) -> AllanDeviation:
@@ -140,8 +133,7 @@ def allan_deviation(recording: Recording, windows: Indices) -> AllanDeviation:
     allantools = _allantools()
     octaves, variances, counts, steps = _pooled(allantools, recording, long)
     tau: Array = np.asarray(dt * 2.0**octaves, dtype=np.float64)
-    squares = np.concatenate([recording.gyro[long[:, 0]], recording.accel[long[:, 0]]], axis=1) ** 2
-    rounding = _ROUNDING**2 * squares.mean(axis=0) * (1.0 if recording.kind == "rate" else dt**-2)
+    rounding = _ROUNDING**2 * np.mean(six_channels(recording, long[:, 0]) ** 2, axis=0)
     changes = variances.max(axis=1) > rounding
     design = design_matrix(tau)
     freedom = np.full(variances.shape, np.nan)
@@ -232,7 +224,7 @@ def _pooled(
         For each octave and the windows that reach it: number of readings of the integral, and of steps in an average.
     """
     dt = recording.nominal_interval_s
-    factor = 1.0 if recording.kind == "rate" else 1.0 / dt
+    factor = recording.rates_factor
     lengths = windows[:, 1] - windows[:, 0]
     halvings = max(0, int(np.ceil(np.log2(lengths.sum() / _MOST_SAMPLES))))
     share = min(1.0, _MOST_SAMPLES / float(lengths.sum()))
@@ -368,9 +360,9 @@ PULSES, RANDOM_WALK, FLAT = 0, 1, 2
 _SHARED: Final = 0.5
 """Share of the degrees of freedom that a fit may count: those of all octaves add up to twice the number of samples,
 because neighbouring octaves contain the same noise."""
-_MODEL_DOUBT: Final = 0.03
+MODEL_DOUBT: Final = 0.03
 """Relative 1-sigma of the four-slope model itself: the model is not more accurate, however long the recording."""
-_PULSE_DOUBT: Final = 0.5
+PULSE_DOUBT: Final = 0.5
 """Relative 1-sigma of the quantization term: the quantization error of a slow input is not white."""
 _DROP: Final = 9.55
 """Loss of 2 ln(likelihood) up to which a term is left out: false-alarm probability 1e-3."""
@@ -378,9 +370,34 @@ _PASSES: Final = 60
 """Largest number of reweighted fits."""
 
 
-def design_matrix(tau: Array) -> Array:
-    """Variance of every term at coefficient 1, shape (m, 4), for averaging times of shape (m,), s."""
-    return np.stack([term.factor * tau**term.exponent for term in TERMS], axis=1)
+def design_matrix(tau: Array, terms: Sequence[Term] = TERMS) -> Array:
+    """Variance of every term at coefficient 1, shape (m, terms), for averaging times of shape (m,), s."""
+    return np.stack([term.factor * tau**term.exponent for term in terms], axis=1)
+
+
+def deviation(terms: Sequence[Term], value: Array, tau_s: Array) -> Array:
+    """Allan deviation by terms with coefficients (6, terms), NaN for none, shape (6, k), for times of shape (k,), s."""
+    return np.asarray(np.sqrt(np.nan_to_num(value) ** 2 @ design_matrix(tau_s, terms).T))
+
+
+def figures(
+    terms: Sequence[Term], value: Array, low: Array, high: Array, limit: Array
+) -> dict[str, dict[str, dict[str, float]]]:
+    """Figures by channel and key, in the units of their keys: value, low, high, or below where there is a limit alone.
+
+    Parameters
+    ----------
+    value, low, high, limit : ndarray, shape (6, terms), SI
+        NaN for what is not known.
+    """
+    out: dict[str, dict[str, dict[str, float]]] = {channel: {} for channel in CHANNELS}
+    for c, channel in enumerate(CHANNELS):
+        for t, term in enumerate(terms):
+            found = {"value": value, "low": low, "high": high} if np.isfinite(value[c, t]) else {"below": limit}
+            row = {name: float(own[c, t] / term.scales[c // 3]) for name, own in found.items()}
+            if np.isfinite(row.get("below", 0.0)):
+                out[channel][term.keys[c // 3]] = row
+    return out
 
 
 def interval(variance: Array, freedom: Array) -> tuple[Array, Array]:
@@ -441,12 +458,10 @@ def fit_terms(design: Array, variance: Array, freedom: Array) -> tuple[Array, Ar
 def _likeliest(design: Array, variance: Array, freedom: Array, kept: Indices) -> tuple[Array, float]:
     """Maximum-likelihood coefficients by iterated weighted least squares, and −2 ln(likelihood)."""
     solution = np.zeros(design.shape[1])
-    sigma = variance * np.hypot(np.sqrt(2.0 / (_SHARED * freedom)), _MODEL_DOUBT)
+    sigma = variance * np.hypot(np.sqrt(2.0 / (_SHARED * freedom)), MODEL_DOUBT)
     for _ in range(_PASSES):
-        weighted = design[:, kept] / sigma[:, None]
-        scale = np.linalg.norm(weighted, axis=0)
         new = np.zeros_like(solution)
-        new[kept] = nonnegative_least_squares(weighted / scale, variance / sigma) / scale
+        new[kept] = nonnegative_least_squares(design[:, kept] / sigma[:, None], variance / sigma)
         if np.allclose(new, solution, rtol=1e-6, atol=0.0):
             break
         solution = new
@@ -459,6 +474,6 @@ def _likeliest(design: Array, variance: Array, freedom: Array, kept: Indices) ->
 def _sigma(design: Array, solution: Array, freedom: Array) -> Array:
     """1-sigma of every Allan variance, as the model predicts it."""
     model = design @ solution
-    chance = np.hypot(np.sqrt(2.0 / (_SHARED * freedom)), _MODEL_DOUBT)
-    out: Array = np.hypot(model * chance, _PULSE_DOUBT * design[:, PULSES] * solution[PULSES])
+    chance = np.hypot(np.sqrt(2.0 / (_SHARED * freedom)), MODEL_DOUBT)
+    out: Array = np.hypot(model * chance, PULSE_DOUBT * design[:, PULSES] * solution[PULSES])
     return out

@@ -164,10 +164,18 @@ def _root(spans: Indices, time_s: Array) -> tuple[Array, Array]:
 def _root_between(starts: bytes, ends: bytes) -> Array:
     """Root for intervals given as bytes: units that run through one test in turn have the same."""
     start, end = np.frombuffer(starts), np.frombuffer(ends)
-    covariance = flicker_covariance(start, end, correlation_times(float(end.max() - start.min())))
-    root = np.asarray(np.linalg.cholesky(covariance + _ROUNDING * np.diag(np.diag(covariance))), dtype=np.float64)
+    root = regular_root(flicker_covariance(start, end, correlation_times(float(end.max() - start.min()))))
     root.flags.writeable = False
     return root
+
+
+def regular_root(covariance: Array) -> Array:
+    """Cholesky factors of covariances, shape (..., n, n), that may be singular to rounding."""
+    size = np.sqrt(np.einsum("...aa->...a", covariance))
+    # A quantity without variance, such as the effect on a rotation without samples, is normalised by 1.
+    size = np.where(size > 0.0, size, 1.0)
+    unit = covariance / (size[..., :, None] * size[..., None, :]) + _ROUNDING * np.eye(size.shape[-1])
+    return np.asarray(np.linalg.cholesky(unit) * size[..., :, None])
 
 
 def interval_times(spans: Indices, time_s: Array) -> tuple[Array, Array]:

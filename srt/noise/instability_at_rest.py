@@ -25,16 +25,13 @@ from scipy.special import chdtri
 
 from srt.noise.bias_instability import CORRELATION_TIMES_S, PROCESS_VARIANCE, flicker_covariance
 from srt.noise.nonnegative import nonnegative_least_squares
+from srt.noise.random_walk import MEDIAN, SIGNIFICANT
 
 if TYPE_CHECKING:
     from srt.types import Array, Indices
 
 _FEWEST_SAMPLES: Final = 16
 """Samples of a window from which it is used."""
-_MEDIAN: Final = math.pi / 2.0
-"""Variance of a median over that of the mean, of normal numbers."""
-_SIGNIFICANT: Final = 3.09
-"""B² over its 1-sigma from which B counts as shown: p = 1e-3."""
 _PARTS: Final = 64
 """Parts of a window whose means give the first cosine coefficients: an eighth, of which averages lose below 2 %."""
 _PIECE: Final = 1 << 13
@@ -48,38 +45,30 @@ _FEWEST_OCTAVES: Final = 3
 """Octaves of frequency that are used behind a filter at least."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True)
 class InstabilityAtRest:
     """Bias instability of a sensor from its stationary windows.
 
     Attributes
     ----------
-    shown : bool
-        True if the windows show it (p < 1e-3).
     value : float
-        Allan floor in units of the readings; zero if it is not shown.
+        Allan floor in units of the readings; zero if the windows do not show it (p = 1e-3).
     bound, limit : float
         Allan floor whose square is that of the estimate plus 1 sigma, and the largest that the windows cannot exclude
         (p = 1e-3).
-    white : ndarray, shape (3,)
-        White noise of the same fit, in units of the readings times √s.
     square, doubt : float
         Estimate of the square of the Allan floor, negative where noise happens to be small, and its 1-sigma.
     """
 
-    shown: bool
-    value: float
-    bound: float
-    limit: float
-    white: Array
-    square: float
-    doubt: float
+    value: float = 0.0
+    bound: float = 0.0
+    limit: float = 0.0
+    square: float = 0.0
+    doubt: float = 0.0
 
 
-def instability_at_rest(
-    readings: Array, windows: Indices, dt_s: float, filter_s: float = 0.0
-) -> InstabilityAtRest | None:
-    """Bias instability of a sensor from its stationary windows; None if these are too short.
+def instability_at_rest(readings: Array, windows: Indices, dt_s: float, filter_s: float = 0.0) -> InstabilityAtRest:
+    """Bias instability of a sensor from its stationary windows; zeros if these are too short.
 
     Parameters
     ----------
@@ -95,7 +84,7 @@ def instability_at_rest(
     lengths = np.diff(windows, axis=1)[:, 0]
     longest = int(lengths.max(initial=0))
     if longest < _FEWEST_SAMPLES:
-        return None
+        return InstabilityAtRest()
     octaves = int(math.log2(longest))
     if filter_s > 0.0:
         octaves = min(octaves, max(int(math.log2(2.0 * longest * dt_s * _PASSED / filter_s)), _FEWEST_OCTAVES))
@@ -152,10 +141,10 @@ def _drift_variances(n: int, dt_s: float) -> Array:
     return out
 
 
-def _fitted(observed: Array, design: Array, freedom: Array, *, filtered: bool) -> InstabilityAtRest | None:
+def _fitted(observed: Array, design: Array, freedom: Array, *, filtered: bool) -> InstabilityAtRest:
     """Fit of N² and, unless filtered, q² of each channel, and the common B², to medians of shape (octaves, 3)."""
     if not np.all(observed.max(axis=0) > 0.0):
-        return None  # a constant channel
+        return InstabilityAtRest()  # a constant channel
     rows = len(observed)
     by_axis = np.zeros((3, rows, 8))
     for axis in range(3):
@@ -164,32 +153,30 @@ def _fitted(observed: Array, design: Array, freedom: Array, *, filtered: bool) -
     if filtered:
         A = np.delete(A, slice(3, 6), axis=1)
     y = observed.T.ravel()
-    relative = np.tile(np.sqrt(2.0 * _MEDIAN / freedom), 3)
-    square, doubt, white, free = _least_squares(A, y, relative)
+    relative = np.tile(np.sqrt(2.0 * MEDIAN / freedom), 3)
+    square, doubt, free = _least_squares(A, y, relative)
     # Without instability, both processes vanish: their sum has more power in a test of that.
-    tied, tied_doubt, _, _ = _least_squares(np.column_stack([A[:, :-2], A[:, -2] + A[:, -1]]), y, relative)
-    shown = tied > _SIGNIFICANT * tied_doubt
+    tied, tied_doubt, _ = _least_squares(np.column_stack([A[:, :-2], A[:, -2] + A[:, -1]]), y, relative)
+    shown = tied > SIGNIFICANT * tied_doubt
     return InstabilityAtRest(
-        shown=shown,
         value=math.sqrt(max(square, tied)) if shown else 0.0,
         bound=math.sqrt(max(square, tied) + doubt),
-        limit=math.sqrt(max(square, tied) + _SIGNIFICANT * doubt),
-        white=white,
+        limit=math.sqrt(max(square, tied) + SIGNIFICANT * doubt),
         square=free,
         doubt=doubt,
     )
 
 
-def _least_squares(A: Array, y: Array, relative: Array) -> tuple[float, float, Array, float]:
-    """Last unknown of a fit without negative unknowns, its 1-sigma, and the square roots of the first three."""
+def _least_squares(A: Array, y: Array, relative: Array) -> tuple[float, float, float]:
+    """Last unknown of a fit without negative unknowns, its 1-sigma, and its value in a fit of any signs."""
     expected = y
     for _ in range(_PASSES):
         sigma = np.maximum(expected, 1e-9 * y.max()) * relative
         weighted = A / sigma[:, None]
-        scale = np.linalg.norm(weighted, axis=0)
-        solution = nonnegative_least_squares(weighted / scale, y / sigma) / scale
+        solution = nonnegative_least_squares(weighted, y / sigma)
         expected = A @ solution
-    information = (weighted / scale).T @ (weighted / scale)
-    inverse = np.linalg.pinv(information)
-    free = inverse[-1] @ ((weighted / scale).T @ (y / sigma)) / scale[-1]
-    return float(solution[-1]), float(np.sqrt(inverse[-1, -1]) / scale[-1]), np.sqrt(solution[:3]), float(free)
+    scale = np.linalg.norm(weighted, axis=0)
+    unit = weighted / scale
+    inverse = np.linalg.pinv(unit.T @ unit)
+    free = inverse[-1] @ (unit.T @ (y / sigma)) / scale[-1]
+    return float(solution[-1]), float(np.sqrt(inverse[-1, -1]) / scale[-1]), float(free)

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import ceil, log
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 from scipy.special import ndtr
@@ -55,6 +55,22 @@ def normal_threshold(size: float, confidence: float) -> float:
     return float(brentq(outside, 0.0, 10.0)) ** 2
 
 
+class Bins(NamedTuple):
+    """Bins of the cosine coefficients of a record.
+
+    Attributes
+    ----------
+    number, uu : ndarray, shape (b,)
+        Number of coefficients, and the sum of squares of the ramp's transform.
+    design : ndarray, shape (b, 4)
+        Mean variance by each term of coefficient 1.
+    """
+
+    number: Array
+    uu: Array
+    design: Array
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class SimulatedRecords:
     """Records of standard normal noise, as sums over bins of coefficients.
@@ -63,27 +79,22 @@ class SimulatedRecords:
     ----------
     squares, along : ndarray, shape (r, b)
         Sum of squares, and the component along the ramp.
-    count, uu : ndarray, shape (b,)
-        Number of coefficients, and the sum of squares of the ramp's transform.
-    design : ndarray, shape (b, 4)
-        Mean variance by each term of coefficient 1.
     """
 
+    bins: Bins
     squares: Array
     along: Array
-    count: Array
-    uu: Array
-    design: Array
 
     @classmethod
-    def draw(cls, count: Array, uu: Array, design: Array, rng: np.random.Generator) -> SimulatedRecords:
+    def draw(cls, bins: Bins, rng: np.random.Generator) -> SimulatedRecords:
         """Draw records for the bins of a spectrum, several of its bins in one."""
-        edges = _edges(count)
-        total = np.add.reduceat(count, edges)
+        edges = _edges(bins.number)
+        total, uu, design = (
+            np.add.reduceat(own, edges) for own in (bins.number, bins.uu, bins.design * bins.number[:, None])
+        )
         along = rng.standard_normal((RECORDS, len(total)))
         others = np.where(total > 1.0, rng.chisquare(np.maximum(total - 1.0, 1.0), along.shape), 0.0)
-        mean = np.add.reduceat(design * count[:, None], edges) / total[:, None]
-        return cls(along**2 + others, along, total, np.add.reduceat(uu, edges), mean)
+        return cls(Bins(total, uu, design / total[:, None]), along**2 + others, along)
 
     def term_threshold(self, squares: Array, tested: int, confidence: float) -> float:
         """Quantile of the restricted likelihood ratio of a slow term.
@@ -114,31 +125,32 @@ class SimulatedRecords:
 
     def _loss(self, squares: Array, free: list[int], restricted: bool, ramp: float | None = None) -> Array:
         """−2 ln(likelihood) of the best fit to each record, the ramp fixed if stated, shape (r,)."""
-        true = self.design @ squares
-        cc, cu = self.squares * true, self.along * np.sqrt(true * self.uu)
-        A = self.design[:, [_WHITE, *free]]
+        count, uu, design = self.bins
+        true = design @ squares
+        cc, cu = self.squares * true, self.along * np.sqrt(true * uu)
+        A = design[:, [_WHITE, *free]]
         products = (A[:, :, None] * A[:, None, :]).reshape(len(A), -1)
         squares = squares.copy()
         squares[[_WHITE, *free]] = 0.0
-        fixed = self.design @ squares
+        fixed = design @ squares
         variance = np.broadcast_to(true, cc.shape)
         slope: float | Array
         spread: float | Array
         for step in range(_PASSES + 1):
             slope, spread = (0.0 if ramp is None else ramp), 0.0
             if ramp is None:
-                spread = 1.0 / ((1.0 / variance) @ self.uu)[:, None]
+                spread = 1.0 / ((1.0 / variance) @ uu)[:, None]
                 slope = (cu / variance).sum(axis=1, keepdims=True) * spread
-            power = cc - 2.0 * slope * cu + slope**2 * self.uu
+            power = cc - 2.0 * slope * cu + slope**2 * uu
             if step == _PASSES:
                 break
             if restricted:
-                power = power + spread * self.uu
-            weight = self.count / variance**2
+                power = power + spread * uu
+            weight = count / variance**2
             G = (weight @ products).reshape(-1, A.shape[1], A.shape[1])
-            found = _admissible(G, (weight * (power / self.count - fixed)) @ A)
+            found = _admissible(G, (weight * (power / count - fixed)) @ A)
             variance = np.maximum(found @ A.T + fixed, 1e-3 * variance)
-        loss = (self.count * np.log(variance) + power / variance).sum(axis=1)
+        loss = (count * np.log(variance) + power / variance).sum(axis=1)
         return np.asarray(loss - np.log(spread)[:, 0] if restricted else loss)
 
 

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.noise.bias_instability import PROCESS_VARIANCE, flicker_covariance
+from srt.noise.bias_instability import PROCESS_VARIANCE, flicker_covariance, regular_root
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -34,8 +34,6 @@ CARRIED_S: Final = 5.0
 
 The means of a process of 1 s over adjoining windows of 10 s have a covariance of 1 % of its variance, 0.2 % of the sum.
 """
-_ROUNDING: Final = 1e-12
-"""Relative increase of the variances that keeps the Cholesky factor real: adjoining intervals are almost equal."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,12 +88,3 @@ def markov_steps(start: Array, end: Array, span: tuple[Array, Array], times_s: S
         gain[:, at, j] = unit * given
     decay = np.einsum("kmm->km", gain[:, n:])
     return MarkovSteps(gain[:, :n], decay, regular_root(C))
-
-
-def regular_root(covariance: Array) -> Array:
-    """Cholesky factors of covariances, shape (..., n, n), that may be singular to rounding."""
-    size = np.sqrt(np.einsum("...aa->...a", covariance))
-    # A quantity without variance, such as the effect on a rotation without samples, is normalised by 1.
-    size = np.where(size > 0.0, size, 1.0)
-    unit = covariance / (size[..., :, None] * size[..., None, :]) + _ROUNDING * np.eye(size.shape[-1])
-    return np.asarray(np.linalg.cholesky(unit) * size[..., :, None])

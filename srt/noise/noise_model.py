@@ -15,25 +15,27 @@ import numpy as np
 from scipy.special import ndtr
 
 from srt.constants import STANDARD_GRAVITY_M_S2
-from srt.noise.instability_at_rest import instability_at_rest
+from srt.noise.instability_at_rest import InstabilityAtRest, instability_at_rest
+from srt.noise.quantization import smallest_step, thinned
 from srt.noise.random_walk import random_walk
 from srt.noise.variance_components import expected_variance
-from srt.recording.recording import by_length
+from srt.recording.readings import by_length
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from srt.noise.drift_forms import Statistics
     from srt.recording.recording import Recording
     from srt.types import Array, Indices, Mask
 
 
+_ESTIMATED: Final = (
+    "gyro_noise", "gyro_quantization", "accel_noise", "accel_quantization", "accel_bias_instability",
+    "gyro_bias_instability",
+)  # fmt: skip
+"""Figures that are estimated where they are not stated."""
 GYRO_FLOOR: Final = 1e-10
 """Lower limit of an estimated angular random walk, rad/√s: gives noise-free data a finite weight."""
 ACCEL_FLOOR: Final = 1e-9 * STANDARD_GRAVITY_M_S2
 """Lower limit of an estimated velocity random walk, m/s²·√s (1e-9 g·√s)."""
-_MAX_SAMPLES_FOR_RESOLUTION: Final = 4000
-"""Number of samples from which the resolution of a column is estimated."""
 _DITHERED: Final = 2.0
 """Steps of the readings over their noise from which the noise does not dither them: the mean of a window is then off by
 1e-3 of a step, which no longer averages out."""
@@ -151,90 +153,58 @@ class NoiseModel:
 
 
 def noise_model(recording: Recording, windows: Indices) -> NoiseModel:
-    """:func:`noise_models` of one recording."""
-    return noise_models([recording], [windows])[0]
-
-
-def noise_models(recordings: Sequence[Recording], windows: Sequence[Indices]) -> list[NoiseModel]:
-    """Complete the stated noise of units from their stationary windows.
+    """Complete the stated noise of a unit from its stationary windows.
 
     Parameters
     ----------
-    recordings : sequence of Recording
-        With the same stated noise, and samples of one duration, or at the same times.
-    windows : sequence of ndarray of int, shape (W, 2)
-        First sample and one past the last of every window of each recording, of equal lengths in all.
+    windows : ndarray of int, shape (W, 2)
+        First sample and one past the last of every window.
     """
-    stated, dt, unit = recordings[0].noise, recordings[0].nominal_interval_s, _unit(recordings[0])
-    found = [random_walk(*pair) for pair in zip(recordings, windows, strict=True)]
-    seen_white, seen_edge = (np.stack([getattr(own, name) for own in found]) / unit for name in ("white", "edge"))
-    of_sensors = (("gyro", slice(0, 3), GYRO_FLOOR), ("accel", slice(3, 6), ACCEL_FLOOR))
-    keys = [f"{sensor}_{what}" for sensor, *_ in of_sensors for what in ("noise", "quantization")]
-    keys += ["accel_bias_instability", "gyro_bias_instability"]
-    estimated = tuple(key for key in keys if getattr(stated, key) is None)
+    stated, dt, factor = recording.noise, recording.nominal_interval_s, recording.rates_factor
+    found = random_walk(recording, windows)
     figures: dict[str, Array] = {}
-    floored: list[list[str]] = [[] for _ in recordings]
-    for sensor, columns, floor in of_sensors:
+    floored = []
+    for sensor, columns, floor in (("gyro", slice(0, 3), GYRO_FLOOR), ("accel", slice(3, 6), ACCEL_FLOOR)):
         noise, pulse = getattr(stated, f"{sensor}_noise"), getattr(stated, f"{sensor}_quantization")
-        edge = seen_edge[:, columns] if pulse is None else np.full((len(found), 3), pulse / math.sqrt(12.0))
-        step = _resolution(recordings, windows, sensor)
-        rounding, own = _step_error(recordings, windows, sensor, step, seen_edge[:, columns])
+        white, seen_edge = found.white[columns] * factor, found.edge[columns] * factor
+        edge = seen_edge if pulse is None else np.full(3, pulse / math.sqrt(12.0))
+        step = _resolution(recording, windows, sensor)
+        rounding, own = _step_error(recording, windows, sensor, step, seen_edge)
         resolution = step / math.sqrt(12.0)
-        white = seen_white[:, columns]
         if noise is not None:  # what the windows show contains the rounding
-            undithered = np.any(rounding, axis=1) | (own > 0.0)
+            undithered = np.any(rounding, axis=0) | (own > 0.0)
             white = np.hypot(noise, np.where(undithered, resolution * math.sqrt(dt), 0.0))
         shown = np.hypot(white / math.sqrt(dt), math.sqrt(2.0) * edge / dt)
         least = np.maximum(np.where(shown < resolution, resolution * math.sqrt(dt), 0.0), floor)
-        for u in np.flatnonzero(np.any(white < least, axis=1)).tolist():
-            floored[u].append(f"{sensor}_noise")
+        if np.any(white < least):
+            floored.append(f"{sensor}_noise")
         values = (np.maximum(white, least), edge, rounding, own)
         figures |= zip((f"{sensor}_{what}" for what in ("white", "edge", "rounding", "step")), values, strict=True)
-    flicker = stated.gyro_bias_instability
-    none = stated.accel_bias_instability or 0.0
-    models = []
-    for u, (recording, samples) in enumerate(zip(recordings, windows, strict=True)):
-        spread, accel = flicker_spread(samples), (none, 0.0, none, (0.0, 0.0))
-        # Without noise, as in simulations, rounding would count.
-        if stated.accel_bias_instability is None and np.any(seen_white[u, 3:] > ACCEL_FLOOR):
-            accel = _accel_instability(recording, samples, float(found[u].filter_s[1]))
-        models.append(
-            NoiseModel(
-                **{name: values[u] for name, values in figures.items()},
-                gyro_wander=None if flicker is None else np.full(3, flicker * spread),
-                accel_wander=np.full(3, math.hypot(*accel[:2]) * spread),
-                gyro_flicker=None if flicker is None else np.full(3, flicker),
-                accel_flicker=np.full(3, accel[0]),
-                accel_unseen=np.full(3, accel[1]),
-                accel_spectra=np.array(accel[3]),
-                accel_limit=np.full(3, accel[2]),
-                filter_s=found[u].filter_s,
-                estimated=estimated,
-                floored=tuple(floored[u]),
-            )
-        )
-    return models
-
-
-def _accel_instability(
-    recording: Recording, windows: Indices, filter_s: float
-) -> tuple[float, float, float, tuple[float, float]]:
-    """Bias instability of the accelerometers that the windows show, that beyond it to 1 sigma, and the largest, m/s².
-
-    If the noise is stated, an instability that the windows do not show counts as none, unless residuals ask for it.
-
-    That of the gyros is not taken from the windows, where angle random walk and the quantization of slow rates hide it:
-    the scatter of the rest rates between sequences is its measure.
-    """
-    dt = recording.nominal_interval_s
-    force = recording.accel if recording.kind == "rate" else recording.accel / dt
-    found = instability_at_rest(force, windows, dt, filter_s)
-    if found is None:
-        return 0.0, 0.0, 0.0, (0.0, 0.0)
-    if recording.noise.accel_noise is not None:
-        return found.value, 0.0, found.limit, (found.square, found.doubt)
-    unseen = math.sqrt(found.bound**2 - found.value**2)
-    return found.value, unseen, found.limit, (found.square, found.doubt)
+    at_rest = InstabilityAtRest()
+    if stated.accel_bias_instability is not None:
+        at_rest = InstabilityAtRest(*3 * [stated.accel_bias_instability])
+    # Without noise, as in simulations, rounding would count.
+    elif np.any(found.white[3:] * factor > ACCEL_FLOOR):
+        # That of the gyros is not taken from the windows, where angle random walk and the quantization of slow rates
+        # hide it: the scatter of the rest rates between sequences is its measure.
+        force = recording.accel if recording.kind == "rate" else recording.accel * factor
+        at_rest = instability_at_rest(force, windows, dt, float(found.filter_s[1]))
+    # If the noise is stated, an instability that the windows do not show counts as none, unless residuals ask for it.
+    unseen = math.sqrt(at_rest.bound**2 - at_rest.value**2) if stated.accel_noise is None else 0.0
+    spread, flicker = flicker_spread(windows), stated.gyro_bias_instability
+    return NoiseModel(
+        **figures,
+        gyro_wander=None if flicker is None else np.full(3, flicker * spread),
+        accel_wander=np.full(3, math.hypot(at_rest.value, unseen) * spread),
+        gyro_flicker=None if flicker is None else np.full(3, flicker),
+        accel_flicker=np.full(3, at_rest.value),
+        accel_unseen=np.full(3, unseen),
+        accel_spectra=np.array([at_rest.square, at_rest.doubt]),
+        accel_limit=np.full(3, at_rest.limit),
+        filter_s=found.filter_s,
+        estimated=tuple(key for key in _ESTIMATED if getattr(stated, key) is None),
+        floored=tuple(floored),
+    )
 
 
 def flicker_spread(windows: Indices) -> float:
@@ -249,61 +219,37 @@ def flicker_spread(windows: Indices) -> float:
     return math.sqrt(max(1.0, math.log(ratio) / (2.0 * math.log(2.0))))
 
 
-def _resolution(recordings: Sequence[Recording], windows: Sequence[Indices], sensor: str) -> Array:
-    """Smallest step between distinct readings of a column, as a rate, (units, 3); 0 where readings hardly repeat."""
-    tables, spans = [getattr(own, sensor) for own in recordings], [own.tolist() for own in windows]
-    stride = max(1, sum(b - a for a, b in spans[0]) // _MAX_SAMPLES_FOR_RESOLUTION)
-    of_units = zip(tables, spans, strict=True)
-    still = np.concatenate([np.concatenate([table[a:b:stride] for a, b in own]).T for table, own in of_units])
-    step = smallest_step(still.T).reshape(-1, 3)
-    constant = (still.max(axis=1) == still.min(axis=1)).reshape(-1, 3)
-    for u in np.flatnonzero(constant.any(axis=1)).tolist():
-        # Readings constant at rest: the step is estimated during motion.
-        every = _some(tables[u])
-        step[u] = np.where(constant[u], smallest_step(every), step[u])
-    return step / _unit(recordings[0])
+def _resolution(recording: Recording, windows: Indices, sensor: str) -> Array:
+    """Smallest step between distinct readings of a column, as a rate, shape (3,); 0 where readings hardly repeat."""
+    table = getattr(recording, sensor)
+    still = thinned(table, windows)
+    step, constant = smallest_step(still), still.max(axis=0) == still.min(axis=0)
+    if constant.any():  # readings constant at rest: the step is estimated during motion
+        step = np.where(constant, smallest_step(thinned(table)), step)
+    return step * recording.rates_factor
 
 
-def _step_error(
-    recordings: Sequence[Recording], windows: Sequence[Indices], sensor: str, step: Array, edge: Array
-) -> tuple[Array, Array]:
-    """Expected error of means of rounded readings at rest, (units, W, 3), and 1-sigma of the remainder, (units, 3)."""
-    pulse, count = getattr(recordings[0].noise, f"{sensor}_quantization"), len(recordings)
-    error, remainder = np.zeros((count, len(windows[0]), 3)), np.zeros((count, 3))
-    if pulse or (pulse is None and recordings[0].kind == "increment"):
-        return error, remainder  # the error of pulse counts is that of the integral at the edges
-    coarse = _on_grid([getattr(own, sensor) for own in recordings], step * _unit(recordings[0]))
-    for u in np.flatnonzero(coarse.any(axis=1)).tolist():
-        if pulse is None:
-            pulses = edge[u] >= _PULSES * step[u] * recordings[u].nominal_interval_s / math.sqrt(12.0)
-            coarse[u] &= ~pulses
-        error[u], remainder[u] = _rounding(recordings[u], windows[u], sensor, step[u], coarse[u])
-    return error, remainder
+def _step_error(recording: Recording, windows: Indices, sensor: str, step: Array, edge: Array) -> tuple[Array, Array]:
+    """Expected error of means of rounded readings at rest, (W, 3), and 1-sigma of the remainder, (3,)."""
+    pulse, none = getattr(recording.noise, f"{sensor}_quantization"), (np.zeros((len(windows), 3)), np.zeros(3))
+    if pulse or (pulse is None and recording.kind == "increment"):
+        return none  # the error of pulse counts is that of the integral at the edges
+    coarse = _on_grid(getattr(recording, sensor), step / recording.rates_factor)
+    if pulse is None:
+        coarse &= edge < _PULSES * step * recording.nominal_interval_s / math.sqrt(12.0)
+    return _rounding(recording, windows, sensor, step, coarse) if coarse.any() else none
 
 
-def _unit(recording: Recording) -> float:
-    """Readings of a recording over their rates: one, or the interval, s, of increments."""
-    return 1.0 if recording.kind == "rate" else recording.nominal_interval_s
-
-
-def _some(readings: Array) -> Array:
-    """As many of all readings as tell their steps."""
-    return readings[:: max(1, len(readings) // _MAX_SAMPLES_FOR_RESOLUTION)]
-
-
-def _on_grid(tables: Sequence[Array], step: Array) -> Mask:
-    """Channels of each of several units whose readings lie on a grid of steps, shape (units, 3).
+def _on_grid(table: Array, step: Array) -> Mask:
+    """Channels whose readings lie on a grid of steps, shape (3,).
 
     Distinct readings without a grid, as in simulations without noise, are not rounded: the first ones tell mostly.
     """
-    coarse, some = step > 0.0, [_some(table) for table in tables]
-    few = min(_FEW, *(len(own) for own in some))
-    for count, together in ((few, len(tables)), (None, 1)):
-        units = np.flatnonzero(coarse.any(axis=1))
-        for part in (units[at : at + together] for at in range(0, len(units), together)):
-            own = np.stack([some[u][:count] for u in part.tolist()])
-            steps = (own - own[:, :1]) / np.where(coarse[part], step[part], np.inf)[:, None]
-            coarse[part] &= np.all(np.abs(steps - np.round(steps)) < OFF_GRID, axis=1)
+    coarse, some = step > 0.0, thinned(table)
+    for part in (some[:_FEW], some):
+        if coarse.any():
+            steps = (part - part[0]) / np.where(coarse, step, np.inf)
+            coarse &= np.all(np.abs(steps - np.round(steps)) < OFF_GRID, axis=0)
     return coarse
 
 
@@ -316,13 +262,13 @@ def _rounding(recording: Recording, windows: Indices, sensor: str, step: Array, 
     first order the correlation at x and y is cos(2 π (x − y)/q). As errors of single windows, which are independent, it
     counts so many times as there are such windows, for the reading that most of them share.
     """
-    table, scale = getattr(recording, sensor), _unit(recording)
+    table, scale = getattr(recording, sensor), 1.0 / recording.rates_factor
     error, remainder = np.zeros((len(windows), 3)), np.zeros(3)
     each = np.concatenate([np.var(readings, axis=1) for _, readings in by_length(table, windows)])
     variance = each.mean(axis=0) / scale**2
     coarse = coarse & (variance < (step / _DITHERED) ** 2 + step**2 / 12.0)
     unit = np.where(coarse, step, np.inf)
-    every = _some(table) / scale
+    every = thinned(table) / scale
     steps = np.round((every - every[0]) / unit)
     coarse &= np.array([len(np.unique(own)) for own in steps.T]) >= _FEWEST_READINGS
     if not coarse.any():
@@ -377,14 +323,3 @@ def _below_steps(means: Array, scatter: float) -> float:
         expected = np.interp(means - np.rint(means), mean, variance).mean()
         low, high = (low, noise) if expected >= (1.0 - _SAME_SCATTER) * scatter else (noise, high)
     return 0.5 * (low + high)
-
-
-def smallest_step(values: Array) -> Array:
-    """Smallest difference between distinct readings, per column of an (n, c) table; 0 where readings hardly repeat."""
-    gaps = np.diff(np.sort(np.ascontiguousarray(values.T), axis=1), axis=1)
-    step, distinct = np.zeros(values.shape[1]), 1 + np.count_nonzero(gaps, axis=1)
-    for axis in np.flatnonzero((distinct > 1) & (distinct <= 0.5 * len(values))).tolist():
-        own = gaps[axis]
-        step[axis] = own[own > 1e-9 * np.abs(values[:, axis]).max()].min(initial=np.inf)
-    step[~np.isfinite(step)] = 0.0
-    return step

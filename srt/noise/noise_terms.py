@@ -22,19 +22,20 @@ like an interval.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cache, partial
 from math import log, pi
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from scipy.special import stdtrit
 
 from srt.constants import DEG_PER_H, HOUR_S, MICRO_G
 from srt.exceptions import DataError
-from srt.noise.allan import CHANNELS, CONFIDENCE, TERMS, Term
-from srt.noise.likelihood_thresholds import SLOW, SimulatedRecords, normal_threshold
+from srt.noise.allan import CHANNELS, CONFIDENCE, TERMS, Term, deviation, figures
+from srt.noise.likelihood_thresholds import SLOW, Bins, SimulatedRecords, normal_threshold
 from srt.noise.noise_agreement import contradiction
+from srt.noise.nonnegative import nonnegative_least_squares
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -86,8 +87,6 @@ class NoiseTerms:
     value, low, high : ndarray, shape (6, 5)
         Coefficients of :data:`ALL_TERMS` (for quantization ε; the ramp has a sign) and their 95 % intervals. A term
         that is not resolved has the interval from zero to its upper limit. NaN for a channel that does not change.
-    resolved : ndarray of bool, shape (6, 5)
-        True where the interval excludes zero.
     needed_s : ndarray, shape (6, 5), s
         Record length from which the 95 % interval is within ± 50 % of the coefficient; for a term that is not resolved,
         of its upper limit: a smaller term needs more. Infinite beyond three years.
@@ -100,41 +99,32 @@ class NoiseTerms:
     value: Array
     low: Array
     high: Array
-    resolved: Mask
     needed_s: Array
     length_s: float
     interval_s: float
-    refused: dict[str, str] = field(default_factory=dict)
+    refused: dict[str, str]
+
+    @property
+    def resolved(self) -> Mask:
+        """True where the interval excludes zero, shape (6, 5)."""
+        return np.asarray(self.low * self.high > 0.0)
 
     def deviation(self, tau_s: Array) -> Array:
         """Allan deviation by the resolved terms, shape (6, k), for times of shape (k,), s."""
-        squares = np.where(self.resolved, np.nan_to_num(self.value), 0.0) ** 2
-        return np.asarray(np.sqrt(squares @ np.stack([t.factor * tau_s**t.exponent for t in ALL_TERMS])))
+        return deviation(ALL_TERMS, np.where(self.resolved, self.value, np.nan), tau_s)
 
-    def figures(self) -> dict[str, dict[str, Any]]:
+    def figures(self) -> dict[str, dict[str, dict[str, float]]]:
         """Figures by channel and key, in the units of their keys, as JSON values: value, low, high, or below."""
-        out: dict[str, dict[str, Any]] = {}
-        for c, channel in enumerate(CHANNELS):
-            rows = out.setdefault(channel, {})
-            for t, term in enumerate(ALL_TERMS):
-                scale = term.scales[c // 3]
-                if self.resolved[c, t]:
-                    names = ("value", "low", "high")
-                    rows[term.keys[c // 3]] = {name: float(getattr(self, name)[c, t] / scale) for name in names}
-                elif np.isfinite(self.high[c, t]):
-                    rows[term.keys[c // 3]] = {"below": float(self.high[c, t] / scale)}
-        return out
+        return figures(ALL_TERMS, np.where(self.resolved, self.value, np.nan), self.low, self.high, self.high)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Spectrum:
-    """Sums over bins of coefficients: number, c², c u, u²; mean variance by each term of coefficient 1, (b, 4)."""
+    """Sums of c² and c u over bins of coefficients, shape (b,) each."""
 
-    count: Array
+    bins: Bins
     cc: Array
     cu: Array
-    uu: Array
-    design: Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -171,47 +161,31 @@ def noise_terms(recording: Recording, window: tuple[int, int], rng: np.random.Ge
             f"The longest stationary window lasts {n * dt:.3g} s ({n} samples), but noise terms need {SHORTEST_S:g} s "
             f"and {FEWEST} samples: log the unit at rest, for hours if its bias instability is wanted."
         )
-    factor = 1.0 if recording.kind == "rate" else 1.0 / dt
-    shape = (len(CHANNELS), len(ALL_TERMS))
-    found = NoiseTerms(
-        np.full(shape, np.nan),
-        np.full(shape, np.nan),
-        np.full(shape, np.nan),
-        np.zeros(shape, dtype=np.bool_),
-        np.full(shape, np.nan),
-        n * dt,
-        dt,
-    )
-    edges, design, u = _bins(n), _design(0.5 * pi * np.arange(1, n) / n, n, dt), _ramp(n, dt)
-    design = np.stack([_mean(column, edges) for column in design.T], axis=1)
-    records = SimulatedRecords.draw(
-        np.diff(np.append(edges, n - 1)).astype(np.float64),
-        _sum(u**2, edges),
-        design,
-        np.random.default_rng(0) if rng is None else rng,
-    )
+    factor = recording.rates_factor
+    value, low, high, needed = np.full((4, len(CHANNELS), len(ALL_TERMS)), np.nan)
+    refused = {}
+    edges, u = _edges(n), _ramp(n, dt)
+    bins = _bins(edges, u, dt)
+    records = SimulatedRecords.draw(bins, np.random.default_rng(0) if rng is None else rng)
     for c in range(len(CHANNELS)):
         x = (recording.gyro, recording.accel)[c // 3][a:b, c % 3]
         if not np.ptp(x) > 1e-15 * np.abs(x).max():
             continue
-        spectrum = _spectrum((x - x.mean()) * factor, edges, design, u)
+        spectrum = _spectrum((x - x.mean()) * factor, edges, u, bins)
         best = _likeliest(spectrum)
         without_ramp = x * factor - best.ramp * dt * np.arange(n)
         if reason := contradiction(without_ramp, dt, partial(_variance, squares=best.squares, dt=dt)):
-            found.refused[CHANNELS[c]] = reason
+            refused[CHANNELS[c]] = reason
             continue
-        for name, row in zip(
-            ("value", "low", "high", "resolved", "needed_s"), _channel(spectrum, best, records, dt), strict=True
-        ):
-            getattr(found, name)[c] = row
-    if found.refused and np.isnan(found.high).all():
-        channel, reason = next(iter(found.refused.items()))
+        value[c], low[c], high[c], needed[c] = _channel(spectrum, best, records, dt)
+    if refused and np.isnan(high).all():
+        channel, reason = next(iter(refused.items()))
         raise DataError(
             f"The noise from {recording.time[a]:.6g} to {recording.time[b - 1]:.6g} s is not that of a unit at rest. "
             f"{channel}: {reason}. A filter, interpolated samples, vibration or a changing noise give such readings: "
             "log the unit undisturbed, unfiltered, at its own rate."
         )
-    return found
+    return NoiseTerms(value, low, high, needed, n * dt, dt, refused)
 
 
 def _variance(n: int, squares: Array, dt: float) -> Array:
@@ -219,7 +193,7 @@ def _variance(n: int, squares: Array, dt: float) -> Array:
     return np.asarray(_design(0.5 * pi * np.arange(1, n) / n, n, dt) @ squares)
 
 
-def _bins(n: int) -> Indices:
+def _edges(n: int) -> Indices:
     """First coefficient of each bin, less 1 (coefficient 0, the constant, is left out)."""
     count = max(2, round(_BINS_PER_E * log(n / _SINGLE_BINS))) if n > _SINGLE_BINS else 2
     coarse = np.geomspace(min(_SINGLE_BINS, n - 1), n - 1, count)
@@ -242,20 +216,18 @@ def _ramp(n: int, dt: float) -> Array:
     return np.asarray(dct((np.arange(n) - 0.5 * (n - 1)) * dt, norm="ortho")[1:])
 
 
-def _sum(values: Array, edges: Indices) -> Array:
-    return np.asarray(np.add.reduceat(values, edges))
+def _bins(edges: Indices, u: Array, dt: float) -> Bins:
+    n = len(u) + 1
+    count = np.diff(np.append(edges, n - 1)).astype(np.float64)
+    design = np.add.reduceat(_design(0.5 * pi * np.arange(1, n) / n, n, dt), edges) / count[:, None]
+    return Bins(count, np.add.reduceat(u**2, edges), design)
 
 
-def _mean(values: Array, edges: Indices) -> Array:
-    return _sum(values, edges) / np.diff(np.append(edges, len(values)))
-
-
-def _spectrum(x: Array, edges: Indices, design: Array, u: Array) -> _Spectrum:
+def _spectrum(x: Array, edges: Indices, u: Array, bins: Bins) -> _Spectrum:
     from scipy.fft import dct
 
     c = np.asarray(dct(x, norm="ortho")[1:])
-    count = np.diff(np.append(edges, len(c))).astype(np.float64)
-    return _Spectrum(count, _sum(c**2, edges), _sum(c * u, edges), _sum(u**2, edges), design)
+    return _Spectrum(bins, np.add.reduceat(c**2, edges), np.add.reduceat(c * u, edges))
 
 
 def _likeliest(spectrum: _Spectrum, fixed: int | None = None, square: float = 0.0, ramp: float | None = None) -> _Fit:
@@ -263,9 +235,7 @@ def _likeliest(spectrum: _Spectrum, fixed: int | None = None, square: float = 0.
 
     The likelihood is restricted for the ramp, which is estimated, unless the ramp is fixed.
     """
-    from scipy.optimize import nnls  # a heavy import that figures and tables of noise do without
-
-    A, count = spectrum.design, spectrum.count
+    count, uu, A = spectrum.bins
     free = np.array([k for k in range(A.shape[1]) if k != fixed])
     offset = np.zeros(len(A)) if fixed is None else A[:, fixed] * square
     variance = np.maximum(spectrum.cc / count, 1e-300) + offset
@@ -275,11 +245,9 @@ def _likeliest(spectrum: _Spectrum, fixed: int | None = None, square: float = 0.
     for _ in range(_PASSES):
         slope, slope_variance = _slope(spectrum, variance, ramp)
         # The last term restores the power that the estimate of the ramp takes away (restricted likelihood).
-        power = (spectrum.cc - 2.0 * slope * spectrum.cu + (slope**2 + slope_variance) * spectrum.uu) / count
+        power = (spectrum.cc - 2.0 * slope * spectrum.cu + (slope**2 + slope_variance) * uu) / count
         weight = np.sqrt(count) / variance
-        weighted = A[:, free] * weight[:, None]
-        scale = np.linalg.norm(weighted, axis=0)
-        squares[free] = nnls(weighted / scale, (power - offset) * weight)[0] / scale
+        squares[free] = nonnegative_least_squares(A[:, free] * weight[:, None], (power - offset) * weight)
         if fixed is not None:
             squares[fixed] = square
         new = np.maximum(A @ squares, 1e-12 * variance)
@@ -288,7 +256,7 @@ def _likeliest(spectrum: _Spectrum, fixed: int | None = None, square: float = 0.
         if change < _STILL:
             break
     slope, slope_variance = _slope(spectrum, variance, ramp)
-    power = spectrum.cc - 2.0 * slope * spectrum.cu + slope**2 * spectrum.uu
+    power = spectrum.cc - 2.0 * slope * spectrum.cu + slope**2 * uu
     loss = float(np.sum(count * np.log(variance) + power / variance))
     if ramp is None:
         loss -= log(slope_variance)
@@ -299,15 +267,15 @@ def _slope(spectrum: _Spectrum, variance: Array, ramp: float | None) -> tuple[fl
     """Weighted estimate of the ramp and its variance; a fixed ramp has none."""
     if ramp is not None:
         return ramp, 0.0
-    slope_variance = 1.0 / float((spectrum.uu / variance).sum())
+    slope_variance = 1.0 / float((spectrum.bins.uu / variance).sum())
     return float((spectrum.cu / variance).sum()) * slope_variance, slope_variance
 
 
 def _channel(
     spectrum: _Spectrum, best: _Fit, records: SimulatedRecords, dt: float
-) -> tuple[Array, Array, Array, Mask, Array]:
-    """Value, low, high, resolved and needed length of the terms of one channel."""
-    doubt = np.sqrt(np.diag(np.linalg.inv(_information(spectrum, best.variance))))
+) -> tuple[Array, Array, Array, Array]:
+    """Value, low, high and needed length of the terms of one channel."""
+    doubt = np.sqrt(np.diag(np.linalg.inv(_information(spectrum.bins, best.variance))))
     low, high = np.zeros(len(ALL_TERMS)), np.zeros(len(ALL_TERMS))
     for k in range(_RAMP):
 
@@ -318,7 +286,7 @@ def _channel(
             fit = _likeliest(spectrum, k, square)
             if k in SLOW:
                 return records.term_threshold(fit.squares, k, CONFIDENCE)
-            return normal_threshold(square / _sigma(spectrum, fit, k), CONFIDENCE)
+            return normal_threshold(square / _sigma(spectrum.bins, fit, k), CONFIDENCE)
 
         low[k], high[k] = _ends(ratio, threshold, float(best.squares[k]), float(doubt[k]))
     low[:_RAMP], high[:_RAMP] = np.sqrt(low[:_RAMP]), np.sqrt(high[:_RAMP])
@@ -328,7 +296,7 @@ def _channel(
     if resolved[_RAMP] and best.ramp < 0.0:
         low[_RAMP], high[_RAMP] = -high[_RAMP], -low[_RAMP]
     assumed: Array = np.where(resolved, np.abs(value), high)
-    return value, low, high, resolved, _needed(assumed, resolved, dt)
+    return value, low, high, _needed(assumed, resolved, dt)
 
 
 def _ends(
@@ -386,17 +354,17 @@ def _ramp_ends(spectrum: _Spectrum, records: SimulatedRecords, best: _Fit) -> tu
     return _ends(ratio, threshold, float(found.x), doubt)
 
 
-def _information(spectrum: _Spectrum, variance: Array) -> Array:
+def _information(bins: Bins, variance: Array) -> Array:
     """Fisher information of the squared coefficients, shape (4, 4), lightly loaded so that it has an inverse."""
-    weighted = spectrum.design * (np.sqrt(0.5 * spectrum.count) / variance)[:, None]
+    weighted = bins.design * (np.sqrt(0.5 * bins.number) / variance)[:, None]
     information = weighted.T @ weighted
     return information + 1e-12 * np.diag(np.diag(information))
 
 
-def _sigma(spectrum: _Spectrum, fit: _Fit, k: int) -> float:
+def _sigma(bins: Bins, fit: _Fit, k: int) -> float:
     """Standard deviation of squared coefficient k, fitted with the others that are not zero."""
     kept = [k, *(j for j in range(len(fit.squares)) if j != k and fit.squares[j] > 0.0)]
-    covariance = np.linalg.inv(_information(spectrum, fit.variance)[np.ix_(kept, kept)])
+    covariance = np.linalg.inv(_information(bins, fit.variance)[np.ix_(kept, kept)])
     return float(np.sqrt(covariance[0, 0]))
 
 
@@ -431,9 +399,8 @@ def _predicted(coefficients: Array, dt: float) -> Iterator[tuple[float, Array]]:
         # Transform of t: only odd coefficients, -(2/n)^(1/2) dt / (4 sin²) there in the limit of many samples.
         odd = np.where(j < 64, np.round(j) % 2.0, 0.5)
         uu = count * odd * (2.0 / n) * (dt * np.cos(0.5 * pi * j / n) / (2.0 * np.sin(0.5 * pi * j / n) ** 2)) ** 2
-        spectrum = _Spectrum(count, variance, variance, uu, design)
         doubts = np.full(len(coefficients), np.inf)
-        covariance = np.linalg.inv(_information(spectrum, variance)[np.ix_(kept, kept)])
+        covariance = np.linalg.inv(_information(Bins(count, uu, design), variance)[np.ix_(kept, kept)])
         doubts[:_RAMP][kept] = 0.5 * width * np.sqrt(np.diag(covariance)) / squares[kept]
         if coefficients[_RAMP]:
             doubts[_RAMP] = width / np.sqrt((uu / variance).sum()) / abs(coefficients[_RAMP])

@@ -19,7 +19,7 @@ def nonnegative_least_squares(A: Array, b: Array, signed: tuple[int, ...] = ()) 
     Parameters
     ----------
     A : ndarray, shape (m, n)
-        Of full column rank for a unique solution; m ≥ n.
+        Of full column rank for a unique solution; m ≥ n. The columns may differ in size, but none is zero.
     b : ndarray, shape (m,)
     signed : tuple of int
         Unknowns of either sign.
@@ -28,17 +28,23 @@ def nonnegative_least_squares(A: Array, b: Array, signed: tuple[int, ...] = ()) 
     -------
     ndarray, shape (n,)
     """
+    scale = np.linalg.norm(A, axis=0)
+    return np.asarray(_minimum(A / scale, b, signed) / scale)
+
+
+def _minimum(A: Array, b: Array, signed: tuple[int, ...]) -> Array:
+    """Minimum for columns of length one."""
     unbounded = np.asarray(np.linalg.lstsq(A, b, rcond=None)[0], dtype=np.float64)
     bounded = np.ones(A.shape[1], dtype=bool)
     bounded[list(signed)] = False
     if np.all(unbounded[bounded] > 0.0):
         return unbounded
-    # Rounding of a gradient that is zero: |a||b| times the unit roundoff and the number of terms of the sums.
-    tolerance = max(A.shape) * np.finfo(np.float64).eps * np.linalg.norm(A, axis=0) * np.linalg.norm(b)
+    # Rounding of a gradient that is zero: |b| times the unit roundoff and the number of terms of the sums.
+    tolerance = max(A.shape) * np.finfo(np.float64).eps * np.linalg.norm(b)
     # Mostly the minimum is on the bounds that the unbounded solution is beyond; its gradients there prove it.
     free = (unbounded > 0.0) | ~bounded
     x = _on_bounds(A, b, free)
-    if np.all(x[free & bounded] > 0.0) and np.all((A.T @ (b - A @ x))[~free] <= tolerance[~free]):
+    if np.all(x[free & bounded] > 0.0) and np.all((A.T @ (b - A @ x))[~free] <= tolerance):
         return x
     free = ~bounded
     x = _on_bounds(A, b, free)

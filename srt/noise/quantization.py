@@ -6,21 +6,37 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.noise.noise_model import smallest_step
-
 if TYPE_CHECKING:
     from srt.recording.recording import Recording
-    from srt.types import Array
+    from srt.types import Array, Indices
 
 
 _SAMPLES: Final = 4000
-"""Number of samples, spread over the recording, from which the step of the readings is taken."""
+"""Number of samples from which the step of the readings is taken."""
 _GAP: Final = 20.0
 """Ratio of two successive sorted differences that separates noise from steps."""
 _FEWEST_SMALL: Final = 10
 """Smallest number of differences below the gap; normal noise has such a gap with a probability of 1e-13."""
 _FEWEST_LARGE: Final = 3
 """Smallest number of differences above the gap; a spike makes two."""
+
+
+def smallest_step(values: Array) -> Array:
+    """Smallest difference between distinct readings, per column of an (n, c) table; 0 where readings hardly repeat."""
+    gaps = np.diff(np.sort(np.ascontiguousarray(values.T), axis=1), axis=1)
+    step, distinct = np.zeros(values.shape[1]), 1 + np.count_nonzero(gaps, axis=1)
+    for axis in np.flatnonzero((distinct > 1) & (distinct <= 0.5 * len(values))).tolist():
+        own = gaps[axis]
+        step[axis] = own[own > 1e-9 * np.abs(values[:, axis]).max()].min(initial=np.inf)
+    step[~np.isfinite(step)] = 0.0
+    return step
+
+
+def thinned(table: Array, windows: Indices | None = None) -> Array:
+    """Some thousand readings that show the steps of a table, (n, 3), spread over it or over windows of it, (W, 2)."""
+    spans = [(0, len(table))] if windows is None else windows.tolist()
+    stride = max(1, sum(b - a for a, b in spans) // _SAMPLES)
+    return np.concatenate([table[a:b:stride] for a, b in spans])
 
 
 def reading_steps(recording: Recording) -> Array:
@@ -31,9 +47,8 @@ def reading_steps(recording: Recording) -> Array:
     ndarray, shape (6,)
         Zero for channels whose readings hardly repeat.
     """
-    stride = max(1, len(recording.time) // _SAMPLES)
-    step = np.concatenate([smallest_step(table[::stride]) for table in (recording.gyro, recording.accel)])
-    return step * recording.nominal_interval_s if recording.kind == "rate" else step
+    step = np.concatenate([smallest_step(thinned(table)) for table in (recording.gyro, recording.accel)])
+    return step * recording.nominal_interval_s * recording.rates_factor
 
 
 def quantization_step(readings: Array) -> Array:

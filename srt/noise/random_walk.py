@@ -11,13 +11,14 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from dataclasses import dataclass
-from functools import cache
+from dataclasses import dataclass, replace
+from functools import cache, cached_property
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 from scipy.special import chdtrc, chdtri
 
+from srt.noise.allan import MODEL_DOUBT, PULSE_DOUBT
 from srt.noise.nonnegative import nonnegative_least_squares
 
 if TYPE_CHECKING:
@@ -26,8 +27,6 @@ if TYPE_CHECKING:
     from srt.recording.recording import Recording
     from srt.types import Array, Indices
 
-_QUANTIZATION_DOUBT: Final = 0.5
-"""Relative 1-sigma of the quantization term: the quantization error of a slow input is not white."""
 _FIT_PASSES: Final = 40
 """Largest number of passes of the fit of random walk and reading error, each weighted by the fit before it."""
 _SETTLED: Final = 1e-3
@@ -42,13 +41,11 @@ _FALSE_ALARM: Final = 1e-4
 """Probability of the residuals of a triad below which white noise and reading errors alone are contradicted."""
 _ENOUGH: Final = 0.05
 """Probability of the residuals above which the memory of a filter counts as passed."""
-_MODEL_DOUBT: Final = 0.03
-"""Relative 1-sigma of the model of an Allan variance in that test, however long the windows are."""
 _FEWEST_OCTAVES: Final = 3
 """Fewest octaves beyond the memory of a filter: two unknowns, and one to test them."""
-_MEDIAN: Final = math.pi / 2.0
+MEDIAN: Final = math.pi / 2.0
 """Variance of a median over that of the mean, of normal numbers."""
-_SIGNIFICANT: Final = 3.09
+SIGNIFICANT: Final = 3.09
 """Standard deviations by which variances differ at least if they count as different: p = 1e-3."""
 
 
@@ -72,7 +69,8 @@ class RandomWalk:
     filter_s: Array
 
 
-class _Octaves(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class _Octaves:
     """Averaging times, s, and numbers of differences, shape (m,); Allan variances by channel, shape (6, m)."""
 
     tau: Array
@@ -81,7 +79,15 @@ class _Octaves(NamedTuple):
 
     def of(self, columns: slice) -> _Octaves:
         """The same of some channels."""
-        return self._replace(variance=self.variance[columns])
+        return replace(self, variance=self.variance[columns])
+
+    @cached_property
+    def fits(self) -> Callable[[int, bool], list[_Fit]]:
+        """Fits of the channels from an octave on, with drift or without; each is made once."""
+        tau, count = self.tau, self.differences
+        return cache(
+            lambda first, drifting: [_fit_one(tau, count, own, first, drifting=drifting) for own in self.variance]
+        )
 
 
 class _Fit(NamedTuple):
@@ -110,26 +116,18 @@ def random_walk(recording: Recording, windows: Indices) -> RandomWalk:
 def _triad(recording: Recording, windows: Indices, octaves: _Octaves, columns: slice) -> tuple[list[_Fit], float]:
     """Fits of the three axes of a triad, and the averaging time beyond its filter; zero without a filter."""
     octaves = octaves.of(columns)
-    fits_from = _fitting(octaves)
-    first, drifting = _beyond_filter(octaves, fits_from)
+    first, drifting = _beyond_filter(octaves)
     if first:
         typical = _typical(recording, windows).of(columns)
         if _differ(octaves, typical, first):  # motion in single windows looks like a filter
-            fits_of_typical = _fitting(typical)
-            first, drifting = _beyond_filter(typical, fits_of_typical)
-            octaves, fits_from = (typical, fits_of_typical) if first else (octaves, fits_from)
-    tau, count, variance = octaves
-    fits = fits_from(first, drifting)
+            first, drifting = _beyond_filter(typical)
+            octaves = typical if first else octaves
+    fits = octaves.fits(first, drifting)
     # Where quantization hides the white noise of an axis, the three axes of a triad are fitted together.
     if any(fit.doubt > _POOL_ABOVE for fit in fits):
-        fits = [_fit_one(tau, 3.0 * count, variance.mean(axis=0), first, drifting=drifting)] * 3
-    return fits, float(tau[first]) if first else 0.0
-
-
-def _fitting(octaves: _Octaves) -> Callable[[int, bool], list[_Fit]]:
-    """Fits of the axes of a triad from an octave on, with drift or without; each is made once."""
-    tau, count, variance = octaves
-    return cache(lambda first, drifting: [_fit_one(tau, count, v, first, drifting=drifting) for v in variance])
+        count, mean = 3.0 * octaves.differences, octaves.variance.mean(axis=0)
+        fits = [_fit_one(octaves.tau, count, mean, first, drifting=drifting)] * 3
+    return fits, float(octaves.tau[first]) if first else 0.0
 
 
 def _typical(recording: Recording, windows: Indices) -> _Octaves:
@@ -142,16 +140,16 @@ def _typical(recording: Recording, windows: Indices) -> _Octaves:
         # The median of a mean of m squares is smaller than its expected value.
         row[:, :m] = each.variance / (chdtri(each.differences, 0.5) / each.differences)
         number[:m] = each.differences
-    return _Octaves(tau, numbers.sum(axis=0) / _MEDIAN, np.nanmedian(variance, axis=0))
+    return _Octaves(tau, numbers.sum(axis=0) / MEDIAN, np.nanmedian(variance, axis=0))
 
 
 def _differ(octaves: _Octaves, typical: _Octaves, first: int) -> bool:
     """True if the windows together have more noise than the median window, from an octave on."""
     sigma = np.sqrt(2.0 / octaves.differences + 2.0 / typical.differences)
-    return bool(np.any((octaves.variance > typical.variance * (1.0 + _SIGNIFICANT * sigma))[:, first:]))
+    return bool(np.any((octaves.variance > typical.variance * (1.0 + SIGNIFICANT * sigma))[:, first:]))
 
 
-def _beyond_filter(octaves: _Octaves, fits_from: Callable[[int, bool], list[_Fit]]) -> tuple[int, bool]:
+def _beyond_filter(octaves: _Octaves) -> tuple[int, bool]:
     """First octave beyond the memory of a triad's filter, zero without one, and whether the bias drifts in the windows.
 
     White noise, reading errors and bias instability (a flat part) are the model without a filter. Only if it is
@@ -162,7 +160,7 @@ def _beyond_filter(octaves: _Octaves, fits_from: Callable[[int, bool], list[_Fit
     short, best = False, (0.0, 0, False)
     for first in range(len(tau) - _FEWEST_OCTAVES + 1 if live else 0):
         for drifting in (False, True)[: len(tau) - first - _FEWEST_OCTAVES + 1]:
-            fits = [fits_from(first, drifting)[axis] for axis in live]
+            fits = [octaves.fits(first, drifting)[axis] for axis in live]
             freedom = len(live) * (len(tau) - first - 2 - drifting)
             agreement = float(chdtrc(freedom, sum(fit.deviance for fit in fits)))
             if first and np.median([fit.doubt for fit in fits]) > _POOL_ABOVE * len(fits) ** 0.5:
@@ -178,11 +176,11 @@ def _beyond_filter(octaves: _Octaves, fits_from: Callable[[int, bool], list[_Fit
 
 def _falls_short(octaves: _Octaves, first: int, fits: list[_Fit]) -> bool:
     """True if a variance of short averages is less than the white noise of longer ones explains."""
-    tau, count, variance = octaves
+    variance = octaves.variance
     live = variance[variance.max(axis=1) > 0.0, :first]
     white = np.array([fit.squares[0] for fit in fits])
-    sigma = np.hypot(np.array([fit.doubt for fit in fits])[:, None], np.sqrt(2.0 / count[:first]))
-    return bool((live * tau[:first] < (1.0 - _SIGNIFICANT * sigma) * white[:, None]).any())
+    sigma = np.hypot(np.array([fit.doubt for fit in fits])[:, None], np.sqrt(2.0 / octaves.differences[:first]))
+    return bool((live * octaves.tau[:first] < (1.0 - SIGNIFICANT * sigma) * white[:, None]).any())
 
 
 def octaves_key(windows: Indices) -> Hashable:
@@ -259,14 +257,14 @@ def _fit_one(tau: Array, count: Array, variance: Array, first: int = 0, *, drift
         # A variance from m differences has the relative 1-sigma √(3/m) of its expected value: the last octaves have few
         # differences, and a variance that is small by chance would dominate the fit. The quantization error of a slow
         # input is no white sequence (a saw-tooth has lines), so octaves that it dominates have little weight for N.
-        pulses = _QUANTIZATION_DOUBT * design[:, 1] * max(solution[1], 0.0)
+        pulses = PULSE_DOUBT * design[:, 1] * max(solution[1], 0.0)
         sigma = np.hypot(np.maximum(variance, expected) * np.sqrt(3.0 / count) + least, pulses)
         weighted = design / sigma[:, None]
-        scale = np.linalg.norm(weighted, axis=0)
-        solution = nonnegative_least_squares(weighted / scale, variance / sigma, signed) / scale
+        solution = nonnegative_least_squares(weighted, variance / sigma, signed)
         before, expected = expected, design @ solution
         if np.all(np.abs(expected - before) <= _SETTLED * expected):
             break
+    scale = np.linalg.norm(weighted, axis=0)
     unit = weighted / scale
     own = unit[:, 0] - unit[:, 1:] @ np.linalg.lstsq(unit[:, 1:], unit[:, 0], rcond=None)[0]
     doubt = 1.0 / (scale[0] * max(float(np.linalg.norm(own)), np.finfo(np.float64).eps))
@@ -279,6 +277,6 @@ def _fit_one(tau: Array, count: Array, variance: Array, first: int = 0, *, drift
 
 def _deviance(count: Array, variance: Array, expected: Array, pulses: Array) -> float:
     """−2 ln(likelihood ratio) of Allan variances of m differences, which are gamma variates, against their model."""
-    freedom = 2.0 / (2.0 / count + _MODEL_DOUBT**2 + (pulses / expected) ** 2)
+    freedom = 2.0 / (2.0 / count + MODEL_DOUBT**2 + (pulses / expected) ** 2)
     ratio = np.maximum(variance / expected, np.finfo(np.float64).eps)
     return float(np.sum(freedom * (ratio - 1.0 - np.log(ratio))))

@@ -127,8 +127,3 @@ class RestrictedLikelihood:
 
     def _covariance(self, variances: Array) -> Array:
         return np.asarray(self._known + sum(v * C for v, C in zip(variances, self._parts, strict=True)))
-
-
-def restricted_likelihood(z: Array, H: Array, R0: Array, components: tuple[Array, ...]) -> Array:
-    """Variances of the components by :class:`RestrictedLikelihood`, at least zero, shape (number of components,)."""
-    return RestrictedLikelihood(z, H, R0, components).variances()

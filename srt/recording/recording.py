@@ -26,7 +26,7 @@ from srt.recording.sequence_label import SequenceLabel
 from srt.recording.timing import SampleTiming, sample_timing
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Hashable, Iterator, Sequence
+    from collections.abc import Callable, Hashable, Sequence
 
     from numpy.typing import ArrayLike
 
@@ -322,6 +322,10 @@ class Recording(Presented):
         value: Derived = self._memo[key]
         return value
 
+    def give(self, key: Hashable, value: object) -> None:
+        """Store a derived value that was computed with those of other recordings, unless there is one."""
+        self._memo.setdefault(key, value)
+
     def forget(self) -> None:
         """Drop the derived values, which refer to the recording in turn: both would wait for the garbage collector.
 
@@ -351,6 +355,11 @@ class Recording(Presented):
     def nominal_interval_s(self) -> float:
         """Typical duration of a sample, s."""
         return self.timing.nominal_interval_s
+
+    @property
+    def rates_factor(self) -> float:
+        """Factor from readings to rates: 1, or one over the interval for increments, 1/s."""
+        return 1.0 if self.kind == "rate" else 1.0 / self.nominal_interval_s
 
     @property
     def gaps(self) -> Indices:
@@ -398,31 +407,6 @@ class Recording(Presented):
     def with_sequences(self, sequences: tuple[SequenceLabel, ...]) -> Recording:
         """Recording of the same samples with other labels."""
         return replace(self, sequences=sequences)
-
-
-def by_length(values: Array, windows: Indices) -> Iterator[tuple[Indices, Array]]:
-    """Samples of windows, those of one length together.
-
-    ``windows``, shape (W, 2), are the first samples and those one past the last. Yields the numbers of the windows,
-    shape (w,), and their samples, shape (w, samples, ...).
-    """
-    lengths = windows[:, 1] - windows[:, 0]
-    for n in np.unique(lengths).tolist():
-        which = np.flatnonzero(lengths == n)
-        yield which, values[windows[which, :1] + np.arange(n)]
-
-
-def side_by_side(readings: Sequence[Array], windows: Sequence[Indices]) -> Iterator[tuple[Indices, Array]]:
-    """:func:`by_length` of recordings with windows of equal lengths, shape (w, samples, 3 for each recording)."""
-    for of_units in zip(*(by_length(*pair) for pair in zip(readings, windows, strict=True)), strict=True):
-        tables = [table for _, table in of_units]
-        yield of_units[0][0], tables[0] if len(tables) == 1 else np.concatenate(tables, axis=2)
-
-
-def of_each(values: Array) -> Array:
-    """Values (..., 3 for each recording) of readings side by side, shape (recordings, ..., 3)."""
-    apart = values.reshape(*values.shape[:-1], -1, 3)
-    return np.ascontiguousarray(np.moveaxis(apart, -2, 0))
 
 
 def require_bounded(recording: Recording) -> None:

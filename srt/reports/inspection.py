@@ -13,7 +13,6 @@ import numpy as np
 from srt.constants import DEG, DEG_PER_H, STANDARD_GRAVITY_M_S2
 from srt.diagnosis import diagnose
 from srt.diagnosis.faults import FAULTS
-from srt.diagnosis.rotation_readings import rates_factor
 from srt.exceptions import DataError, MissingExtraError
 from srt.model.rotations import from_rotation_vector, prefix_product, rotation_vector, to_matrix
 from srt.model.table1 import AXES
@@ -141,7 +140,7 @@ def _stillness(recording: Recording, windows: Indices) -> StationarySummary | No
     dt = recording.nominal_interval_s
     tables = (recording.gyro, recording.accel)
     means = np.array([[table[a:b].mean(axis=0) for table in tables] for a, b in windows.tolist()])
-    means *= rates_factor(recording)
+    means *= recording.rates_factor
     force = np.linalg.norm(means[:, 1], axis=1) / STANDARD_GRAVITY_M_S2
     lengths = (windows[:, 1] - windows[:, 0]) * dt
     rate = lengths @ means[:, 0] / lengths.sum() / DEG_PER_H
@@ -185,7 +184,7 @@ def _short_figures(recording: Recording, windows: Indices) -> dict[str, dict[str
 
 
 def _turn(recording: Recording, turn: RecognisedManoeuvre) -> ManoeuvreSummary:
-    dt, per_rate = recording.nominal_interval_s, rates_factor(recording)
+    dt, per_rate = recording.nominal_interval_s, recording.rates_factor
     moving = recording.gyro[turn.first : turn.last] * per_rate
     start, end = float(recording.time[turn.first] - dt), float(recording.time[turn.last - 1])
     around = (s for s in recording.sequences if s.start_static_s[0] < 0.5 * (start + end) < s.end_static_s[1])

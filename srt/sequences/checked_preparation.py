@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from srt.exceptions import DataError
-from srt.noise.noise_model import noise_models
 from srt.noise.random_walk import allan_octaves, octaves_key
-from srt.recording.recording import of_each, side_by_side
-from srt.sequences.clipping import clipped_samples, clipping_levels
+from srt.recording.readings import derived, of_each, side_by_side
+from srt.sequences.clipping import clipped_samples
+from srt.sequences.manoeuvres import whole_rotations
 from srt.sequences.plausibility import check_interval, check_rest, check_turns
-from srt.sequences.preparation import means_key, move_title, noise_key, prepare, sequence_of_label
+from srt.sequences.preparation import means_key, move_title, prepare, sequence_of_label
 from srt.sequences.window_means import average_windows, windows_of_labels
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Hashable, Sequence
+    from collections.abc import Callable, Hashable, Iterable, Sequence
 
     from srt.recording.recording import Recording, SequenceLabel
     from srt.sequences.preparation import PreparedRecording
@@ -32,6 +31,7 @@ _MOTION_SIGMAS: Final = 8.0
 """Limits of the angle turned inside a window, rad and in sigma; above both the window is refused, else integrated."""
 
 
+@derived
 def prepare_checked(
     recording: Recording,
     labels: tuple[SequenceLabel, ...],
@@ -50,59 +50,37 @@ def prepare_checked(
         If no sequence is left, readings at rest or turns are impossible (wrong units), or the unit moved in a
         stationary window.
     """
-    key = ("checked", tuple(labels), average, tuple(poses), tuple(moves))
-    return recording.memo(key, lambda: _prepare_checked(recording, tuple(labels), average, tuple(poses), tuple(moves)))
-
-
-def _prepare_checked(
-    recording: Recording,
-    labels: tuple[SequenceLabel, ...],
-    average: Average,
-    poses: tuple[SequenceLabel, ...],
-    moves: tuple[SequenceLabel, ...],
-) -> PreparedRecording:
     check_interval(recording)
-    voided: dict[str, str] = {}
-    whole = []
-    for label, gap in zip(labels, _gaps(recording, labels), strict=True):
-        if gap < 0:
-            whole.append(label)
-        else:
-            voided[label.title] = f"samples are missing before {recording.time[gap]:.6g} s"
-    data = prepare(recording, whole, average, voided=voided, poses=poses, moves=moves)
+    gaps = dict(zip(labels, recording.gaps_inside(_spans(recording, labels)).tolist(), strict=True))
+    voided = {
+        label.title: f"samples are missing before {recording.time[gap]:.6g} s"
+        for label, gap in gaps.items()
+        if gap >= 0
+    }
+    whole = tuple(label for label in labels if gaps[label] < 0)
+    data = prepare(recording, whole, average, voided=tuple(voided.items()), poses=poses, moves=moves)
     # Units are checked before clipping: degrees read as radians exceed any range.
     dt = recording.nominal_interval_s
     check_rest(data.windows.accel_mean, data.gravity, lambda: _window_titles(data), interval_s=dt)
     _check_turned(data)
     _check_rates(data)
-    levels = clipping_levels(recording)
-    parts = {**{s: s.title for s in whole}, **{s: move_title(s) for s in moves}}
-    if not clipped_samples(recording, slice(None), levels):
-        parts = {}
-    clipped = {label: clipped_samples(recording, _part(recording, label), levels) for label in parts}
-    voided |= {parts[label]: str(channels[0]) for label, channels in clipped.items() if channels}
-    if any(clipped.values()):
-        left, left_moves = ([s for s in some if not clipped[s]] for some in (whole, moves))
-        data = prepare(recording, left, average, voided=voided, poses=poses, moves=left_moves)
+    if clipped_samples(recording, slice(None)):
+        titles = {label: label.title for label in whole} | {label: move_title(label) for label in moves}
+        each = (clipped_samples(recording, slice(*span)) for span in _spans(recording, titles))
+        clipped = {label: str(found[0]) for label, found in zip(titles, each, strict=True) if found}
+        voided |= {titles[label]: reason for label, reason in clipped.items()}
+        whole, moves = (tuple(label for label in some if label not in clipped) for some in (whole, moves))
+        data = prepare(recording, whole, average, voided=tuple(voided.items()), poses=poses, moves=moves)
     if recording.sequences:
         # Windows that were detected contain no large motion; small motion in them is integrated.
         _check_stillness(data)
     return data
 
 
-def _gaps(recording: Recording, labels: tuple[SequenceLabel, ...]) -> list[int]:
-    """First sample after a gap inside each sequence; -1 without a gap."""
+def _spans(recording: Recording, labels: Iterable[SequenceLabel]) -> list[tuple[int, int]]:
+    """First sample of the start window of each sequence, and one past the last of its end window."""
     windows = recording.windows([own for label in labels for own in (label.start_static_s, label.end_static_s)])
-    spans = [(first.start, last.stop) for first, last in zip(windows[::2], windows[1::2], strict=True)]
-    out: list[int] = recording.gaps_inside(spans).tolist()
-    return out
-
-
-def _part(recording: Recording, label: SequenceLabel) -> slice:
-    """Samples of a sequence, from the start of its first window to the end of its last."""
-    return slice(
-        recording.window_indices(*label.start_static_s).start, recording.window_indices(*label.end_static_s).stop
-    )
+    return [(first.start, last.stop) for first, last in zip(windows[::2], windows[1::2], strict=True)]
 
 
 def _window_titles(data: PreparedRecording) -> list[str]:
@@ -115,21 +93,11 @@ def _check_turned(data: PreparedRecording) -> None:
     single = [k for k, s in enumerate(sequences) if s is not None and len(s.rotations) == 1]
     if not single:
         return
-    recording, rest = data.recording, data.windows.gyro_mean
-    angle, seconds = _turned(recording, data.rotation[single])
-    angle = angle - 0.5 * (rest[data.start[single]] + rest[data.end[single]]) * seconds[:, None]
+    rest = data.windows.gyro_mean
+    angle = whole_rotations(data.rotation_stream, 0.5 * (rest[data.start] + rest[data.end]))[single]
     nominal = [abs(s.rotations[0][1]) for k in single if (s := sequences[k]) is not None]
     titles = [data.labels[k].title for k in single]
-    check_turns(np.linalg.norm(angle, axis=1), nominal, titles, interval_s=recording.nominal_interval_s)
-
-
-def _turned(recording: Recording, spans: Indices) -> tuple[Array, Array]:
-    """Angles that the gyros turned by in spans of samples, (spans, 3), rad, and their duration, s."""
-    steps = np.broadcast_to(recording.interval_s, len(recording.time))
-    parts = [slice(a, b) for a, b in spans.tolist()]
-    weights = [steps[own] if recording.kind == "rate" else np.ones(own.stop - own.start) for own in parts]
-    angles = [weight @ recording.gyro[own] for weight, own in zip(weights, parts, strict=True)]
-    return np.stack(angles), np.array([steps[own].sum() for own in parts])
+    check_turns(np.linalg.norm(angle, axis=1), nominal, titles, interval_s=data.recording.nominal_interval_s)
 
 
 _RATE_AGREES: Final = (0.25, 4.0)
@@ -142,9 +110,7 @@ def _check_rates(data: PreparedRecording) -> None:
     for label in data.labels:
         if label.rate is None or label.steady_s is None:
             continue
-        mean = recording.gyro[recording.window_indices(*label.steady_s)].mean(axis=0)
-        if recording.kind == "increment":
-            mean = mean / recording.nominal_interval_s
+        mean = recording.gyro[recording.window_indices(*label.steady_s)].mean(axis=0) * recording.rates_factor
         axis, stated = label.rate
         low, high = _RATE_AGREES
         if not low <= mean["xyz".index(axis)] / stated <= high:
@@ -187,9 +153,7 @@ def _rates(recordings: Sequence[Recording], samples: Sequence[Indices]) -> list[
     rate = np.empty((len(edges), edges.shape[1] - 1, 3 * len(recordings)))
     for which, gyro in side_by_side([own.gyro for own in recordings], samples):
         rate[which] = np.add.reduceat(gyro, edges[which[0], :-1], axis=1)
-    rate /= np.diff(edges, axis=1)[:, :, None]
-    if recordings[0].kind == "increment":
-        rate /= recordings[0].nominal_interval_s
+    rate *= recordings[0].rates_factor / np.diff(edges, axis=1)[:, :, None]
     rate -= np.median(rate, axis=1, keepdims=True)
     return list(of_each(rate))
 
@@ -224,16 +188,11 @@ def prepare_together(units: Sequence[tuple[Recording, tuple[SequenceLabel, ...],
 def _derive_together(recordings: Sequence[Recording], samples: Sequence[Indices], average: Average) -> None:
     def give(key: Callable[[Indices], Hashable], values: Sequence[object]) -> None:
         for recording, own, value in zip(recordings, samples, values, strict=True):
-            recording.memo(key(own), partial(_given, value))
+            recording.give(key(own), value)
 
     give(lambda own: means_key(own, average), average_windows(recordings, samples, average))
     give(octaves_key, allan_octaves(recordings, samples))
     give(_rates_key, _rates(recordings, samples))
-    give(noise_key, noise_models(recordings, samples))
-
-
-def _given(value: object) -> object:
-    return value
 
 
 def _as_arrays(first: tuple[Recording, Indices], other: tuple[Recording, Indices]) -> bool:

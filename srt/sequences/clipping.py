@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from srt.constants import STANDARD_GRAVITY_M_S2
-from srt.model.table1 import AXES
-from srt.noise.noise_model import smallest_step
+from srt.noise.allan import CHANNELS
+from srt.noise.quantization import smallest_step
+from srt.recording.readings import derived
 
 if TYPE_CHECKING:
     from srt.recording.recording import Recording
@@ -112,6 +113,7 @@ class Clipping:
         return f"{self.channel} is at the limit of its range in {self.count} samples, from {self.first_s:.6g} s"
 
 
+@derived
 def clipping_levels(recording: Recording) -> ClippingLevels:
     """Find the readings at which channels are clipped, from the stated range and from the readings.
 
@@ -121,32 +123,25 @@ def clipping_levels(recording: Recording) -> ClippingLevels:
     hold one extreme. Other coarse, and noise-free readings repeat at any value: clipping is then found by the stated
     range only.
     """
-    return recording.memo("clipping levels", lambda: _clipping_levels(recording))
-
-
-def _clipping_levels(recording: Recording) -> ClippingLevels:
-    dt = recording.nominal_interval_s
-    per_sample = dt if recording.kind == "increment" else 1.0
-    low, high = np.full(6, -np.inf), np.full(6, np.inf)
-    noise = recording.noise
+    dt, per_sample = recording.nominal_interval_s, 1.0 / recording.rates_factor
+    low, high, noise = np.empty(6), np.empty(6), recording.noise
     sensors = (
         (recording.gyro, noise.gyro_range, noise.gyro_quantization, _LEAST_GYRO_RAD_S),
         (recording.accel, noise.accel_range, noise.accel_quantization, _LEAST_ACCEL_M_S2),
     )
     for s, (values, stated, pulse, least) in enumerate(sensors):
-        triad = _Triad.of(values)
+        triad, channels = _Triad.of(values), slice(3 * s, 3 * s + 3)
+        limits = [_limits_seen(triad, least * per_sample)]
         if stated is not None:
+            limit = np.full(3, _RANGE_MARGIN * stated * per_sample)
             # A pulse output adds the remainder of the previous sample.
             beyond = (_BEYOND * stated + 2.0 * (pulse or 0.0) / dt) * per_sample
-            if _RANGE_MARGIN * stated * per_sample <= triad.peak <= beyond:
-                high[3 * s : 3 * s + 3] = _RANGE_MARGIN * stated * per_sample
-                low[3 * s : 3 * s + 3] = -_RANGE_MARGIN * stated * per_sample
-        channels = slice(3 * s, 3 * s + 3)
-        bottom, top = _limits_seen(triad, least * per_sample)
-        low[channels], high[channels] = np.maximum(low[channels], bottom), np.minimum(high[channels], top)
+            if limit[0] <= triad.peak <= beyond:
+                limits.append((-limit, limit))
         if pulse is not None:
-            held = _held_pulses(triad, least * per_sample, pulse * per_sample / dt)
-            low[channels], high[channels] = np.maximum(low[channels], held[0]), np.minimum(high[channels], held[1])
+            limits.append(_held_pulses(triad, least * per_sample, pulse * per_sample / dt))
+        low[channels] = np.max([bottom for bottom, _ in limits], axis=0)
+        high[channels] = np.min([top for _, top in limits], axis=0)
     return ClippingLevels(low, high)
 
 
@@ -277,31 +272,24 @@ def _fewest_in_a_row(channel: Array, extreme: float) -> int:
     return max(_IN_A_ROW, 1 + math.ceil(math.log(_CHANCE) / math.log(rate)))
 
 
-def clipped_samples(recording: Recording, part: slice, levels: ClippingLevels | None = None) -> tuple[Clipping, ...]:
+def clipped_samples(recording: Recording, part: slice) -> tuple[Clipping, ...]:
     """Find the channels that are clipped in a part of a recording; a sequence with any of them is void.
 
     Parameters
     ----------
     part : slice
         Samples to look at.
-    levels : ClippingLevels, optional
-        From :func:`clipping_levels`, to be found once for all parts of a recording.
 
     Returns
     -------
     tuple of Clipping
         Empty: nothing is clipped.
     """
-    levels = clipping_levels(recording) if levels is None else levels
-    found = []
-    for s, (sensor, values) in enumerate((("gyro", recording.gyro), ("accel", recording.accel))):
-        block = values[part]
-        mine = slice(3 * s, 3 * s + 3)
-        if not (np.isfinite(levels.high[mine]).any() or np.isfinite(levels.low[mine]).any()):
-            continue
-        beyond = (block >= levels.high[mine]) | (block <= levels.low[mine])
-        for axis in np.flatnonzero(beyond.any(axis=0)):
-            at = np.flatnonzero(beyond[:, axis])
-            first = float(recording.time[part][at[0]])
-            found.append(Clipping(f"{sensor}_{AXES[axis]}", int(at.size), first))
+    levels, found = clipping_levels(recording), []
+    limited = np.isfinite(levels.low) | np.isfinite(levels.high)
+    for c in np.flatnonzero(limited).tolist():
+        readings = (recording.gyro, recording.accel)[c // 3][part, c % 3]
+        at = np.flatnonzero((readings >= levels.high[c]) | (readings <= levels.low[c]))
+        if at.size:
+            found.append(Clipping(CHANNELS[c], int(at.size), float(recording.time[part][at[0]])))
     return tuple(found)

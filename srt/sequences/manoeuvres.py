@@ -101,8 +101,6 @@ class Manoeuvre:
         First sample of the turn and one past its last.
     legs : ndarray, shape (m, 3), rad
         Summed raw gyro angle of each leg, less the bias that the two windows show.
-    bounds : ndarray of int, shape (m, 2)
-        First sample of each leg and one past its last.
     """
 
     start_window: int
@@ -110,12 +108,22 @@ class Manoeuvre:
     first: int
     last: int
     legs: Array
-    bounds: Indices
 
-    @property
-    def angle_rad(self) -> float:
-        """Sum of the legs' angles."""
-        return float(np.linalg.norm(self.legs, axis=1).sum())
+
+def angles_between(recording: Recording, first: Sequence[int], second: Sequence[int]) -> Array:
+    """Raw gyro angle of every sample between two windows, less the mean rate of both, shape (n, 3), rad.
+
+    Parameters
+    ----------
+    first, second : (int, int)
+        First sample and one past the last.
+    """
+    between, interval = slice(first[1], second[0]), recording.interval_s
+    rest = 0.5 * sum(recording.gyro[a:b].mean(axis=0) for a, b in (first, second))
+    per_sample = recording.gyro[between] - rest
+    if recording.kind == "rate":
+        per_sample = per_sample * (interval if isinstance(interval, float) else interval[between, None])
+    return np.asarray(per_sample)
 
 
 def find_manoeuvre(recording: Recording, windows: Indices, start: int) -> Manoeuvre:
@@ -130,19 +138,14 @@ def find_manoeuvre(recording: Recording, windows: Indices, start: int) -> Manoeu
     start : int
         Window before the turn; the turn ends at the next one.
     """
-    a, b = int(windows[start, 1]), int(windows[start + 1, 0])
-    rest = [recording.gyro[lo:hi].mean(axis=0) for lo, hi in windows[start : start + 2].tolist()]
-    per_sample = recording.gyro[a:b] - 0.5 * (rest[0] + rest[1])
-    interval = recording.interval_s
-    if recording.kind == "rate":
-        per_sample = per_sample * (interval if isinstance(interval, float) else interval[a:b, None])
+    before, after = windows[start : start + 2].tolist()
+    per_sample = angles_between(recording, before, after)
     smooth = moving_average(per_sample.T, max(1, round(_SMOOTH_S / recording.nominal_interval_s))).T
     speed = np.linalg.norm(smooth, axis=1)
     axis = np.argmax(np.abs(smooth), axis=1)
     positive = smooth[np.arange(len(smooth)), axis] > 0.0
     edges = leg_borders(np.where(speed > MOVING * speed.max(), 2 * axis + positive, -1), through_stops=True)
-    legs = np.add.reduceat(per_sample, edges[:-1], axis=0)
-    return Manoeuvre(start, start + 1, a, b, legs, a + np.stack([edges[:-1], edges[1:]], axis=1))
+    return Manoeuvre(start, start + 1, before[1], after[0], np.add.reduceat(per_sample, edges[:-1], axis=0))
 
 
 QUARTER: Final = 0.5 * np.pi

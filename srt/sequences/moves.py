@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from srt.recording.recording import SequenceLabel
+from srt.sequences.manoeuvres import angles_between
 from srt.sequences.stationary_windows import MIN_TURN_RAD
 from srt.sequences.window_means import LEAST_SAMPLES
 
@@ -59,7 +60,5 @@ def _is_move(recording: Recording, before: SequenceLabel, after: SequenceLabel) 
         return False
     if (recording.gaps_inside((first.start, last.stop)) >= 0).any():
         return False
-    rest = 0.5 * (recording.gyro[first].mean(axis=0) + recording.gyro[last].mean(axis=0))
-    angle = (recording.gyro[first.stop : last.start] - rest).sum(axis=0)
-    per_sample = recording.nominal_interval_s if recording.kind == "rate" else 1.0
-    return float(np.linalg.norm(angle)) * per_sample > MIN_TURN_RAD
+    angles = angles_between(recording, (first.start, first.stop), (last.start, last.stop))
+    return float(np.linalg.norm(angles.sum(axis=0))) > MIN_TURN_RAD

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
     from srt.recording.recording import Recording
-    from srt.types import Array, Indices, Sensor
+    from srt.types import Array, Mask, Sensor
 
 LEGAL_RATIO: Final[dict[Sensor, tuple[float, float]]] = {"gyro": (0.35, 1.8), "accel": (0.185, 2.1)}
 """Accepted ratio of reading to truth for an uncalibrated IMU. Accelerometers: scale-factor errors of 80 % with
@@ -33,6 +33,7 @@ _MATCH = math.log(1.8)  # largest distance of a ratio from a cause: the errors o
 _COUNTS_ABOVE = 60.0  # above it (degrees declared as radians: 57), raw counts are possible too
 _AS_GOOD = math.log(1.25)  # a second cause this close to the best one is named too
 
+_NAMES: Final[dict[Sensor, str]] = {"gyro": "gyro", "accel": "accelerometer"}
 _INCREMENTS = "the values look like increments per sample, declared as rates"
 _RATES = 'the values look like rates, declared as increments (key kind of recording.toml: "rate")'
 
@@ -79,7 +80,7 @@ def check_rest(
     """
     magnitude = np.linalg.norm(np.asarray(mean_accel, dtype=np.float64).reshape(-1, 3), axis=1)
     ratio = magnitude / gravity
-    bad = _illegal(ratio, "accel")
+    bad = np.flatnonzero(~_is_legal(ratio, "accel"))
     if bad.size == 0:
         return
     typical, names = float(np.median(ratio)), labels()
@@ -110,9 +111,7 @@ def size_cause(force: float, gravity: float, interval_s: float | None = None) ->
         Sampling interval, with which increments taken for rates (or back) are recognised.
     """
     ratio = force / gravity
-    if _is_legal(ratio, "accel"):
-        return None
-    return _likely_cause(ratio, "accel", interval_s) or _unknown_cause(ratio, "accelerometer")
+    return None if _is_legal(ratio, "accel") else _cause(ratio, "accel", interval_s)
 
 
 def check_turns(
@@ -139,7 +138,7 @@ def check_turns(
     angle = np.atleast_1d(np.asarray(angle_rad, dtype=np.float64))
     nominal = np.atleast_1d(np.asarray(nominal_rad, dtype=np.float64))
     ratio = angle / nominal
-    bad = _illegal(ratio, "gyro")
+    bad = np.flatnonzero(~_is_legal(ratio, "gyro"))
     if bad.size == 0:
         return
     k = int(bad[0])
@@ -150,40 +149,29 @@ def check_turns(
         if ratio[k] < 0.0 and _is_legal(-float(ratio[k]), "gyro"):
             cause = "it turned the other way, or an axis of the gyros is reversed; correct its id, or the sign"
         raise DataError(f"{labels[k]}: {found} ({bad.size} of {ratio.size} turns): {cause}.")
-    cause = _likely_cause(typical, "gyro", interval_s) or _unknown_cause(typical, "gyro")
+    cause = _cause(typical, "gyro", interval_s)
     raise DataError(f"{labels[k]}: {found}, and the other turns are like it: {cause}; correct gyro_unit or kind.")
 
 
-def _is_legal(ratio: float, sensor: Sensor) -> bool:
+def _is_legal(ratio: float | Array, sensor: Sensor) -> Mask:
     low, high = LEGAL_RATIO[sensor]
-    return low <= ratio <= high
+    return np.asarray((ratio >= low) & (ratio <= high))
 
 
-def _illegal(ratio: Array, sensor: Sensor) -> Indices:
-    low, high = LEGAL_RATIO[sensor]
-    return np.flatnonzero(~((ratio >= low) & (ratio <= high)))
-
-
-def _likely_cause(ratio: float, sensor: Sensor, interval_s: float | None) -> str | None:
+def _cause(ratio: float, sensor: Sensor, interval_s: float | None) -> str:
     """Likely cause of a ratio, or the two causes that explain it about equally well."""
-    if ratio <= 0.0:
-        return None
+    if ratio < 1e-6:
+        return f"the {_NAMES[sensor]} columns hold nothing, or something else"
     causes = [(each.factor, str(each)) for each in WRONG_UNITS[sensor]]
     if interval_s is not None:
         causes += [(interval_s, _INCREMENTS), (1.0 / interval_s, _RATES)]
     distance = sorted((abs(math.log(ratio / factor)), text) for factor, text in causes)
     nearest = distance[0][0]
+    if nearest > _MATCH and ratio > 5.0:
+        return "the values look like counts; state the unit as counts, with the value of one"
     if nearest > _MATCH:
-        return None
+        return f"no known unit explains it; check which columns hold the {_NAMES[sensor]} readings"
     named = [text for d, text in distance[:2] if d - nearest <= _AS_GOOD]
     if ratio > _COUNTS_ABOVE:
         named.append("raw counts declared as a unit")
     return ", or ".join(named)
-
-
-def _unknown_cause(ratio: float, sensor: str) -> str:
-    if ratio < 1e-6:
-        return f"the {sensor} columns hold nothing, or something else"
-    if ratio > 5.0:
-        return "the values look like counts; state the unit as counts, with the value of one"
-    return f"no known unit explains it; check which columns hold the {sensor} readings"

@@ -17,13 +17,14 @@ from srt.noise.bias_instability import DriftDraws, drift_draws, interval_times, 
 from srt.noise.bias_steps import step_shapes
 from srt.noise.drift_forms import WALK, DriftShape, DriftShapes, Intervals, walk_between_windows
 from srt.noise.noise_model import NoiseModel, noise_model
+from srt.recording.readings import derived
 from srt.recording.sequence_label import POSE_MIDDLE
 from srt.sequences.manoeuvres import end_attitude
 from srt.sequences.vibration import Vibration, rectified, vibration
 from srt.sequences.window_means import LEAST_SAMPLES, Windows, average_windows, averaging_weights, windows_of_labels
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Hashable, Mapping, Sequence
+    from collections.abc import Callable, Hashable, Mapping
 
     from srt.model.sensor_model import Triad
     from srt.recording.recording import Recording, SequenceLabel
@@ -110,7 +111,7 @@ class PreparedRecording:
     @property
     def _noise_with_vibration(self) -> NoiseModel:
         samples = self.windows.samples
-        return self.recording.memo(noise_key(samples), lambda: noise_model(self.recording, samples))
+        return self.recording.memo(("noise", samples.tobytes()), lambda: noise_model(self.recording, samples))
 
     @property
     def K(self) -> int:
@@ -185,12 +186,12 @@ class PreparedRecording:
             Reason by position of the move.
         """
         voided = self.voided | {move_title(self.labels[k]): reason for k, reason in reasons.items()}
-        sequences, moves = (
-            [self.labels[k] for k in np.flatnonzero(mask).tolist() if k not in reasons]
-            for mask in (~self.is_move, self.is_move)
+        count = self.K - self.moves
+        moves = tuple(label for k, label in enumerate(self.labels[count:], count) if k not in reasons)
+        poses, reasons_of_all = tuple(label for label, _ in self.poses), tuple(voided.items())
+        return prepare(
+            self.recording, self.labels[:count], self.average, voided=reasons_of_all, poses=poses, moves=moves
         )
-        poses = [label for label, _ in self.poses]
-        return prepare(self.recording, sequences, self.average, voided=voided, poses=poses, moves=moves)
 
     @cached_property
     def rotation(self) -> Indices:
@@ -403,24 +404,20 @@ def means_key(samples: Indices, average: Average) -> Hashable:
     return "window means", samples.tobytes(), average
 
 
-def noise_key(samples: Indices) -> Hashable:
-    """Name of the noise model of windows among them."""
-    return "noise", samples.tobytes()
-
-
 def move_title(label: SequenceLabel) -> str:
     """Name of a move in messages."""
     return f"The move at {label.start_static_s[1]:g} s"
 
 
+@derived
 def prepare(
     recording: Recording,
-    labels: Sequence[SequenceLabel],
+    labels: tuple[SequenceLabel, ...],
     average: Average = "linear",
     *,
-    voided: dict[str, str] | None = None,
-    poses: Sequence[SequenceLabel] = (),
-    moves: Sequence[SequenceLabel] = (),
+    voided: tuple[tuple[str, str], ...] = (),
+    poses: tuple[SequenceLabel, ...] = (),
+    moves: tuple[SequenceLabel, ...] = (),
 ) -> PreparedRecording:
     """Average the windows and set up the sequences; ``poses`` contribute only their start windows.
 
@@ -431,23 +428,10 @@ def prepare(
     DataError
         If no sequence is left, or a rotation would have no samples.
     """
-    reasons = tuple((voided or {}).items())
     starts, ends = {s.start_static_s for s in labels}, {s.end_static_s for s in labels}
-    kept = tuple(s for s in moves if s.start_static_s in ends and s.end_static_s in starts)
-    key = ("prepared", tuple(labels), average, reasons, tuple(poses), kept)
-    return recording.memo(key, lambda: _prepare(recording, tuple(labels), average, dict(reasons), tuple(poses), kept))
-
-
-def _prepare(
-    recording: Recording,
-    labels: tuple[SequenceLabel, ...],
-    average: Average,
-    voided: dict[str, str],
-    poses: tuple[SequenceLabel, ...],
-    moves: tuple[SequenceLabel, ...],
-) -> PreparedRecording:
+    moves = tuple(s for s in moves if s.start_static_s in ends and s.end_static_s in starts)
     if not labels:
-        reasons = [f"{k}: {v}" for k, v in voided.items()]
+        reasons = [f"{k}: {v}" for k, v in voided]
         shown = "; ".join(reasons[:2]) + (f"; and {len(reasons) - 2} more" if len(reasons) > 2 else "")
         raise DataError(f"No usable sequence is left in the recording ({shown or 'none is labelled'}).")
     labels = (*labels, *moves)
@@ -481,7 +465,7 @@ def _prepare(
         start=start,
         end=end,
         average=average,
-        voided=voided,
+        voided=dict(voided),
         poses=tuple(alone),
         moves=len(moves),
     )

@@ -18,7 +18,7 @@ import numpy as np
 from srt.constants import DEG
 from srt.exceptions import DataError
 from srt.recording.sequence_label import SequenceLabel
-from srt.sequences.manoeuvres import centred
+from srt.sequences.manoeuvres import angles_between, centred
 from srt.sequences.stationary_windows import rests_between_turns, window_times
 
 if TYPE_CHECKING:
@@ -59,22 +59,14 @@ class _Found:
     def down(self) -> Array:
         """Direction of gravity in each rest, shape (W, 3)."""
         means = np.array([self.recording.accel[a:b].mean(axis=0) for a, b in self.windows])
-        if self.recording.kind == "increment":
-            means = means / self.recording.nominal_interval_s
-        f = centred(means, self.recording.site.gravity_m_s2)
+        f = centred(means * self.recording.rates_factor, self.recording.site.gravity_m_s2)
         return np.asarray(-f / np.linalg.norm(f, axis=1, keepdims=True))
 
     @cached_property
     def turns(self) -> list[tuple[Array, float]]:
         """Summed gyro angle (3,) and path, rad, between each rest and the next."""
-        out = []
-        factor = self.recording.nominal_interval_s if self.recording.kind == "rate" else 1.0
-        for first, second in pairwise(self.windows):
-            a, b = first[1], second[0]
-            rest = 0.5 * sum(self.recording.gyro[lo:hi].mean(axis=0) for lo, hi in (first, second))
-            per_sample = (self.recording.gyro[a:b] - rest) * factor
-            out.append((per_sample.sum(axis=0), float(np.linalg.norm(per_sample, axis=1).sum())))
-        return out
+        each = [angles_between(self.recording, *pair) for pair in pairwise(self.windows)]
+        return [(angles.sum(axis=0), float(np.linalg.norm(angles, axis=1).sum())) for angles in each]
 
     def times(self, window: int) -> tuple[float, float]:
         """Limits of a rest, s."""

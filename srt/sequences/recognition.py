@@ -15,20 +15,28 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.arguments import require_type
 from srt.exceptions import DataError, InputError
 from srt.model.table1 import AXES, SEQUENCES
-from srt.recording.recording import Recording, SequenceLabel
+from srt.recording.readings import derived
+from srt.recording.recording import SequenceLabel
 from srt.result.diagnostics import RecognisedSequence, RecognisedSequences
 from srt.sequences.manoeuvres import QUARTER, Manoeuvre, faces, find_manoeuvre, leg_axis
 from srt.sequences.protocol_matching import with_protocol
 from srt.sequences.rest_detection import resolution_floor
 from srt.sequences.sequence_matching import ENOUGH_TURNS, QUARTER_TURN_WORDS, SequenceReading, promising_mappings
-from srt.sequences.stationary_windows import best_join, find_turns, find_windows, trimmed, window_times
+from srt.sequences.stationary_windows import (
+    best_join,
+    find_turns,
+    find_windows,
+    no_turn_between,
+    trimmed,
+    window_times,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence as SequenceOf
 
+    from srt.recording.recording import Recording
     from srt.result.calibration import Calibration
     from srt.types import Array, Indices
 
@@ -56,17 +64,11 @@ _BY_CHANCE: Final = 1.0 / (np.pi / 2.0) / 36.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RecognisedManoeuvre:
+class RecognisedManoeuvre(Manoeuvre):
     """Manoeuvre and the sequence that it was recognised as.
 
     Attributes
     ----------
-    start_window, end_window : int
-        Indices into ``Recognition.windows``.
-    first, last : int
-        First sample of the turn and one past its last.
-    legs : ndarray, shape (m, 3), rad
-        Raw summed gyro angle of each leg.
     sequence : str or None
         Id in Table 1.
     confidence : float
@@ -75,14 +77,9 @@ class RecognisedManoeuvre:
         Why no sequence was recognised; empty for a recognised one.
     """
 
-    start_window: int
-    end_window: int
-    first: int
-    last: int
-    legs: Array
-    sequence: str | None = None
-    confidence: float = 0.0
-    reason: str = ""
+    sequence: str | None
+    confidence: float
+    reason: str
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -192,6 +189,7 @@ def mapping_text(mapping: Array) -> str:
     return ",".join(("-" if row.sum() < 0.0 else "") + AXES[int(np.argmax(np.abs(row)))] for row in mapping)
 
 
+@derived
 def recognise(recording: Recording, *, renaming: bool = True) -> Recognition:
     """Find rests, turns and the sequences of Table 1.
 
@@ -212,35 +210,25 @@ def recognise(recording: Recording, *, renaming: bool = True) -> Recognition:
     DataError
         If fewer than two stationary windows are found.
     """
-    require_type("recognise", "a recording (srt.read makes one of arrays)", recording, Recording)
-    return recording.memo(("recognition", renaming), lambda: _recognise(recording, renaming=renaming))
-
-
-def _recognise(recording: Recording, *, renaming: bool) -> Recognition:
     windows = find_windows(recording)
-    gaps = recording.gaps
-    apart = [
-        second[0] == first[1] or bool(np.any((gaps > first[0]) & (gaps < second[1])))
-        for first, second in pairwise(windows)
-    ]
+    apart = [no_turn_between(recording, *pair) for pair in pairwise(windows.tolist())]
     turns = [find_manoeuvre(recording, windows, w) for w, cut in enumerate(apart) if not cut]
-    rates = 1.0 if recording.kind == "rate" else 1.0 / recording.nominal_interval_s
-    force = np.array([recording.accel[a:b].mean(axis=0) for a, b in windows.tolist()]) * rates
-    identity = (np.eye(3), np.eye(3))
-    length = windows[:, 1] - windows[:, 0]
+    force = np.array([recording.accel[a:b].mean(axis=0) for a, b in windows.tolist()]) * recording.rates_factor
+    length, gravity = windows[:, 1] - windows[:, 0], recording.site.gravity_m_s2
     join_cost = np.where(length > _TWO_DWELLS * np.median(length), _JOIN_OF_TWO, _JOIN)
-    best = SequenceReading.of(turns, apart, force, join_cost, recording.site.gravity_m_s2, identity)
+    best = SequenceReading.of(turns, apart, force, join_cost, gravity, (np.eye(3), np.eye(3)))
     if renaming and len(turns) >= ENOUGH_TURNS and len({m.name for m in best.matches}) < _NEARLY_ALL:
-        for mapping in promising_mappings(turns, faces(force, recording.site.gravity_m_s2)):
-            other = SequenceReading.of(turns, apart, force, join_cost, recording.site.gravity_m_s2, mapping)
+        for mapping in promising_mappings(turns, faces(force, gravity)):
+            other = SequenceReading.of(turns, apart, force, join_cost, gravity, mapping)
             if other.legs >= _CLEARLY * max(best.legs, 1):
                 best = other
     return _result(recording, windows, turns, best)
 
 
+@derived
 def labelled(recording: Recording, labels: tuple[SequenceLabel, ...]) -> Recording:
     """Recording with the labels that were found in it; the same object at every call."""
-    return recording.memo(("labelled", labels), lambda: recording.with_sequences(labels))
+    return recording.with_sequences(labels)
 
 
 def label_sequences(recording: Recording) -> tuple[Recording, Recognition | None]:

@@ -110,7 +110,7 @@ def blocks_of(recording: Recording) -> Blocks:
     """
     dt = recording.nominal_interval_s
     size = max(MIN_BLOCK_SAMPLES, round(BLOCK_S / dt))
-    factor = 1.0 if recording.kind == "rate" else 1.0 / dt
+    factor = recording.rates_factor
     pieces = [0, *recording.gaps.tolist(), len(recording.time)]
     first, mean, variance, piece = [], [], [], []
     for p, (a, b) in enumerate(pairwise(pieces)):

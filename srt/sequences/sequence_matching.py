@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from itertools import permutations, product
+from dataclasses import dataclass, replace
+from itertools import pairwise, permutations, product
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -125,26 +125,22 @@ class SequenceReading:
     ) -> SequenceReading:
         """Match the manoeuvres of all pieces, the axes named by ``mapping``."""
         gyro, accel = mapping
-        mapped = [Manoeuvre(t.start_window, t.end_window, t.first, t.last, t.legs @ gyro.T, t.bounds) for t in turns]
+        mapped = [replace(turn, legs=turn.legs @ gyro.T) for turn in turns]
         face = faces(force @ accel.T, gravity)
         scale = scales(mapped, face)
-        words: list[Word | None] = []
-        for turn in mapped:
-            found = quarters(turn.legs, scale)
-            words.append(None if found is None or not _agrees(found, turn, face) else tuple(found))
+        found = [quarters(turn.legs, scale) for turn in mapped]
+        words = [
+            tuple(word) if word is not None and _agrees(word, turn, face) else None
+            for word, turn in zip(found, mapped, strict=True)
+        ]
+        inner = range(1, len(mapped))
+        cuts = [t for t in inner if apart[mapped[t].start_window - 1] or None in (words[t - 1], words[t])]
         matches: list[SequenceMatch] = []
         joins: set[int] = set()
-        begin = 0
-        for t in range(len(mapped) + 1):
-            cut = t == len(mapped) or (
-                t > begin and (apart[mapped[t].start_window - 1] or words[t] is None or words[t - 1] is None)
-            )
-            if cut:
-                if begin < t:
-                    found_here, joined = _read_piece(mapped, words, face, join_cost, begin, t)
-                    matches += found_here
-                    joins |= joined
-                begin = t
+        for begin, end in pairwise([0, *cuts, len(mapped)]):
+            found_here, joined = _read_piece(mapped, words, face, join_cost, begin, end)
+            matches += found_here
+            joins |= joined
         legs = sum(len(QUARTER_TURN_WORDS[m.name][1]) for m in matches)
         return cls(tuple(matches), frozenset(joins), legs, scale, tuple(words), tuple(face), mapping)
 
@@ -183,9 +179,8 @@ def _read_piece(
     """Best assignment for manoeuvres ``begin`` to ``end`` of one contiguous piece; windows with a hidden join."""
     carried = [np.eye(3, dtype=np.int64)]
     for t in range(begin, end):
-        word = words[t]
         C = carried[-1]
-        for axis, count in word or ():
+        for axis, count in words[t] or ():
             C = C @ quarter_turn(axis, count)
         carried.append(C)
     options: list[SequenceMatch] = []
@@ -214,19 +209,16 @@ def _best_path(
     score = np.full((end - begin + 1, len(states)), -np.inf)
     score[0] = 0.0
     came: dict[tuple[int, int], tuple[int, int, SequenceMatch | None]] = {}
-    for i in range(begin, end + 1):
-        row = score[i - begin]
-        if i == end:
-            break
+    for i in range(begin, end):
+        row, after = score[i - begin : i - begin + 2]
         top = int(np.argmax(row))
         joined = row[top] - join_cost[i - begin]
         for s in range(len(states)):
             if row[s] < joined:
                 row[s] = joined
                 came[i, s] = (i, top, None)
-        for s in range(len(states)):
-            if row[s] > score[i + 1 - begin, s]:
-                score[i + 1 - begin, s] = row[s]
+            if row[s] > after[s]:
+                after[s] = row[s]
                 came[i + 1, s] = (i, s, None)
         for m in starting.get(i, ()):
             s = number[m.attitude]

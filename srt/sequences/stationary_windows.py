@@ -7,14 +7,16 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.arguments import require_type
 from srt.exceptions import DataError
-from srt.recording.recording import Recording, SequenceLabel
+from srt.recording.readings import derived, six_channels
+from srt.recording.recording import SequenceLabel
+from srt.sequences.manoeuvres import angles_between
 from srt.sequences.rest_detection import BLOCK_S, blocks_of, find_rest, still_runs
 
 if TYPE_CHECKING:
     from collections.abc import Sequence as SequenceOf
 
+    from srt.recording.recording import Recording
     from srt.sequences.rest_detection import Blocks, Rest
     from srt.types import Array, Indices
 
@@ -160,30 +162,25 @@ def _extend(
     spread: Array | float = 1.0,
 ) -> tuple[int, int]:
     """Extend the first core backward and the second forward to the last still samples, not beyond ``outer``."""
-    factor = 1.0 if recording.kind == "rate" else 1.0 / recording.nominal_interval_s
     (a, b), (c, d) = cores
     sides = ((slice(a, b), range(a - 1, outer[0] - 1, -1)), (slice(c, d), range(d, outer[1])))
-    before, after = (_still_outward(recording, *side, factor, np.sqrt(variance), spread) for side in sides)
+    before, after = (_still_outward(recording, *side, np.sqrt(variance), spread) for side in sides)
     return a - before, d + after
 
 
-def _still_outward(
-    recording: Recording, core: slice, outward: range, factor: float, least: Array, spread: Array | float
-) -> int:
+def _still_outward(recording: Recording, core: slice, outward: range, least: Array, spread: Array | float) -> int:
     """Number of samples next to a core that are consistent with it; negative if motion begins in the core."""
     if len(outward) == 0:
         return 0
-    beside = np.concatenate([recording.gyro[core], recording.accel[core]], axis=1) * factor
-    index = np.array(outward)
-    away = np.concatenate([recording.gyro[index], recording.accel[index]], axis=1) * factor
+    beside, away = six_channels(recording, core), six_channels(recording, np.array(outward))
     sigma = np.maximum(beside.std(axis=0), least)
     wander = _wander(recording) / sigma**2
     deviation = (away - beside.mean(axis=0)) / sigma
     total = np.cumsum(np.concatenate([np.zeros((1, 6)), deviation]), axis=0)
     within = np.cumsum(np.concatenate([np.zeros((1, 6)), (beside - beside.mean(axis=0)) / sigma]), axis=0)
-    best, kept = len(index), len(index)
+    best, kept = len(outward), len(outward)
     n, tremor = 1, np.ones(6)
-    while n <= min(len(index), max(1, round(_LONGEST_SUM_S / recording.nominal_interval_s))):
+    while n <= min(len(outward), max(1, round(_LONGEST_SUM_S / recording.nominal_interval_s))):
         if 4 * n <= len(beside):  # tremor of a hand: sums vary more than those of independent readings
             change = within[n:] - within[:-n]
             tremor = np.maximum(tremor, np.einsum("nc,nc->c", change, change) / (len(change) * n))
@@ -202,7 +199,7 @@ def _still_outward(
             total = total[: best + 1]
         n *= 2
     # The sample next to the motion may contain its first or last moment, below the detection limit.
-    while 0 < kept < len(index) and np.any(np.abs(deviation[kept - 1, :3]) > _DOUBTFUL):
+    while 0 < kept < len(outward) and np.any(np.abs(deviation[kept - 1, :3]) > _DOUBTFUL):
         kept -= 1
     return kept
 
@@ -222,8 +219,8 @@ def split_at_jumps(recording: Recording, windows: SequenceOf[tuple[int, int]], f
     list of (int, int)
     """
     # The few means of one window may scatter little by chance; the noise of the unit is that of all its windows.
-    changes = [_chunk_changes(recording, *window) for window in windows]
-    usual_variance = [0.5 * np.mean(squares, axis=0) for squares in changes if len(squares)]
+    changes = [np.diff(_chunks(recording, *window), axis=0) for window in windows]
+    usual_variance = [0.5 * np.mean(change**2, axis=0) for change in changes if len(change)]
     least = np.maximum(
         2.0 * floor / _chunk_size(recording) ** 2, np.median(usual_variance, axis=0) if usual_variance else 0.0
     )
@@ -257,23 +254,22 @@ def _chunk_size(recording: Recording) -> int:
     return max(1, round(_CHUNK_S / recording.nominal_interval_s))
 
 
-def _chunk_changes(recording: Recording, a: int, b: int) -> Array:
-    """Squared differences of the successive means of a window, shape (n, 6); empty for a window of too few."""
+def _chunks(recording: Recording, a: int, b: int) -> Array:
+    """Mean readings of consecutive chunks of a window, shape (n, 6), as rates; none for a window of too few."""
     size = _chunk_size(recording)
     count = (b - a) // size
     if count < 2 * _FEWEST_CHUNKS:
         return np.zeros((0, 6))
-    return np.asarray(np.diff(_chunks(recording, a, size, count), axis=0) ** 2)
+    return np.asarray(six_channels(recording, slice(a, a + size * count)).reshape(count, size, 6).mean(axis=1))
 
 
 def _largest_step(recording: Recording, a: int, b: int, least: Array) -> _LargestStep:
     """Largest step in a window whose means have at least the given variance."""
-    squares = _chunk_changes(recording, a, b)
-    if not len(squares):
+    mean = _chunks(recording, a, b)
+    if not len(mean):
         return _LargestStep()
-    size, count = _chunk_size(recording), len(squares) + 1
-    span = min(_MOST_CHUNKS, count // 4)
-    mean = _chunks(recording, a, size, count)
+    size, count = _chunk_size(recording), len(mean)
+    span, squares = min(_MOST_CHUNKS, count // 4), np.diff(mean, axis=0) ** 2
     # The largest difference of a channel is excluded, as it may be the jump.
     variance = np.maximum((squares.sum(axis=0) - squares.max(axis=0)) / (2.0 * (count - 2)), least)
     total = np.concatenate([np.zeros((1, 6)), np.cumsum(mean, axis=0)])
@@ -305,7 +301,7 @@ def best_join(recording: Recording, a: int, b: int) -> tuple[int, float]:
     a, b : int
         First sample to look at, and one past the last; at least three samples.
     """
-    samples = np.concatenate([recording.gyro[a:b], recording.accel[a:b]], axis=1)
+    samples = six_channels(recording, slice(a, b))
     least = 1e-9 * np.abs(samples).max(axis=0) + 1e-150
     samples = samples - samples.mean(axis=0)
     spread = np.maximum(np.diff(samples, axis=0).std(axis=0) / np.sqrt(2.0), least)
@@ -316,14 +312,6 @@ def best_join(recording: Recording, a: int, b: int) -> tuple[int, float]:
     return a + 1 + best, float(gain[best])
 
 
-def _chunks(recording: Recording, a: int, size: int, count: int) -> Array:
-    """Mean readings of consecutive chunks, shape (count, 6), as rates."""
-    factor = 1.0 if recording.kind == "rate" else 1.0 / recording.nominal_interval_s
-    end = a + size * count
-    both = [t[a:end].reshape(count, size, 3).mean(axis=1) for t in (recording.gyro, recording.accel)]
-    return np.concatenate(both, axis=1) * factor
-
-
 MIN_WINDOW_S: Final = 1.0
 """Shortest stationary window, s."""
 
@@ -331,6 +319,7 @@ MIN_TURN_RAD: Final = 0.1
 """Smallest angle between two windows that counts as a turn, rad; less is a disturbance."""
 
 
+@derived
 def find_windows(recording: Recording) -> Indices:
     """Stationary windows, first sample and one past the last, shape (W, 2), in time order.
 
@@ -342,10 +331,6 @@ def find_windows(recording: Recording) -> Indices:
     DataError
         If fewer than two are found.
     """
-    return recording.memo("stationary windows", lambda: _find_windows(recording))
-
-
-def _find_windows(recording: Recording) -> Indices:
     blocks = blocks_of(recording)
     rest = find_rest(blocks)
     runs = still_runs(rest.still, blocks)
@@ -368,6 +353,7 @@ def _find_windows(recording: Recording) -> Indices:
     return out
 
 
+@derived
 def find_turns(recording: Recording) -> tuple[SequenceLabel, ...]:
     """Free turns between successive stationary windows: each pose ends one turn and starts the next.
 
@@ -378,7 +364,6 @@ def find_turns(recording: Recording) -> tuple[SequenceLabel, ...]:
     DataError
         If the recording holds no turn between two windows.
     """
-    require_type("find_turns", "a recording (srt.read makes one of arrays)", recording, Recording)
     kept, breaks = rests_between_turns(recording)
     labels = tuple(
         SequenceLabel(window_times(recording, first), window_times(recording, second))
@@ -403,25 +388,23 @@ def rests_between_turns(recording: Recording) -> tuple[list[tuple[int, int]], li
     breaks : list of bool
         For each pair of neighbours, True if no recorded turn leads from one to the other: a gap, or a jump.
     """
-    windows = find_windows(recording)
-    dt = recording.nominal_interval_s
-    gaps = recording.gaps
-    rates = 1.0 if recording.kind == "rate" else 1.0 / dt
-    kept: list[tuple[int, int]] = [(int(windows[0, 0]), int(windows[0, 1]))]
-    breaks: list[bool] = []
-    for a, b in windows[1:].tolist():
-        last_a, last_b = kept[-1]
-        apart = a == last_b or bool(np.any((gaps > last_a) & (gaps < b)))
-        rest = recording.gyro[last_a:last_b].mean(axis=0)
-        angle = np.linalg.norm((recording.gyro[last_b:a] - rest).sum(axis=0)) * rates * dt
-        path = np.linalg.norm((recording.gyro[last_b:a] - rest), axis=1).sum() * rates * dt
-        if not apart and max(float(angle), 0.2 * float(path)) < MIN_TURN_RAD:
-            if b - a > last_b - last_a:
-                kept[-1] = (a, b)
-            continue
-        kept.append((a, b))
-        breaks.append(apart)
+    first, *others = [(a, b) for a, b in find_windows(recording).tolist()]
+    kept, breaks = [first], list[bool]()
+    for window in others:
+        apart = no_turn_between(recording, kept[-1], window)
+        angles = angles_between(recording, kept[-1], window)
+        turned = max(np.linalg.norm(angles.sum(axis=0)), 0.2 * np.linalg.norm(angles, axis=1).sum())
+        if apart or turned >= MIN_TURN_RAD:
+            kept.append(window)
+            breaks.append(apart)
+        else:
+            kept[-1] = max(kept[-1], window, key=lambda own: own[1] - own[0])
     return kept, breaks
+
+
+def no_turn_between(recording: Recording, first: SequenceOf[int], second: SequenceOf[int]) -> bool:
+    """True if no recorded turn leads from one window to the next: at a gap, or at a join of recordings."""
+    return second[0] == first[1] or bool(recording.gaps_inside((first[0], second[1]))[0] >= 0)
 
 
 def window_times(recording: Recording, window: tuple[int, int]) -> tuple[float, float]:

@@ -22,7 +22,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from scipy.special import betaincinv
 
-from srt.noise.noise_model import smallest_step
+from srt.noise.quantization import smallest_step, thinned
+from srt.recording.readings import six_channels
 from srt.sequences.window_means import averaging_weights
 
 if TYPE_CHECKING:
@@ -53,8 +54,6 @@ _DITHERED: Final = 2.0
 a quieter unit at rest are periodic, with an amplitude of less than one step."""
 _PIECE: Final = 1 << 13
 """Samples of windows whose spectra are computed together: they fit into a processor's cache."""
-_STEP_SAMPLES: Final = 4000
-"""Samples from which the quantization step is taken where it is not stated."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,10 +97,9 @@ class Vibration:
 
     def removed(self, recording: Recording, samples: Indices) -> Recording:
         """Recording whose windows lack the line, shape (W, 2) of ``samples``: what is left of them is noise."""
-        unit = 1.0 if recording.kind == "rate" else self.interval_s
         gyro, accel = recording.gyro.copy(), recording.accel.copy()
         for (a, b), of_gyro, of_accel in zip(samples.tolist(), self.gyro, self.accel, strict=True):
-            turns = unit * np.exp(2j * self._half_step * np.arange(b - a))[:, None]
+            turns = np.exp(2j * self._half_step * np.arange(b - a))[:, None] / recording.rates_factor
             gyro[a:b] -= (turns * of_gyro).real
             accel[a:b] -= (turns * of_accel).real
         return replace(recording, gyro=gyro, accel=accel)
@@ -143,11 +141,11 @@ def vibration(recording: Recording, samples: Indices, noise: Callable[[], NoiseM
     n, dt = int((chosen[:, 1] - chosen[:, 0]).min()) // 2, recording.nominal_interval_s
     found = []
     for sensor in ("gyro", "accel"):
-        table = getattr(recording, sensor) if recording.kind == "rate" else getattr(recording, sensor) / dt
+        table = getattr(recording, sensor)
         # Some windows after the others: spectra of all at once would take more memory than the recording.
         ends, together = chosen[:, 1].tolist(), max(1, _PIECE // n)
         groups = (ends[i : i + together] for i in range(0, len(ends), together))
-        each = [_spectra(np.stack([table[b - n : b] for b in group])) for group in groups]
+        each = [_spectra(np.stack([table[b - n : b] for b in group]) * recording.rates_factor) for group in groups]
         power, ratio = (np.concatenate(spectra) for spectra in zip(*each, strict=True))
         tests = 2 * (ratio.shape[1] - _LOWEST)
         more_than_half = len(chosen) // 2 + 1
@@ -174,12 +172,8 @@ def _step(recording: Recording, sensor: str, windows: Indices) -> Array:
     stated = getattr(recording.noise, f"{sensor}_quantization")
     if stated is not None:
         return np.full(3, stated)
-    # Every so many samples of the windows, as if these were joined: a copy of all is as large as the recording.
-    table, before = getattr(recording, sensor), np.cumsum(windows[:, 1] - windows[:, 0])
-    stride = max(1, int(before[-1]) // _STEP_SAMPLES)
-    firsts = windows[:, 0] + -np.concatenate([[0], before[:-1]]) % stride
-    step = smallest_step(np.concatenate([table[a:b:stride] for a, b in zip(firsts, windows[:, 1], strict=True)]))
-    return step * recording.nominal_interval_s if recording.kind == "rate" else step
+    step = smallest_step(thinned(getattr(recording, sensor), windows))
+    return step * recording.nominal_interval_s * recording.rates_factor
 
 
 def _limit(windows: int, tests: int) -> float:
@@ -223,7 +217,7 @@ def _refined(recording: Recording, windows: Indices, n: int, k: int) -> float:
     turns = np.exp(-2j * np.pi * np.multiply.outer(f, np.arange(n)))
     total = np.zeros(_REFINED)
     for a, _ in windows.tolist():
-        x = np.concatenate([recording.gyro[a : a + n], recording.accel[a : a + n]], axis=1)
+        x = six_channels(recording, slice(a, a + n))
         x = x - x.mean(axis=0)
         own = np.maximum(np.sum(x**2, axis=0), np.finfo(float).tiny)
         total += np.sum(np.abs(turns @ x) ** 2 / own, axis=1)
@@ -238,13 +232,11 @@ def _refined(recording: Recording, windows: Indices, n: int, k: int) -> float:
 def _fitted(recording: Recording, samples: Indices, frequency_hz: float) -> tuple[Any, Any]:
     """Complex amplitude of the raw channels in every window by least squares, with a constant and a trend."""
     dt = recording.nominal_interval_s
-    factor = 1.0 if recording.kind == "rate" else 1.0 / dt
     out = np.empty((len(samples), 6), dtype=np.complex128)
     for w, (a, b) in enumerate(samples.tolist()):
         k = np.arange(b - a)
         phase = 2.0 * np.pi * frequency_hz * dt * k
         A = np.column_stack([np.cos(phase), np.sin(phase), np.ones(b - a), k / (b - a)])
-        x = np.concatenate([recording.gyro[a:b], recording.accel[a:b]], axis=1) * factor
-        c = np.linalg.lstsq(A, x)[0]
+        c = np.linalg.lstsq(A, six_channels(recording, slice(a, b)))[0]
         out[w] = c[0] - 1j * c[1]
     return out[:, :3], out[:, 3:]

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 import numpy as np
 
 from srt.exceptions import DataError
-from srt.recording.recording import of_each, side_by_side
+from srt.recording.readings import of_each, side_by_side
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -26,7 +26,7 @@ from srt.noise.drift_forms import (
     variance_component,
     walk_between_windows,
 )
-from srt.noise.variance_components import restricted_likelihood
+from srt.noise.variance_components import RestrictedLikelihood
 from srt.sensor_errors import GROUP_SLICES, NAMES
 
 MG = 1e-3 * STANDARD_GRAVITY_M_S2
@@ -128,7 +128,7 @@ def test_sigma_of_a_random_walk_is_its_restricted_likelihood():
     for _ in range(50):
         z = rng.standard_normal(60) + Z @ rng.normal(0.0, 3.0, 12)
         variances.append(variance_component(*residual_statistics(z, H, Z)).sigma ** 2)
-        (expected,) = restricted_likelihood(z, H, np.eye(60), (Z @ Z.T,))
+        (expected,) = RestrictedLikelihood(z, H, np.eye(60), (Z @ Z.T,)).variances()
         assert variances[-1] == pytest.approx(expected, rel=2e-2)
     # A variance from 12 coefficients has a relative standard error of √(2 / 12) at least.
     assert np.mean(variances) == pytest.approx(9.0, rel=3.5 * 1.1 * np.sqrt(2.0 / 12.0 / 50.0))

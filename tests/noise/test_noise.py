@@ -8,7 +8,7 @@ from scipy.special import chdtri
 import srt
 from srt.noise.noise_model import ACCEL_FLOOR, GYRO_FLOOR, flicker_spread, noise_model
 from srt.noise.random_walk import _PIECE, _fit_one, allan_octaves
-from srt.noise.variance_components import RestrictedLikelihood, restricted_likelihood
+from srt.noise.variance_components import RestrictedLikelihood
 
 N, RATE = 2000, 200.0
 WINDOWS = np.array([[k * N, (k + 1) * N] for k in range(34)])
@@ -108,9 +108,8 @@ def test_restricted_likelihood_recovers_components():
     L = np.linalg.cholesky(R0 + 9.0 * turn + 4.0 * pose)
     W = np.linalg.inv(R0)
     residual = np.eye(n) - H @ np.linalg.solve(H.T @ W @ H, H.T @ W)
-    found = np.array(
-        [restricted_likelihood(residual @ L @ rng.standard_normal(n), H, R0, (turn, pose)) for _ in range(200)]
-    )
+    draws = (residual @ L @ rng.standard_normal(n) for _ in range(200))
+    found = np.array([RestrictedLikelihood(z, H, R0, (turn, pose)).variances() for z in draws])
     error = 3.5 * found.std(axis=0) / np.sqrt(200)
     np.testing.assert_allclose(found.mean(axis=0), [9.0, 4.0], atol=0.0, rtol=0.1 + (error / [9.0, 4.0]).max())
 
@@ -118,7 +117,7 @@ def test_restricted_likelihood_recovers_components():
 def test_restricted_likelihood_finds_nothing_in_nothing():
     rng = np.random.default_rng(10)
     H, R0 = rng.standard_normal((60, 10)), np.eye(60)
-    assert np.all(restricted_likelihood(np.zeros(60), H, R0, (np.eye(60),)) == 0.0)
+    assert np.all(RestrictedLikelihood(np.zeros(60), H, R0, (np.eye(60),)).variances() == 0.0)
 
 
 @pytest.mark.parametrize("size", [1e-12, 1.0, 1e12])
@@ -158,15 +157,15 @@ def test_octaves_of_pieces_are_those_of_the_definition():
     n = int(ends[-1])
     gyro, accel = rng.standard_normal((2, n, 3))
     log = srt.Recording(np.arange(1, n + 1) / RATE, gyro, accel, accuracy_trials.SITE)
-    tau, count, variance = allan_octaves([log], [windows])[0]
+    found = allan_octaves([log], [windows])[0]
     both = np.concatenate([gyro, accel], axis=1)
-    assert len(tau) == int(np.log2(lengths.max()))
-    for k, m in enumerate(2 ** np.arange(len(tau))):
+    assert len(found.tau) == int(np.log2(lengths.max()))
+    for k, m in enumerate(2 ** np.arange(len(found.tau))):
         whole = [both[a:b][: (b - a) // (2 * m) * 2 * m].reshape(-1, 2, m, 6) for a, b in windows]
         steps = np.concatenate([np.diff(w.mean(axis=2), axis=1)[:, 0] for w in whole])
-        assert (tau[k], count[k]) == (pytest.approx(m / RATE), len(steps))
+        assert (found.tau[k], found.differences[k]) == (pytest.approx(m / RATE), len(steps))
         # Rounding: pairwise averages of k octaves.
-        np.testing.assert_allclose(variance[:, k], 0.5 * (steps**2).mean(axis=0), rtol=1e-13)
+        np.testing.assert_allclose(found.variance[:, k], 0.5 * (steps**2).mean(axis=0), rtol=1e-13)
 
 
 def test_equal_long_averages_leave_finite_figures():

@@ -117,14 +117,12 @@ def test_clean_channels_are_refused_no_more_often_than_stated(maker):
     """300 channels each; binomial, at most once in 250 tests by chance for each of the four makers."""
     n, units = 5000, 300
     rng = np.random.default_rng((SEED, 2))
-    edges = fit._bins(n)
-    design = fit._design(0.5 * np.pi * np.arange(1, n) / n, n, DT)
-    binned = np.stack([fit._mean(column, edges) for column in design.T], axis=1)
-    u = fit._ramp(n, DT)
+    edges, u = fit._edges(n), fit._ramp(n, DT)
+    bins = fit._bins(edges, u, DT)
     refused = 0
     for _ in range(units):
         x = WHITE * maker(rng, n)
-        best = fit._likeliest(fit._spectrum(x - x.mean(), edges, binned, u))
+        best = fit._likeliest(fit._spectrum(x - x.mean(), edges, u, bins))
         without_ramp = x - best.ramp * DT * np.arange(n)
         refused += contradiction(without_ramp, DT, partial(fit._variance, squares=best.squares, dt=DT)) is not None
     assert refused <= binom.ppf(1.0 - 0.0025, units, FALSE_ALARM)

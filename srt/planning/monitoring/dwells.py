@@ -69,7 +69,7 @@ class RestMotion:
 def rests(recording: Recording) -> Indices:
     """Rests between rotations, first sample and one past the last, shape (n, 2), without settling."""
     dt = recording.nominal_interval_s
-    rate = recording.gyro if recording.kind == "rate" else recording.gyro / dt
+    rate = recording.gyro if recording.kind == "rate" else recording.gyro * recording.rates_factor
     # The constant bias of a poor unit is no rotation: its median counts as rest.
     smooth = moving_average((rate - np.median(rate, axis=0)).T, max(1, round(_SMOOTH_S / dt))).T
     speed = np.sqrt(np.einsum("na,na->n", smooth, smooth))
@@ -86,7 +86,7 @@ def rest_motions(recording: Recording) -> tuple[RestMotion, ...]:
     """Motions within rests, at most one each."""
     dt = recording.nominal_interval_s
     size = max(1, round(BLOCK_S / dt))
-    scale = 1.0 if recording.kind == "rate" else 1.0 / dt
+    scale = recording.rates_factor
     spans = rests(recording)
     blocks = [(_means(recording.gyro[a:b], size) * scale, _means(recording.accel[a:b], size) * scale) for a, b in spans]
     if not blocks:

@@ -82,7 +82,7 @@ def inspection_figure(
     ratios = (1.0,) if allan is None else (2.1, 1.0)
     grid = figure.subplots(2, len(ratios), squeeze=False, sharex="col", width_ratios=ratios)
     scale, unit = time_scale(inspection.stamps.duration_s)
-    per_rate = 1.0 if recording.kind == "rate" else 1.0 / recording.nominal_interval_s
+    per_rate = recording.rates_factor
     time = recording.time
     panels = ((recording.gyro, DEG, "gyros, °/s"), (recording.accel, STANDARD_GRAVITY_M_S2, "specific force, g"))
     for axes, (values, si, label) in zip(grid[:, 0], panels, strict=True):
