@@ -312,13 +312,6 @@ def test_a_defective_estimator_of_others_is_one_sentence(recording, monkeypatch,
     assert err.count("\n") == 1
 
 
-def test_an_estimator_without_its_package_names_the_extra(recording, monkeypatch, refused):
-    for name in [each for each in sys.modules if each.partition(".")[0] in ("estimators", "filterpy")]:
-        monkeypatch.delitem(sys.modules, name)
-    monkeypatch.setitem(sys.modules, "filterpy", None)
-    assert "pip install 'strapdown-rotation-test[ekf]'" in refused("calibrate", recording, "--estimator", "ekf")
-
-
 def test_progress_on_a_terminal_is_one_moving_line_and_plain_without_rich(recording, monkeypatch, shell):
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     assert shell("calibrate", recording).err.count("\n") <= 1
