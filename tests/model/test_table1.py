@@ -93,15 +93,6 @@ def test_every_rotation_is_one_of_a_fixture_axis(sequence):
         np.testing.assert_allclose(C, attitude(inner, outer), atol=32 * EPS)
 
 
-def test_axes_and_angles_as_arrays():
-    six = SEQUENCES["6"]
-    np.testing.assert_array_equal(six.axes, [UNIT[a] for a in "yzxzyzxz"])
-    np.testing.assert_array_equal(six.angles_rad, np.array([math.pi, math.pi / 2] * 4))
-    assert SEQUENCES["1a"].angles_rad.tolist() == [-2 * math.pi]
-    with pytest.raises(AttributeError):
-        six.down = "z"
-
-
 BIAS = np.array([0.12, -0.08, 0.1]) * DEG
 STEPS = 4000
 """Steps of the quadrature per rotation: the midpoint rule is off by (π / STEPS)² / 24 of a half turn's integral."""
