@@ -118,12 +118,6 @@ def test_turns_and_what_they_are(inspected):
         assert turn.confidence > 0.9
 
 
-def test_moves_are_no_sequences(inspected_rests):
-    found = inspected_rests
-    assert [turn.sequence for turn in found.turns if turn.sequence] == ["1", "13"]
-    assert all(turn.labelled is None for turn in found.turns)
-
-
 def test_net_rotation_of_a_turn_by_hand():
     simulation = scenario("free-mems", free={"turns": 4, "smallest_turn_deg": 60.0, "largest_turn_deg": 170.0})
     found = inspect(simulation.recording)
