@@ -1,6 +1,7 @@
 """Command line: imports, help, exit codes, tables, and random command lines."""
 
 import json
+import math
 import os
 import subprocess
 import sys
@@ -18,6 +19,7 @@ from srt.cli.calibrate import CHOICES
 from srt.cli.output_paths import SAMPLES_FORMATS as FORMATS
 from srt.cli.path_type import NamedPath
 from srt.recording.samples import SAMPLES_FORMATS
+from srt.reports.tables import decimals_for, fixed
 
 HEAVY = ("numpy", "scipy", "matplotlib", "rich", "pydantic", "pandas", "gtsam", "filterpy", "h5py", "pyarrow", "numba",
          "allantools")  # fmt: skip
@@ -305,3 +307,16 @@ def test_no_standard_error_stops_no_command(monkeypatch, tmp_path, shell):
     monkeypatch.setattr("sys.stderr", None)
     shell("simulate", "noise-free", "-o", tmp_path / "unit", "-q")
     shell("demo", "-o", tmp_path / "unit" / "recording.toml", code=2)
+
+
+@pytest.mark.parametrize(
+    ("value", "decimals", "text"),
+    [
+        (132.414, 2, "132.41"), (-0.004, 2, "0.00"), (-0.0, 6, "0.000000"), (-1.2e-9, 6, "-1.2e-09"),
+        (2.5e8, 1, "2.500e+08"), (math.nan, 3, "-"),
+    ],
+)  # fmt: skip
+def test_numbers(value, decimals, text):
+    assert fixed(value, decimals) == text
+    for sigma, expected in ((1234.0, 0), (10.0, 0), (9.9, 1), (0.0081, 4), (1e-9, 6), (0.0, 6), (math.inf, 6)):
+        assert decimals_for(sigma) == expected

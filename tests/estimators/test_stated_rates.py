@@ -137,25 +137,6 @@ def test_drift_and_g_sensitivity_act_on_the_mean_rates():
     assert np.abs(J[..., :9]).max() > G / 2.0
 
 
-@pytest.mark.parametrize("name", ESTIMATORS)
-def test_g_sensitivity_does_not_enter_the_scale_factors(name):
-    """50 °/h/g along the axes of all runs are 140 ppm of the stated rate."""
-    simulation = simulated(1, noise={"gyro_g_sensitivity_deg_per_h_per_g": 50.0})
-    found = srt.calibrate(simulation.recording, name, gyro_bias="g-sensitive", **EXACT)
-    assert found.status == "partial", found.message
-    at = np.r_[GROUP_SLICES["gyro_scale"], GROUP_SLICES["gyro_asymmetry"]]
-    off = (found.errors.vector - simulation.truth.vector)[at]
-    assert np.all(np.abs(off) < 4.0 * found.sigma[at])
-    assert np.all(found.sigma[at] < 25e-6)
-
-
-def test_a_comparison_runs_all_estimators_on_a_rate_table():
-    recording = simulated(1).recording
-    names, left_out = srt.comparison.estimator_comparison.default_estimators(recording)
-    assert set(ESTIMATORS) <= set(names)
-    assert "closed-form" in left_out
-
-
 def test_filters_of_one_pass_refuse_stated_rates():
     recording = simulated(1).recording
     run = next(label for label in recording.sequences if label.rate is not None)
