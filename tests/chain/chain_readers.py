@@ -80,9 +80,7 @@ def pdf_texts(path: Path) -> list[str]:
     texts = []
     for number in re.findall(rb"/Contents (\d+) 0 R", b"\n".join(objects.values())):
         font: dict[int, str] = {}
-        for name, text in re.findall(
-            rb"/(F\d+) [\d.]+ Tf|\(((?:[^\\)]|\\.)*)\) Tj", stream(objects[int(number)]), re.DOTALL
-        ):
+        for name, text in re.findall(_SHOWN, stream(objects[int(number)]), re.DOTALL):
             if name:
                 font = fonts[name]
                 continue

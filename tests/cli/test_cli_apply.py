@@ -221,16 +221,6 @@ def test_an_edited_u_is_refused(raw, tmp_path, refused):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["bad.json", "raw"]
 
 
-def test_a_failure_leaves_nothing(unit, raw, tmp_path, monkeypatch, refused):
-    def fail(*args, **options):
-        raise srt.InputError("The disk is full.")
-
-    monkeypatch.setattr("srt.recording.writing.write_samples", fail)
-    line = [unit, raw, "-o", tmp_path / "out", "--c-header", tmp_path / "imu.h"]
-    assert refused("apply", *line) == "srt: The disk is full.\n"
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["raw", "unit.json"]
-
-
 def test_applied_to_its_own_recording_nothing_is_left_to_calibrate(recording, tmp_path, shell):
     """The corrected recording of a simulated unit calibrates to zero errors."""
     result, out = tmp_path / "unit.json", tmp_path / "out"

@@ -12,7 +12,6 @@ import pytest
 
 import srt
 from srt.cli import main
-from srt.cli.messages import figure_title, printable
 from srt.recording.atomic_file import atomic_path, remove_leftovers
 from srt.recording.samples import Samples, write_samples
 
@@ -39,13 +38,6 @@ def recording(tmp_path_factory):
     folder = tmp_path_factory.mktemp("hostile")
     assert main(["simulate", "noise-free", "-o", str(folder / "unit"), "-q"]) == 0
     return folder / "unit"
-
-
-def test_control_characters_are_shown_as_codes():
-    assert printable("a\x1b]0;title\x07b\tc\nd") == "a\\x1b]0;title\\x07b\tc\nd"
-    assert printable("\u202eexe.\udcff") == "\\u202eexe.\\udcff"
-    assert printable("κxx, µrad, °/h, μ, 10⁻⁶") == "κxx, µrad, °/h, μ, 10⁻⁶"
-    assert figure_title(r"$\input{x}$") == r"\$\input{x}\$"
 
 
 @POSIX
@@ -156,26 +148,6 @@ def test_leftovers_of_a_killed_run_are_removed_by_the_next(tmp_path, shell):
     assert len(list(folder.iterdir())) == 1
     shell("simulate", "noise-free", "-o", folder, "-q")  # a folder with leftovers alone is empty
     assert not [path for path in folder.iterdir() if path.name.startswith(".")]
-
-
-@pytest.mark.parametrize(
-    ("name", "text"),
-    [
-        ("digits", f"[recording]\nsamples = {'9' * 5000}\n"),
-        ("nested", f"[recording]\nsamples = {'[' * 20000}{']' * 20000}\n"),
-    ],
-)
-def test_limits_of_python_are_one_sentence(tmp_path, name, text, refused):
-    folder = tmp_path / name
-    folder.mkdir()
-    (folder / "recording.toml").write_text(text)
-    refused("calibrate", folder)
-
-
-def test_deeply_nested_json_is_one_sentence(tmp_path, refused):
-    file = tmp_path / "x.json"
-    file.write_text("[" * 200_000 + "]" * 200_000)
-    assert refused("certificate", file).count("\n") == 1
 
 
 @POSIX

@@ -121,16 +121,6 @@ def test_files(recording, calibrations, tmp_path, shell):
     assert "closed-form is not efficient for them" in err
 
 
-def test_four_estimators_fit_120_columns(recording, calibrations, results, shell):
-    best = calibrations["least-squares"]
-    results(closed_form=calibrations["closed-form"], least_squares=best, ekf=best, graph=best)
-    out = shell("compare", recording, "--truth", recording / "truth.json").out
-    assert "\x1b" not in out
-    # Paths are not broken: a line that holds one may be longer.
-    assert max(len(line) for line in out.splitlines() if str(recording) not in line) <= 120
-    assert "graph, closed-form, least-squares and ekf agree" in " ".join(out.split())
-
-
 def test_options_reach_the_estimators(recording, tmp_path, shell):
     chosen = {"average": "overlapping", "start": "zero", "max_playbacks": 9}
     flags = [text for name, value in chosen.items() for text in (f"--{name.replace('_', '-')}", str(value))]
@@ -334,7 +324,3 @@ def test_the_truth_of_another_unit_of_the_same_schedule_is_suspected(recording, 
     (tmp_path / "truth.json").write_text(json.dumps(document))
     err = refused("compare", recording, "-q", *BOTH, "--truth", tmp_path / "truth.json", code=0)
     assert "is it the truth of another recording?" in err
-
-
-def test_an_absent_recording_is_2(tmp_path, refused):
-    assert "There is no recording" in refused("compare", tmp_path / "absent", *BOTH)

@@ -172,17 +172,18 @@ def test_a_wrong_value_of_a_count_is_named(log, tmp_path, refused):
     assert "correct --accel-lsb, or add --force" in message
 
 
-def test_stamps_in_another_unit_are_told(log, tmp_path, shell):
-    np.savetxt(log, np.column_stack([1e3 * TIME, GYRO, ACCEL]), header=HEADER, delimiter=",", comments="")
+@pytest.mark.parametrize(
+    ("time", "rate", "said"),
+    [
+        (1e3, 1.0, "a rate of 0.064 Hz, which no IMU has: check --time-unit"),
+        (1.0, 1.0 / DEG, "more than any IMU measures: check --gyro-unit"),
+    ],
+)
+def test_units_that_nothing_rules_out_are_told(log, tmp_path, time, rate, said, shell):
+    """Said, not refused."""
+    np.savetxt(log, np.column_stack([time * TIME, rate * GYRO, ACCEL]), header=HEADER, delimiter=",", comments="")
     out, _ = shell("convert", log, "-o", tmp_path / "rec", *SI, *SITE)
-    assert "a rate of 0.064 Hz, which no IMU has: check --time-unit" in " ".join(out.split())
-
-
-def test_gyros_faster_than_any(log, tmp_path, shell):
-    """rad/s taken for deg/s the other way round: said, not refused, as nothing rules it out."""
-    np.savetxt(log, np.column_stack([TIME, GYRO / DEG, ACCEL]), header=HEADER, delimiter=",", comments="")
-    out, _ = shell("convert", log, "-o", tmp_path / "rec", *SI, *SITE)
-    assert "more than any IMU measures: check --gyro-unit" in " ".join(out.split())
+    assert said in " ".join(out.split())
 
 
 def test_counts_are_told_with_their_value_and_zero(log, tmp_path, shell):
@@ -281,15 +282,3 @@ def test_ferraris_set(tmp_path, shell):
     ]
     shell("convert", *arguments)
     assert_same(srt.load_recording(tmp_path / "rec"), recorded_sets.ferraris(FOLDER))
-
-
-@needs_sets
-def test_ferraris_set_of_counts(tmp_path, shell):
-    """Raw counts beside a column of text; the full scales make gravity come out."""
-    arguments = [
-        *(FOLDER / "ferraris" / "annotated_session.csv", "-o", tmp_path / "rec"),
-        *("--sample-rate-hz", "204.8", "--gyro-lsb", "1/16.384 deg/s", "--accel-lsb", "1/2048 g"),
-        *("--gravity-m-s2", "9.81"),
-    ]
-    out, _ = shell("convert", *arguments)
-    assert "9414 (rate)" in out

@@ -12,7 +12,6 @@ import sims
 import srt
 from srt.cli import main
 from srt.model.table1 import SEQUENCES
-from srt.reports.text.inspection import significant
 
 pytestmark = pytest.mark.usefixtures("plain_layout")
 
@@ -118,12 +117,3 @@ def test_unreadable_input_and_unwritable_output_exit_with_2(arguments, fragments
     for fragment in fragments:
         assert fragment in err
     assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize(
-    ("value", "text"),
-    [(0.0667, "0.0667"), (0.06, "0.0600"), (12.34, "12.3"), (123.4, "123"), (98765.4, "98765"), (0.0, "0.00"),
-     (1.234e-7, "1.23e-07"), (-5.678, "-5.68")],
-)  # fmt: skip
-def test_three_digits(value, text):
-    assert significant(value) == text

@@ -90,12 +90,3 @@ def test_a_place_that_cannot_be_a_folder_is_noticed_first(scenario, tmp_path, mo
     err = shell("simulate", scenario, "-o", tmp_path / place, code=2).err
     assert str(tmp_path / place) in err
     assert err.count("\n") == 1
-
-
-def test_a_scenario_that_is_wrong_is_one_sentence(tmp_path, shell):
-    path = tmp_path / "bad.toml"
-    path.write_text(SCENARIO.replace("dwell_s", "dwel_s"))
-    err = shell("simulate", path, "-o", tmp_path / "out", code=2).err
-    assert "dwel_s" in err
-    assert err.count("\n") == 1
-    assert not (tmp_path / "out").exists()

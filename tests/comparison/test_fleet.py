@@ -59,21 +59,6 @@ def test_sound_fleets_are_flagged_as_often_as_stated(units, fleets, times):
     check_rate(np.concatenate([flags_of_fleets(rng, units, fleets) for _ in range(times)]), EXPECTED_FALSE_FLAGS)
 
 
-@pytest.mark.parametrize("units", [7, 14])
-def test_one_value_exceeds_a_limit_as_often_as_computed(units):
-    """A lower limit, which many exceed: the whole distribution is what the limits are taken from."""
-    rng = np.random.default_rng(units)
-    limit = {7: 4.0, 14: 3.0}[units]
-    z = find_outliers(rng.standard_normal((units, 40_000)), np.full((units, 40_000), NO_SIGMA)).z
-    counts = np.sum(np.abs(z) > limit, axis=0)
-    computed = tail_probability(units, limit, rng, 40_000)
-    # The chance is computed from draws of the others, as many as there are fleets here, and scatters no more than the
-    # counts, which hold the chance of the unit itself besides: together at most twice their variance.
-    error = math.sqrt(2.0 * np.var(counts) / len(counts)) / units
-    assert 0.002 < computed < 0.1
-    assert abs(np.mean(counts) / units - computed) < 3.5 * error
-
-
 @pytest.mark.parametrize("units", [6, 8, 15, 24, 45, 120])
 def test_limits_solve_their_equation(units):
     """Limits hold at the knots and between them; the scatter is taken from 20 parts of the draws."""

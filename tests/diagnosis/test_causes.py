@@ -112,13 +112,16 @@ def test_thousandths_of_a_unit_are_no_counts(grade, unit):
     assert causes(replace(recording(grade), gyro=milli * unit)) == ["gyro_milli"]
 
 
-@pytest.mark.parametrize("grade", every_second_grade(1))
+@pytest.mark.parametrize("grade", GRADES)
 def test_a_corrected_recording_is_sound(grade):
+    """With its labels and without."""
     raw = recording(grade)
     applier = srt.Applier(srt.calibrate(raw, checks=False))
     interval = raw.interval_s if raw.kind == "increment" else None
     corrected = applier.apply(raw.gyro, raw.accel, **({} if interval is None else {"dt": interval}))
-    assert causes(replace(raw, gyro=np.asarray(corrected[0]), accel=np.asarray(corrected[1]))) == []
+    corrected = replace(raw, gyro=np.asarray(corrected[0]), accel=np.asarray(corrected[1]))
+    assert causes(corrected) == []
+    assert causes(corrected.with_sequences(())) == []
 
 
 def test_corrected_pulses_that_recur_together_are_not_clipped():
@@ -154,17 +157,6 @@ def test_filtered_readings_are_sound(grade):
     )
     noise = replace(raw.noise, gyro_noise=None, accel_noise=None)
     assert causes(replace(raw, gyro=gyro, accel=accel, noise=noise)) == []
-
-
-@pytest.mark.parametrize("grade", every_second_grade(0))
-def test_a_corrected_recording_without_labels_has_its_windows(grade):
-    raw = recording(grade)
-    applier = srt.Applier(srt.calibrate(raw, checks=False))
-    interval = raw.interval_s if raw.kind == "increment" else None
-    corrected = applier.apply(raw.gyro, raw.accel, **({} if interval is None else {"dt": interval}))
-    bare = replace(raw, gyro=np.asarray(corrected[0]), accel=np.asarray(corrected[1]), sequences=())
-    found = srt.diagnose(bare, calibrating=False)
-    assert found.findings == ()
 
 
 @pytest.mark.parametrize("sensor", ["gyro", "accel"])

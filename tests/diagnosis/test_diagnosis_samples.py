@@ -14,9 +14,9 @@ from injected_faults.injection import GRADES, INJECTIONS, Case
 
 from sims.physics.imu import read_out
 from srt.diagnosis import faults
-from srt.diagnosis.channels import CHANNELS, repeated_runs
+from srt.diagnosis.channels import CHANNELS
 from srt.exceptions import SrtError
-from srt.recording.recording import ImuNoise, Recording, SequenceLabel, Site
+from srt.recording.recording import Recording, SequenceLabel, Site
 
 SEED = 320_000
 STAGES = ("timing", "channels", "units", "frames")
@@ -218,42 +218,6 @@ def test_readings_without_noise_are_sound(sequences, site):
 def test_pulses_repeat_by_nature(rate_hz):
     """Pulses are few at rest and even in a rotation: readings repeat in all windows and rotations, without a fault."""
     assert examine(case("navigation-rlg").changed(recording={"sample_rate_hz": rate_hz}).recording) == ()
-
-
-def odd(kind, n, windows, rng):
-    label = SequenceLabel(*windows, "7")
-    return Recording(
-        0.01 * np.arange(1, n + 1),
-        rng.standard_normal((n, 3)),
-        rng.standard_normal((n, 3)),
-        Site(9.8),
-        kind,
-        noise=ImuNoise(gyro_range=0.5),
-        sequences=(label,),
-    )
-
-
-@settings(max_examples=25, deadline=None)
-@given(
-    kind=st.sampled_from(["rate", "increment"]),
-    n=st.integers(6, 40),
-    scale=st.sampled_from([0.0, 1e-300, 1.0, 1e200]),
-    seed=st.integers(0, 2**32 - 1),
-    labelled=st.booleans(),
-)
-def test_no_readings_make_a_check_raise(kind, n, scale, seed, labelled):
-    """Any readings, down to windows of two samples, give findings and never an error."""
-    recording = odd(kind, n, ((0.0, 0.02), (0.01 * n - 0.02, 0.01 * n)), np.random.default_rng(seed))
-    with np.errstate(all="ignore"):
-        recording = replace(recording, gyro=scale * recording.gyro, accel=scale * recording.accel)
-        for finding in examine(recording if labelled else recording.with_sequences(())):
-            assert finding.fault in faults.FAULTS
-
-
-def test_nothing_is_found_without_windows():
-    evidence = WithoutRecognition(case("industrial-mems").recording.with_sequences(()))
-    assert repeated_runs(evidence) == [None] * 9
-    assert evidence.spikes.sample.size == 0
 
 
 @settings(max_examples=10, deadline=None)

@@ -34,16 +34,6 @@ def case(grade):
     return made
 
 
-def test_gravity_of_another_place():
-    recording = case("consumer-mems").recording
-    recording = replace(recording, site=replace(recording.site, gravity_m_s2=9.78))
-    (finding,) = findings(recording)
-    assert finding.sentence == (
-        "Gravity is stated as 9.78 m/s², but at 45° latitude it lies between 9.78979 and 9.80874 m/s²: correct "
-        "gravity_m_s2 or latitude_deg."
-    )
-
-
 def test_the_other_hemisphere():
     recording = case("navigation-rlg").recording
     (finding,) = findings(replace(recording, site=replace(recording.site, latitude_rad=-LATITUDE_RAD)))

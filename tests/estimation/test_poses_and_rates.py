@@ -1,7 +1,5 @@
 """Poses alone and stated rates as measurements: exact solutions, errors against their sigmas, and what is not seen."""
 
-from itertools import pairwise
-
 import numpy as np
 import protocols
 import pytest
@@ -198,12 +196,6 @@ def test_unobservable_parameters_are_named_with_the_missing_data():
     upright = recording.with_sequences(recording.sequences[:2])  # z down and z up
     found = srt.calibrate(upright, "least-squares", checks=False, hold=("accel_asymmetry",))
     assert "add poses with the axis up" in found.held["accel_bias_x"]
-
-
-def test_windows_of_poses_do_not_overlap():
-    labels = tumble(MA, BIAS).sequences
-    edges = [t for label in labels for t in (*label.start_static_s, *label.end_static_s)]
-    assert all(a < b for a, b in pairwise(edges))
 
 
 def test_parameters_known_better_from_the_fixture_keep_their_values():

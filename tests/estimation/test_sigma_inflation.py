@@ -60,6 +60,3 @@ def test_exchanged_labels_are_no_noise():
         found = srt.calibrate(exchanged, estimator, checks=False)
         assert found.status == "inconsistent"
         assert "contradicts all others" in found.message
-
-
-N, P, UNITS = 12, 4, 5

@@ -133,4 +133,3 @@ def test_errors_reach_the_bound(case, units):
         # Three parameters of one unit share errors, gravity among them: only the units count as independent.
         ratio = rms(np.array([score.error[at] for score in scores])) / rms(scores[0].bound[at])
         assert ratio < 1.0 + 3.5 / np.sqrt(2.0 * units)
-    assert np.median([score.seconds for score in scores]) < 2.0

@@ -17,7 +17,6 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi2, norm
 
 import sims
 from srt.closed_form import iteration
@@ -324,38 +323,3 @@ def test_estimators_agree_on_all_components(linear):
     assert np.linalg.eigvalsh(scaled)[0] >= -N_PARAMETERS * AGREE
     # Its price is seen: up to twice the sigma and more.
     assert (closed.sigma / least.sigma).max() > 2.0
-
-
-@pytest.mark.parametrize("count", [10, pytest.param(200, marks=pytest.mark.slow)])
-def test_closed_form_differs_as_its_covariance_allows(still_planet, monkeypatch, count):
-    """x_cf − x_opt has the covariance P_cf − P_opt: largest differences and mean squares over units, at 1 % for all.
-
-    The noise is all there here, and so small that what is of second order in it, 1e-6 of a sigma, is nothing beside the
-    smallest difference, 1e-3 of one. The covariances, in sigmas, are those of the linear problem.
-    """
-    recording, _ = record(0, noise=SMALL, share=SHARE, sample_rate_hz=50.0)
-    data = prepare_checked(recording, recording.sequences, OPTIONS.average)
-    closed, best = (
-        by_play_back(data, SelectedFormulas(data, OPTIONS)),
-        jointly(JointModel(data, OPTIONS, initial_estimate(data, OPTIONS)), SolveStep()),
-    )
-    variance = np.diag(closed.P - best.P) / best.sigma**2
-    assert variance.min() > 100.0 * AGREE
-    # Rounding is 1e-9 of these sigmas.
-    monkeypatch.setattr(iteration, "CONVERGED_SIGMAS", 1e-6)
-    z = []
-    for seed in range(1, count + 1):
-        recording, _ = record(seed, noise=1e-7, share=1.0, sample_rate_hz=50.0)
-        data = prepare_checked(recording, recording.sequences, OPTIONS.average)
-        first = initial_estimate(data, OPTIONS)
-        closed = iteration.iterate(data, OPTIONS, SelectedFormulas(data, OPTIONS), *first)
-        if closed.integrated:  # one still window in a thousand is taken for moving, and what it says is used otherwise
-            continue
-        best = jointly(JointModel(data, OPTIONS, first), SolveStep(), (1e-18, 1e-6))
-        z.append((closed.errors.vector - best.x) / best.sigma / np.sqrt(variance))
-    z = np.array(z)
-    assert len(z) >= 0.9 * count
-    assert np.abs(z).max() < norm.isf(0.005 / (2 * z.size))
-    low, high = chi2.ppf([0.0025 / N_PARAMETERS, 1 - 0.0025 / N_PARAMETERS], len(z))
-    squares = np.sum(z**2, axis=0)
-    assert np.all((low < squares) & (squares < high))

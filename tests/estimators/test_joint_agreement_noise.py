@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import replace
-from functools import partialmethod
 
 import numpy as np
 import pytest
@@ -13,7 +12,6 @@ from srt.estimation.options import Options
 
 pytest.importorskip("filterpy")
 pytest.importorskip("gtsam")
-from filterpy.kalman import SquareRootKalmanFilter
 from linear_problems import AGREE, ALL, EPS, IN_G, RESOLVED, Found, SolveStep, difference, iterated_to_rounding, jointly
 
 from estimators.graph import GraphSolver
@@ -57,33 +55,6 @@ def test_full_model_with_navigation_noise(seed):
     assert difference(ekf, expected)[0] <= 1e-3 * shift[0] + AGREE + rounding(dense)
     # The point of linearisation moves with it, too.
     assert difference(ekf, dense)[1] <= 2.0 * shift[1] + AGREE
-
-
-def test_filterpy_predicts_and_updates(monkeypatch):
-    """Every pass over the sequences runs filterpy's own update once per sequence; a bias walk its own prediction."""
-    joint = navigation_problem(1)()
-    joint.bias_scatter = np.full(3, 1e-8)
-    joint.update_bias_scatter = lambda *_: None
-    assert joint.bias_walks
-    calls = {"predict": 0, "update": 0}
-    own = {name: getattr(SquareRootKalmanFilter, name) for name in calls}
-
-    def counted(name, *arguments):
-        calls[name] += 1
-        return own[name](*arguments)
-
-    for name in calls:
-        monkeypatch.setattr(
-            SquareRootKalmanFilter, name, partialmethod(lambda self, name, *a: counted(name, self, *a), name)
-        )
-    solver = KalmanSolver(default_prior())
-    iterate(joint, solver, IterationState(joint.start, ALL.copy()), requested=~ALL, converged=(1e-9, 1e-2))
-    K = joint.data.K
-    passes, rest = divmod(calls["update"], K)
-    assert passes > 0
-    assert rest == 0
-    # A step of the walk between sequences, and the mean of the biases after each.
-    assert calls["predict"] == passes * (2 * K - 1)
 
 
 def test_full_model_where_the_bias_drifts():

@@ -231,27 +231,18 @@ def test_nothing_is_named_without_a_fault(estimator):
         assert named_sequence(reference(seed, estimator)) is None
 
 
-def shift(calibration, seed, loss):
-    """Change against the recording without the disturbance, in its sigmas."""
-    there = reference(seed, loss=loss)
-    return np.abs(calibration.errors.vector - there.errors.vector) / there.sigma
+def moved_too_far(calibration, seed, name, loss):
+    """Shifts of more than 3 sigma, or three times what leaving the sequence out would do by chance.
 
-
-def beyond(shifts, counted, bar):
-    """Parameters that moved beyond the limit, for the message of a failure."""
-    return {NAMES[i]: round(float(shifts[i]), 2) for i in np.flatnonzero(counted & (shifts > bar))}
-
-
-def excess_shift(calibration, seed, name, loss):
-    """Largest shift over what is allowed: 3 sigma, or three times what leaving the sequence out would do by chance.
-
-    An estimator that left out exactly the bad sequence would move by the square root of the ratio of variances less
-    one, in sigmas: where that is more than one, three of these are allowed.
+    Against the recording without the disturbance, in its sigmas. An estimator that left out exactly the bad sequence
+    would move by the square root of the ratio of variances less one: where that is more than one, three of these are
+    allowed.
     """
     counted, ratio = replaceable(seed, name)
+    there = reference(seed, loss=loss)
+    shifts = np.abs(calibration.errors.vector - there.errors.vector) / there.sigma
     bar = 3.0 * np.maximum(1.0, np.sqrt(np.maximum(ratio**2 - 1.0, 0.0)))
-    over = np.where(counted, shift(calibration, seed, loss) / bar, 0.0)
-    return float(over.max()), beyond(shift(calibration, seed, loss), counted, bar)
+    return {NAMES[i]: round(float(shifts[i]), 2) for i in np.flatnonzero(counted & (shifts > bar))}
 
 
 @partial(one_bad_sequence, short=[(noisier, "13"), (with_lost_samples, "4")])
@@ -259,19 +250,7 @@ def test_a_robust_graph_stays_where_it_was(case, name, seed, which):
     """Cauchy's loss keeps every parameter that other sequences determine within 3 sigma of the undisturbed result."""
     calibration = srt.calibrate(spoiled(case, seed, name, which), "graph", loss="cauchy", checks=False)
     assert calibration.status == "converged", calibration.message
-    _, moved = excess_shift(calibration, seed, name, "cauchy")
-    assert not moved
-
-
-@partial(one_bad_sequence, short=[(with_bias_step, "4")])
-def test_hubers_loss_bounds_the_harm(case, name, seed, which):
-    """Its pull is bounded, not gone: less than that of the squares, and where these are carried away less than half."""
-    robust = srt.calibrate(spoiled(case, seed, name, which), "graph", loss="huber", checks=False)
-    squares = srt.calibrate(spoiled(case, seed, name, which), "graph", checks=False)
-    assert robust.status == "converged", robust.message
-    far, _ = excess_shift(squares, seed, name, "squared")
-    near, moved = excess_shift(robust, seed, name, "huber")
-    assert near < max(1.0, far if far < 2.0 else 0.5 * far), moved
+    assert not moved_too_far(calibration, seed, name, "cauchy")
 
 
 @pytest.mark.parametrize("loss", ROBUST)

@@ -79,12 +79,6 @@ def made_up(count, *, error=1.0, sigma=1.0, colour=0.0, seed=1):
     return scores
 
 
-def test_an_estimator_that_reaches_the_bound_meets_all_criteria():
-    scores = made_up(400)
-    assert missed(scores, efficient=True) == []
-    assert missed_by_innovations(scores) == []
-
-
 @pytest.mark.parametrize(
     ("fault", "what"),
     [
@@ -98,21 +92,3 @@ def test_an_estimator_that_reaches_the_bound_meets_all_criteria():
 def test_each_criterion_catches_its_fault(fault, what):
     scores = made_up(400, **fault)
     assert {*missed(scores, efficient=True), *missed_by_innovations(scores)} == what
-
-
-def test_a_wrong_sequence_shows_in_its_innovations():
-    scores = made_up(400)
-    for score in scores:
-        score.innovations[6][:] *= 1.15
-    assert missed_by_innovations(scores) == ["sequence 4"]
-
-
-def test_limits_are_passed_by_no_more_than_their_standard_errors():
-    """NEES / 27 of 400 units whose sigmas are wrong by just less, and just more, than 3.5 standard errors."""
-    allowed = 3.5 * math.sqrt(2.0 / 27.0 / 400)
-    for sign in (-1.0, 1.0):
-        for share, expected in ((0.99, []), (1.01, ["NEES / 27"])):
-            scores = made_up(400)
-            scale = 27.0 * (1.0 + sign * share * allowed) / np.mean([s.nees for s in scores])
-            scaled = [Score(s.status, s.word, s.error, s.z, s.sigma, scale * s.nees, 27, bound=s.bound) for s in scores]
-            assert missed(scaled, efficient=True) == expected

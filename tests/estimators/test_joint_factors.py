@@ -160,33 +160,3 @@ def test_elimination_is_the_dense_solution(motions, variant):
         found[columns_of(case, built, key)[0]] = solution.delta.at(key)
     assert np.abs(E @ (found - dense.delta) / sigma).max() <= rounding * np.linalg.norm(case.system.b)
     assert rounding + held < 1e-7
-
-
-@pytest.mark.parametrize("variant", ["no fixture states", "free"])
-def test_marginals_of_gtsam(motions, variant):
-    """gtsam's own marginals, by Cholesky: rounding times the square of the condition.
-
-    It gives up where pivots span more than twelve bits. So it gets the whole linear graph as one variable in units of
-    its columns' norms, and without the fixture, whose axes are square to a ten-thousandth of what its angles are known
-    to.
-    """
-    case = known(motions, variant)
-    built = build(case)
-    solution = solve_linear(built, built.values)
-    keys = sorted(built.values.keys())
-    order = gtsam.Ordering()
-    for key in keys:
-        order.push_back(key)
-    A, b = built.graph.linearize(built.values).jacobian(order)
-    norm = np.linalg.norm(A, axis=0)
-    whole, at = gtsam.GaussianFactorGraph(), gtsam.VectorValues()
-    whole.add(gtsam.JacobianFactor(0, A / norm, b, gtsam.noiseModel.Unit.Create(len(b))))
-    at.insert(0, np.zeros(len(norm)))
-    P = gtsam.Marginals(whole, at).marginalCovariance(0) / np.outer(norm, norm)
-    widths = [solution.delta.at(key).size for key in keys]
-    first = dict(zip(keys, np.cumsum([0, *widths]).tolist(), strict=False))
-    kept = np.concatenate([first[key] + np.arange(solution.delta.at(key).size) for key in solution.keys])
-    sigma = np.sqrt(np.diag(solution.covariance))
-    off = np.abs((P[np.ix_(kept, kept)] - solution.covariance) / np.outer(sigma, sigma)).max()
-    rounding = EPS * np.linalg.cond(A / norm) ** 2
-    assert off <= 10.0 * rounding < 1e-5

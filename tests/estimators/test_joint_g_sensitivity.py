@@ -96,15 +96,6 @@ def test_estimated_where_the_residuals_ask_for_it(industrial):
     assert np.abs(matrix["graph"]).max() > 10.0 * sigma["graph"].max()
 
 
-def test_covariance_form(industrial):
-    """Filterpy's covariance form reaches the iterated filter while it has digits."""
-    recording, _, found = industrial
-    other = srt.calibrate(recording, "ekf", checks=False, filter="covariance")
-    assert np.all(np.abs(other.errors.vector - found["ekf"].errors.vector) < 0.01 * found["ekf"].sigma)
-    followed, expected = (np.array(c.diagnostics.g_sensitivity.matrix) for c in (other, found["ekf"]))
-    assert np.abs(followed - expected).max() < 0.02 * np.array(other.diagnostics.g_sensitivity.sigma).max()
-
-
 def test_unscented_filter_has_the_axes_of_all_poses(industrial):
     """Two windows of a sequence show one axis of Γ alone; its model of a sequence has the three of the recording."""
     joint = open_joint_model(industrial[0], Options(gyro_bias="g-sensitive"))

@@ -184,20 +184,6 @@ def test_too_few_sequences_name_what_they_do_not_show(unit, estimator, ids):
         assert np.all(error[part & ~calibration.observed] < 0.02), group
 
 
-@pytest.mark.parametrize("ids", [("4", "13"), ("1",)], ids="-".join)
-def test_too_few_sequences_through_the_command_line(folder, tmp_path, estimator, ids, shell):
-    recording = tmp_path / "recording"
-    recording.mkdir()
-    (recording / "samples.csv").write_bytes((folder / "samples.csv").read_bytes())
-    head, *sequences = (folder / "recording.toml").read_text().split("\n[[sequence]]\n")
-    kept = [s for s in sequences if s.split('"')[1] in ids]
-    (recording / "recording.toml").write_text("\n[[sequence]]\n".join([head, *kept]))
-    output = tmp_path / "calibration.json"
-    assert "fixed, not observed" in shell("calibrate", recording, "--estimator", estimator, "-q", "-o", output).err
-    assert "NaN" not in output.read_text()
-    assert srt.load_calibration(output).status == "partial"
-
-
 def test_everything_held_is_no_crash(unit, estimator):
     calibration = srt.calibrate(unit[0], estimator, hold=NAMES)
     assert calibration.status == "partial"
@@ -235,11 +221,6 @@ def test_the_filter_has_no_robust_loss(unit):
     for loss in ("huber", "cauchy"):
         with pytest.raises(InputError, match=f"loss='{loss}'"):
             srt.calibrate(unit[0], "ekf", loss=loss)
-
-
-def test_an_unknown_loss_is_refused(unit, estimator):
-    with pytest.raises(InputError, match="loss"):
-        srt.calibrate(unit[0], estimator, loss="tukey")
 
 
 @pytest.mark.parametrize(("option", "value"), [("step", "coefficients"), ("down", "paper")])

@@ -10,6 +10,7 @@ import pytest
 
 import srt
 from srt.cli.calibrate import CHOICES
+from srt.joint.recording_opening import contradicting_move
 from srt.model.prior import Prior
 from srt.recording.recording import SequenceLabel
 from srt.result.diagnostics import Diagnostics
@@ -135,6 +136,14 @@ def test_a_move_that_contradicts_is_left_out_and_listed(estimator, factor):
     # Two moves of sixteen carry an eighth of their information.
     assert np.abs((calibration.errors.vector - reference.errors.vector) / reference.sigma).max() < 1.5
     assert (calibration.sigma / reference.sigma).max() < 1.2
+
+
+def test_no_move_is_left_out_for_a_sequence_or_by_chance():
+    """Of ten groups the first is a move; a chi-square of 30 for 8 degrees of freedom has p = 2e-4."""
+    sound, is_move = [(8.0, 8)] * 9, np.arange(10) == 0
+    assert set(contradicting_move([(100.0, 8), *sound], is_move)) == {0}
+    assert not contradicting_move([(30.0, 8), *sound], is_move)
+    assert not contradicting_move([*sound, (100.0, 8)], is_move)
 
 
 @pytest.mark.parametrize("estimator", ESTIMATORS)

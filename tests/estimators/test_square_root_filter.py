@@ -83,24 +83,6 @@ def size(ekf, name):
     return 1e-10 * max(1e-3, float(np.abs(getattr(ekf, name)).max()))
 
 
-def test_defaults_add_no_process_noise():
-    """Defaults are no process noise and measurements of unit variance."""
-    rng = np.random.default_rng(3)
-    root, F = random_root(rng, 3), np.array([[1.0, 0.5, 0.0], [0.0, 1.0, 0.5], [0.0, 0.0, 1.0]])
-    ekf = SquareRootFilter(np.array([1.0, 2.0, 3.0]), root)
-    ekf.propagate(np.eye(3))
-    np.testing.assert_allclose(ekf.x, [1.0, 2.0, 3.0])
-    np.testing.assert_allclose(ekf.P, root @ root.T, rtol=1e-14)
-    for power in (1, 2):
-        ekf.propagate(F)
-        A = np.linalg.matrix_power(F, power)
-        np.testing.assert_allclose(ekf.P, A @ root @ root.T @ A.T, rtol=1e-13)
-    H = np.array([[1.0, 0.0, 0.0]])
-    before = ekf.P[0, 0]
-    ekf.correct(np.array([0.0]), H)
-    assert ekf.S[0, 0] == pytest.approx(before + 1.0, rel=1e-14)
-
-
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_prior_a_million_times_wider_than_the_result(seed):
     """Least squares has the digits: its prior rows are a millionth of the others, which are well conditioned.

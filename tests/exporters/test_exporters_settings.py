@@ -214,24 +214,6 @@ def test_gtsam_needs_the_noise():
         gtsam_preintegration(calibrated(np.random.default_rng(27), noise=NoiseFigures()), readings="raw")
 
 
-def test_opencv_opens_the_file_of_openvins(tmp_path):
-    """OpenVINS reads by OpenCV's FileStorage, which is stricter than YAML."""
-    cv2 = pytest.importorskip("cv2")
-    calibration = calibrated(np.random.default_rng(31))
-    (path,) = save(export(calibration, "openvins", settings=ExportSettings(rate_hz=200.0)), tmp_path / "imu.yaml")
-    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
-    assert storage.isOpened()
-    node = storage.getNode("imu0")
-    expected = yaml.safe_load(path.read_text(encoding="utf-8").split("\n", 1)[1])["imu0"]
-    for name in ("Tw", "R_IMUtoGYRO", "Ta", "R_IMUtoACC", "Tg"):
-        rows = node.getNode(name)
-        found = [[rows.at(i).at(j).real() for j in range(3)] for i in range(3)]
-        np.testing.assert_array_equal(found, expected[name])
-    for name in ("gyroscope_noise_density", "accelerometer_noise_density", "update_rate"):
-        assert node.getNode(name).real() == expected[name]
-    assert node.getNode("rostopic").string() == expected["rostopic"]
-
-
 def test_kalibr_gets_the_flat_file_of_its_option_imu(tmp_path):
     """Keys of Kalibr's ImuParameters, at the top level; its parser is not installable here."""
     settings = ExportSettings(topic="/imu/raw", rate_hz=250.0, gyro_random_walk=1e-5, accel_random_walk=2e-4)

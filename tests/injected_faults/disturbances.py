@@ -27,14 +27,12 @@ from sims.physics.fixture import rotation
 from srt.recording.recording import WINDOW_TOLERANCE
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from numpy.typing import ArrayLike
 
     from sims.physics.fixture import FixtureDraw
     from sims.physics.true_motion import TrueMotion
     from srt.recording.recording import Recording
-    from srt.types import Array, Sensor
+    from srt.types import Array
 
 
 _NODES: Final = 12
@@ -126,28 +124,17 @@ def vibrating(
     return replace(motion, angle=angle, angle_abs=angle_abs, velocity=velocity, velocity_abs=velocity_abs)
 
 
-def lose_samples(
-    recording: Recording, start_s: float, duration_s: float, sensors: Sequence[Sensor] = ("gyro",)
-) -> Recording:
-    """Replace consecutive samples by a straight line between their neighbours, as a logger fills lost samples.
+def lose_samples(recording: Recording, start_s: float, duration_s: float) -> Recording:
+    """Replace consecutive gyro samples by a straight line between their neighbours, as a logger fills lost samples.
 
     The time stamps are unchanged; the span is within one gapless piece, with a neighbour on each side.
     """
-    if duration_s == 0.0:
-        return recording
     rows = recording.window_indices(start_s, start_s + duration_s)
     before, after = rows.start - 1, rows.stop
-    time = recording.time
+    time, gyro = recording.time, recording.gyro.copy()
     weight = ((time[rows] - time[before]) / (time[after] - time[before]))[:, np.newaxis]
-
-    def bridged(name: Sensor, values: Array) -> Array:
-        if name not in sensors:
-            return values
-        new = values.copy()
-        new[rows] = (1.0 - weight) * values[before] + weight * values[after]
-        return new
-
-    return _with_samples(recording, bridged("gyro", recording.gyro), bridged("accel", recording.accel))
+    gyro[rows] = (1.0 - weight) * gyro[before] + weight * gyro[after]
+    return _with_samples(recording, gyro, recording.accel)
 
 
 def accel_bias_step(recording: Recording, start_s: float, end_s: float, step_m_s2: ArrayLike) -> Recording:

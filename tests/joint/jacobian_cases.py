@@ -1,4 +1,4 @@
-"""Rotations, differences and recordings that the tests of the Jacobians of joint estimation share."""
+"""Rotations and recordings that the tests of the Jacobians of joint estimation share."""
 
 import math
 from dataclasses import dataclass, replace
@@ -29,29 +29,6 @@ def exp(v):
     return Rotation.from_rotvec(v).as_matrix()
 
 
-def derivative(function, size=3, step=1e-3):
-    """Derivative at zero by differences of fourth order, the derivative's index last.
-
-    The remainder is step⁴ of the fifth derivative over 30, and rounding over the step: both 1e-12 of a function of
-    size one.
-    """
-    out = []
-    for d in step * np.eye(size):
-        near, far = function(d) - function(-d), function(2.0 * d) - function(-2.0 * d)
-        out.append((8.0 * near - far) / (12.0 * step))
-    return np.stack(out, axis=-1)
-
-
-def numerical(scale, distance=1.0, step=1e-3):
-    """Error of :func:`derivative` for an analytic function of this size whose singularity is so far away (rad).
-
-    Its fifth derivative is below 5! scale / distance⁵; rounding, of some ten operations each, comes 1.5 times.
-    """
-    return scale * (4.0 * (step / distance) ** 4 / distance + 15.0 * EPS / step)
-
-
-# --- windows, turns and start attitudes -----------------------------------------------------------------------------
-
 HEADING = 0.7
 MARS = sims.rotation([0.4, -0.3, 0.5])
 
@@ -61,8 +38,6 @@ def away(size, count, seed=1):
     v = np.random.default_rng(seed).standard_normal((count, 3))
     return exp(size * v / np.linalg.norm(v, axis=1, keepdims=True))
 
-
-# --- the whole system -----------------------------------------------------------------------------------------------
 
 HZ, RATE, DWELL_S = 100.0, 1.0, 2.0
 SITE = Site(G, 1e-4, math.radians(50.0))

@@ -95,6 +95,17 @@ def test_rotation_vectors_of_matrices(size):
     np.testing.assert_allclose(found, phi, rtol=0, atol=16 * EPS)
 
 
+@pytest.mark.parametrize("less", [0.0, 1e-16, 1e-12, 1e-7])
+def test_rotation_vectors_at_half_a_turn(less):
+    """Either sign is within rounding of half a turn, and its rotation is the same."""
+    axes = np.vstack([np.eye(3), np.random.default_rng(2).normal(size=(60, 3))])
+    phi = (math.pi - less) * axes / np.linalg.norm(axes, axis=1, keepdims=True)
+    C = Rotation.from_rotvec(phi).as_matrix()
+    found = rotations.rotation_vector(C)
+    assert np.linalg.norm(found, axis=1).max() <= math.pi + 4 * EPS
+    np.testing.assert_allclose(Rotation.from_rotvec(found).as_matrix(), C, rtol=0, atol=20 * EPS)
+
+
 @pytest.mark.parametrize("size", [0.0, 0.9e-3, 1.1e-3, 0.03, 0.5, 2.0, 3.0])
 def test_inverse_right_jacobian_is_the_derivative_of_the_logarithm(size):
     """Log(exp(φ×) exp(δ×)) by central differences, on both sides of the switch of the series."""

@@ -258,14 +258,6 @@ def test_composed_asymmetry_holds_to_first_order():
         assert left[1] < 50 * (1e-3) ** 2
 
 
-def test_composing_with_nothing_changes_nothing():
-    errors = random_errors(np.random.default_rng(9), 0.3, True)
-    for a, b in ((errors, SensorErrors()), (SensorErrors(), errors)):
-        composed, U = compose(a, b.vector)
-        np.testing.assert_allclose(composed.vector, errors.vector, atol=32 * EPS)
-        np.testing.assert_allclose(U, np.eye(3), atol=32 * EPS)
-
-
 def test_errors_and_triads_are_two_forms_of_the_same():
     errors = random_errors(np.random.default_rng(2), 0.5, True)
     again = errors_from_triads(gyro_triad(errors), accel_triad(errors))

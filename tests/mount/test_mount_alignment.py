@@ -20,11 +20,10 @@ import srt
 from sims.physics.imu import ImuModel, read_out
 from srt.exceptions import DataError, InputError
 from srt.model.rotations import rotation_matrix, rotation_vector
-from srt.model.sensor_model import accel_triad
 from srt.mount.alignment import MountAlignment, align_mount, load_mount_alignment, mount_from_calibration
 from srt.mount.poses import mount_from_recording
 from srt.result.calibration import Calibration
-from srt.sensor_errors import GROUP_SLICES, INDEX, N_PARAMETERS, SensorErrors
+from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SensorErrors
 
 G = 9.80665
 SITE = srt.Site(G, latitude_rad=0.8)
@@ -151,21 +150,6 @@ class TestErrorsOfTheStand:
         assert mount.sources["axis_tilt"].max() < 2.0 * 1e-6
         # One pitched stand takes the whole of it; the angles are up to 0.1 rad, which mixes them by as much.
         np.testing.assert_allclose(aligned(None, imu=QUIET).sources["axis_tilt"][2], 1e-3, rtol=0.1)
-
-    def test_nose_down_and_nose_up_together_are_free_of_the_bias_of_y(self):
-        bias = 1e-3 * G
-        vector, P = np.zeros(N_PARAMETERS), np.zeros((N_PARAMETERS, N_PARAMETERS))
-        y = INDEX["accel_bias_y"]
-        vector[y], P[y, y] = bias, bias**2
-        yaw = {}
-        for name, pitch_rad in (("one", LEVEL_AND_NOSE_DOWN_RAD), ("pair", PAIR)):
-            motion = simulate_mount(np.zeros(3), site=SITE, pitch_rad=pitch_rad, dwell_s=1.0)
-            recording = read_out(motion, SensorErrors(vector), QUIET, np.random.default_rng(1))
-            mount = mount_from_recording(recording, calibrated(covariance=P))
-            yaw[name] = [error(mount, np.zeros(3))[2], mount.sources["calibration"][2]]
-        # A bias of 1e-3 g is 1 mrad, but for a thousandth of that; in the pair its square is left.
-        np.testing.assert_allclose(np.abs(yaw["one"]), 1e-3, rtol=2e-3)
-        np.testing.assert_allclose(yaw["pair"], 0.0, rtol=0, atol=2e-6)
 
     def test_the_sources_add_up(self):
         mount = aligned(None, PAIR)
@@ -443,25 +427,3 @@ class TestRefusals:
     def test_forces_that_cannot_be_used(self, force, covariance, kind, fragment):
         with pytest.raises(kind, match=fragment):
             align_mount(force, {"accel_noise": covariance}, level_sigma_rad=1e-4, axis_sigma_rad=1e-4)
-
-
-class TestSimulator:
-    """The stand by itself: where its frames are, and what a draw does."""
-
-    def test_attitudes_are_those_of_the_chain(self):
-        motion = simulate_mount(np.zeros(3), site=SITE, pitch_rad=(0.0, -QUARTER), dwell_s=1.0)
-        np.testing.assert_allclose(motion.attitudes[0, 0], np.eye(3), rtol=0, atol=1e-15)
-        np.testing.assert_allclose(motion.attitudes[0, 1] @ [1.0, 0.0, 0.0], [0.0, 0.0, 1.0], rtol=0, atol=1e-15)
-
-    def test_readings_are_the_accelerometers_of_the_attitudes(self):
-        errors = SensorErrors(np.random.default_rng(3).uniform(-0.02, 0.02, N_PARAMETERS))
-        draw = MountErrors(np.array([1e-3, -2e-3]), 3e-3, -4e-3, np.array([0.0, 5e-3]))
-        motion = simulate_mount(ANGLES, site=SITE, draw=draw, dwell_s=1.0)
-        recording = read_out(motion, errors)
-        up = -G * motion.attitudes[0, :, 2]
-        np.testing.assert_allclose(recording.accel[[0, -1]], accel_triad(errors).read(up), rtol=0, atol=1e-12 * G)
-
-    def test_level_stands_have_no_pitch_error(self):
-        draw = draw_mount_errors(np.random.default_rng(1), (0.0, -1.5, 0.0), pitch_sigma_rad=1e-3)
-        assert draw.pitch[0] == draw.pitch[2] == 0.0
-        assert draw.pitch[1] != 0.0

@@ -12,10 +12,7 @@ from scipy.integrate import dblquad
 from scipy.signal import lfilter
 from scipy.stats import chi2
 
-import sims
 import srt
-from sims.physics.imu import CORRELATION_TIMES_S as SIMULATED_TIMES_S
-from sims.physics.imu import drift
 from srt.constants import MICRO_G
 from srt.model.analytic_platform import equal_parts
 from srt.noise import markov_drift
@@ -30,7 +27,6 @@ from srt.noise.bias_instability import (
 from srt.noise.instability_at_rest import InstabilityAtRest, _fitted, instability_at_rest
 from srt.noise.markov_drift import carried, markov_steps
 from srt.noise.noise_model import noise_model
-from srt.recording.recording import Site
 
 TIME_S = 100.0 + 0.01 * np.arange(1, 4001)
 PROCESS = math.log(10.0) / (2.0 * math.log(2.0))
@@ -77,30 +73,6 @@ def test_a_point_in_an_interval_is_the_limit_of_short_ones():
     start, end = np.array([[0.0, 3.0], [0.0, 3.0]]), np.array([[10.0, 3.0], [10.0, 3.0 + 1e-5]])
     point, short = flicker_covariance(start, end)
     np.testing.assert_allclose(point, short, rtol=1e-5)  # the covariance with a mean over 1e-5 s, of 1 s at least
-
-
-def test_against_simulated_drift():
-    """Averages of 300 runs of three sensors; every element of the covariance within 3.5 of its standard errors.
-
-    The variance of an estimated covariance of n Gaussian pairs is (c_ii c_jj + c_ij²) / n. One element of the 36 is
-    beyond 3.5 sigma with a chance of 1.7 %. Drift is held over a sample of 0.1 s: of the process of 1 s this takes
-    parts in a thousand.
-    """
-    motion = sims.table1_motion(site=Site(9.8, latitude_rad=0.8), sample_rate_hz=10.0, sequences=("1", "7"))
-    n = len(motion.time)
-    edges = np.array([[0, 40], [40, 100], [100, 110], [150, 250], [250, n - 50], [n - 50, n]])
-    rng = np.random.default_rng(2026)
-    means = []
-    for _ in range(300):
-        values = drift(1.0, motion, rng)
-        means.append([values[a:b].mean(axis=0) for a, b in edges])
-    means = np.concatenate(np.moveaxis(means, 2, 0))
-    start, end = motion.time[edges[:, 0]] - motion.interval, motion.time[edges[:, 1] - 1]
-    expected = flicker_covariance(start, end, SIMULATED_TIMES_S)
-    found = means.T @ means / len(means)
-    own = np.diag(expected)
-    error = np.sqrt((np.outer(own, own) + expected**2) / len(means))
-    assert np.all(np.abs(found - expected) < 3.5 * error + 0.005 * np.sqrt(np.outer(own, own)))
 
 
 def test_correlation_times_end_with_the_test():

@@ -171,20 +171,15 @@ def nees_of_units(file, plan, estimator, units, first):
     return total / units
 
 
-def test_simulated_units_have_the_predicted_accuracy(white):
+@pytest.mark.parametrize(
+    ("estimator", "units"),
+    [("least-squares", 5), *(pytest.param(e, 300, marks=pytest.mark.slow) for e in ("least-squares", "graph"))],
+)
+def test_simulated_units_have_the_predicted_accuracy(white, estimator, units):
     file, plan = white
-    units = 5
-    mean = nees_of_units(file, plan, "least-squares", units, 100)
+    mean = nees_of_units(file, plan, estimator, units, 1000)
     # 27 degrees of freedom, 3.5 standard errors; sigmas are predicted to 3 %, squares to 6 %.
     assert abs(mean / 27.0 - 1.0) < 3.5 * math.sqrt(2.0 / 27.0 / units) + 0.06
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("estimator", ["least-squares", "graph"])
-def test_many_simulated_units_have_the_predicted_accuracy(white, estimator):
-    file, plan = white
-    mean = nees_of_units(file, plan, estimator, 300, 1000)
-    assert abs(mean / 27.0 - 1.0) < 3.5 * math.sqrt(2.0 / 27.0 / 300) + 0.06
 
 
 @pytest.mark.parametrize(

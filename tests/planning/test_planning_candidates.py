@@ -9,13 +9,11 @@ import pytest
 from figure_texts import require_readable
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.spatial.transform import Rotation
 
 from sims.physics.fixture import FixtureGeometry
 from sims.physics.motion import RateProfile
 from sims.physics.sequences import TABLE_1, TurnSequence
 from srt.exceptions import InputError
-from srt.model.rotation_integrals import ideal_rotations
 from srt.model.table1 import SEQUENCES, RotationSequence
 from srt.planning.candidates import Candidate, executable_candidates, from_catalogue, turn_patterns
 from srt.planning.conditions import Conditions
@@ -57,35 +55,6 @@ def test_axis_that_is_down_at_both_ends(start, legs):
         expected = np.zeros(3)
         expected["xyz".index(said[-1])] = -1.0 if said.startswith("-") else 1.0
         np.testing.assert_allclose(down, expected, atol=1e-12)
-
-
-@given(start=ANYWHERE, legs=LEGS, speed=st.floats(0.1, 5.0))
-def test_integrals_of_ideal_rotations_against_small_steps(start, legs, speed):
-    candidate = Candidate(start, legs[:3])
-    sequence = candidate.catalogue_sequence()
-    speeds = speed * np.arange(1, len(sequence.rotations) + 1)
-    found = ideal_rotations([sequence], [speeds])
-    steps = 400
-    C = np.eye(3)
-    total = {name: np.zeros(getattr(found, name).shape[1:]) for name in ("rate", "abs_rate", "time", "noise")}
-    for u, angle, v in zip(sequence.axes, sequence.angles_rad, speeds, strict=True):
-        dt, omega = abs(angle) / v / steps, np.sign(angle) * v * u
-        # Midpoints: the error of a step of β is β³ / 24 of its size.
-        A = C @ Rotation.from_rotvec(omega * dt * (np.arange(steps)[:, None] + 0.5)).as_matrix()
-        total["rate"] += dt * np.einsum("nab,c->abc", A, omega)
-        total["abs_rate"] += dt * np.einsum("nab,b->ab", A, np.abs(omega))
-        total["time"] += dt * A.sum(axis=0)
-        total["noise"] += dt * np.einsum("nab,ncb->acb", A, A)
-        C = C @ Rotation.from_rotvec(u * angle).as_matrix()
-    step = np.abs(sequence.angles_rad).max() / steps
-    way, time = np.abs(sequence.angles_rad).sum(), np.sum(np.abs(sequence.angles_rad) / speeds)
-    for name, value in total.items():
-        # The noise has products of two matrices: twice the frequency, four times the error.
-        size = way if "rate" in name else time
-        np.testing.assert_allclose(
-            getattr(found, name)[0], value, atol=4.0 * step**2 / 24.0 * size + 1e-12, err_msg=name
-        )
-    np.testing.assert_allclose(found.C_end[0], C, atol=1e-12)
 
 
 def test_table_1_is_among_the_words():
@@ -187,30 +156,6 @@ def test_impossible_fixtures(make, said):
         make()
 
 
-@given(turn=st.sampled_from((90, -180, 360, 1080)), rate=st.floats(0.3, 3.0), acceleration=st.floats(0.5, 20.0))
-def test_bias_and_noise_act_over_the_ramps_of_the_rate_too(turn, rate, acceleration):
-    """The mean rate has the right time, but not the right attitudes: 6 % at 1 rad/s and 5 rad/s²."""
-    sequence = Candidate((0, 0), ((1, turn),)).catalogue_sequence()
-    found = ideal_rotations([sequence], [np.array([rate])], acceleration_rad_s2=[np.array([acceleration])])
-    size, n = math.radians(abs(turn)), 20000
-    peak = min(rate, math.sqrt(size * acceleration))
-    total = size / peak + peak / acceleration
-    t = (np.arange(n) + 0.5) * total / n
-    up, down = np.minimum(t, peak / acceleration), np.minimum(total - t, peak / acceleration)
-    plateau = np.clip(t - peak / acceleration, 0.0, total - 2.0 * peak / acceleration)
-    beta = (
-        0.5 * acceleration * up**2
-        + peak * plateau
-        + np.where(total - t < peak / acceleration, 0.5 * acceleration * ((peak / acceleration) ** 2 - down**2), 0.0)
-    )
-    A = Rotation.from_rotvec(np.sign(turn) * beta[:, None] * np.array([0.0, 1.0, 0.0])).as_matrix()
-    # Midpoints: the error is (2 peak dt)² / 24 of the time for products of two matrices.
-    atol = (2.0 * peak * total / n) ** 2 / 24.0 * total + 1e-7
-    np.testing.assert_allclose(found.time[0], A.mean(axis=0) * total, atol=atol)
-    np.testing.assert_allclose(found.noise[0], np.einsum("nab,ncb->acb", A, A) * total / n, atol=atol)
-    np.testing.assert_allclose(found.weight_s[0], total, rtol=1e-12)
-
-
 CONDITIONS = Conditions(gyro_white=1e-6, accel_white=1e-4, accel_instability=1e-5)
 KINDS = (((INNER, 990),), ((OUTER, -180), (INNER, 90)), ((OUTER, 90),) * 3, ((INNER, -90), (OUTER, 180), (INNER, -270)))
 STARTS = ((0, 0), (90, 270), (180, 90), (270, 180))
@@ -277,40 +222,10 @@ def test_turns_on_slip_rings_are_drawn_whole_between_0_and_360_deg():
         assert parts[-1, 1, 0] * 60.0 == pytest.approx(found.total_s)
 
 
-def test_moves_lead_from_one_sequence_to_the_next():
-    found = plan()
-    for k, (turning, moving) in enumerate(drawn(plan_figure(found))):
-        ends = np.array([[c.start_deg[k], c.end_deg[k]] for c in found.candidates])
-        steps = np.array([[s.start_static_s[0], s.end_static_s[1]] for s in found.timetable()]) / 60.0
-        parts = pieces(moving)
-        at = {round(float(t), 9): float(a) for t, a in parts.reshape(-1, 2)}
-        for (_, done), (begin, _), (_, left), (start, _) in zip(steps, steps[1:], ends, ends[1:], strict=False):
-            assert (at[round(done, 9)] - left) % 360.0 == pytest.approx(0.0, abs=1e-9)
-            assert (at[round(begin, 9)] - start) % 360.0 == pytest.approx(0.0, abs=1e-9)
-        assert turning[0, 1] == ends[0, 0]
-
-
 def test_a_limited_axis_is_drawn_at_its_true_angles():
     (turning, _), (set_by_hand, _) = drawn(plan_figure(plan(2, stand=LIMITED_TRAVEL)))
     assert np.nanmax(turning[:, 1]) == 990.0
     assert np.nanmax(set_by_hand[:, 1]) == 270.0
-
-
-def test_ratios_stand_above_their_symbols_and_sources_have_shapes_of_their_own():
-    found = plan(16)
-    axes = plan_figure(found).axes[2]
-    which = np.flatnonzero(np.isfinite(found.targets))
-    dots = [line for line in axes.lines if line.get_marker() not in ("None", "")]
-    at = np.concatenate([line.get_xydata() for line in dots])
-    at = at[np.argsort(at[:, 0])]
-    np.testing.assert_array_equal(at[:, 0], np.arange(len(which)))
-    np.testing.assert_allclose(at[:, 1], found.ratios[which], rtol=1e-12)
-    assert len({(line.get_marker(), line.get_color()) for line in dots}) == len(dots)
-    largest = {found.prediction.limiting(k)[0].replace("_", " ") for k in which.tolist()}
-    assert {line.get_label() for line in dots} == largest
-    assert len(axes.get_xticks()) == len(which)
-    levels = {float(line.get_ydata()[0]) for line in axes.lines if line not in dots}
-    assert levels >= {1.0, found.bound}
 
 
 def test_unobservable_parameters_are_named():

@@ -148,7 +148,7 @@ def test_delta_errors(example, angle):
     np.testing.assert_allclose(example.preintegration.delta_errors(found, true), [[angle, 5.0, 2.0]], atol=1e-15)
 
 
-def test_tables_and_picture(example, tmp_path):
+def test_tables(example):
     DriftResult = example.navigation.DriftResult
     time = np.linspace(0.0, 600.0, 31)
     outcome = DriftResult(time)
@@ -159,24 +159,6 @@ def test_tables_and_picture(example, tmp_path):
     assert "| car | tactical | 12 km | 6.0 km | 600 m | 2.4 km | 300 m |" in text
     assert "| car | tactical | 20 | 20 | 2.5 | 2.5 |" in text
     assert "| car | tactical | 20000 / 1000 / 500 | 20 / 1.0 / 0.50 | 20 / 1.0 / 0.50 |" in text
-    figure = example.drift_report.drift_figure({("car", "tactical"): outcome, ("car", "consumer"): outcome})
-    (left, right) = figure.axes
-    assert (left.get_title(), right.get_title()) == ("tactical", "consumer")
-    np.testing.assert_allclose(left.lines[0].get_ydata(), 20.0 * time[1:])
-
-
-def test_preintegration_of_a_steady_turn(example):
-    pytest.importorskip("gtsam")
-    pd = pytest.importorskip("pandas")
-    n, rate = 1000, np.array([0.3, -0.2, 1.0])
-    rows = np.hstack([np.full((n, 1), DT), np.tile(rate * DT, (n, 1)), np.zeros((n, 3))])
-    rows[0, 4:] = (0.5, 0.0, 0.0)  # one push, then 999 intervals of coasting and half an interval of the push itself
-    columns = ["dt", *(f"{what}_{axis}" for what in ("theta", "dv") for axis in "xyz")]
-    deltas = example.preintegration.preintegrate(pd.DataFrame(rows, columns=columns), [0])
-    # A thousand products of rotations, 1e-16 of rounding each.
-    np.testing.assert_allclose(deltas.rotation[0], sims.rotation(rate * n * DT), atol=1e-12)
-    np.testing.assert_allclose(deltas.velocity[0], [0.5, 0.0, 0.0], atol=1e-12)
-    np.testing.assert_allclose(deltas.position[0], [0.5 * DT * (n - 0.5), 0.0, 0.0], atol=1e-12)
 
 
 MICRO_G = 9.80665e-6

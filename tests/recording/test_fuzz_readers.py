@@ -8,7 +8,6 @@ import sys
 from functools import cache
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from srt.exceptions import DataError, InputError
@@ -65,23 +64,6 @@ def test_undamaged_files_are_read(name, tmp_path):
 def test_damaged_files_give_samples_or_one_clear_sentence(name, tmp_path, count):
     for index in range(count):
         check(name, tmp_path / "input", index)
-
-
-def test_the_fuzzer_repeats_an_input_by_its_number(tmp_path):
-    made = []
-    for folder in (tmp_path / "a", tmp_path / "b"):
-        folder.mkdir()
-        seed = seeds("csv")[0]
-        fuzz.place(seed, folder, fuzz.generator("csv", 7), [b"pool"])
-        made.append((folder / seed.target).read_bytes())
-    assert made[0] == made[1] != seeds("csv")[0].files["a.csv"]
-
-
-@pytest.mark.parametrize("mutation", [*fuzz.BINARY, *fuzz.TEXT])
-def test_mutations_stand_empty_and_tiny_files(mutation):
-    for data in (b"", b"a", b"\x00" * 5):
-        for index in range(50):
-            assert isinstance(mutation(bytearray(data), [b"pool"], np.random.default_rng(index)), bytearray)
 
 
 def test_the_fuzzer_tells_failures(tmp_path, monkeypatch):

@@ -163,12 +163,6 @@ def test_euroc_by_its_folder(tmp_path):
     np.testing.assert_array_equal(imported.gyro, GYRO)
 
 
-def test_content_goes_before_the_suffix(tmp_path):
-    with (tmp_path / "log.csv").open("wb") as file:
-        np.savez(file, **ARRAYS)
-    assert find_importer(tmp_path / "log.csv").name == "npz"
-
-
 def test_imu_tk_pair(tmp_path):
     for name, values in (("acc", ACCEL), ("gyro", GYRO)):
         np.savetxt(tmp_path / f"unit_{name}.mat", np.column_stack([TIME, values]))
@@ -271,13 +265,6 @@ def test_a_clock_that_goes_back_stays_so(dtype):
     np.testing.assert_array_equal(imported.time, [0.0, -1.0, 1.0])
 
 
-def test_readings_beyond_doubles_are_refused_as_not_finite(tmp_path):
-    np.savez(tmp_path / "a.npz", **{**ARRAYS, "accel": np.sign(ACCEL) * 1e308})
-    _, imported = import_file(tmp_path / "a.npz", ImportOptions(gyro_unit="rad/s", accel_unit="g", time_unit="s"))
-    with pytest.raises(InputError, match="must be a finite number"):
-        to_recording(imported, srt.Site(9.81))
-
-
 def test_arrays_that_disagree():
     with pytest.raises(InputError, match="time stamps for"):
         samples_in_si(ImportOptions(), gyro=GYRO, accel=ACCEL, time=TIME[1:], stated=StatedUnits("rad/s", "m/s^2", "s"))
@@ -323,14 +310,6 @@ def test_text_that_is_wrong(tmp_path, content, fragments):
     assert all(fragment in message for fragment in fragments), message
     assert message.count("\n") == 0
     assert str(path) in message
-
-
-def test_a_longer_row_is_found_whatever_is_read(tmp_path):
-    """Two lines run together would shift nothing that is read, and lose a sample."""
-    path = tmp_path / "a.csv"
-    path.write_text("note," + spoiled(9, ROWS[7] + ",0.0,7").replace("\n0", "\n1,0"))
-    with pytest.raises(InputError, match="line 9"):
-        import_file(path, ImportOptions(**SI_TIME))
 
 
 def test_an_error_of_the_data_names_the_file(tmp_path, monkeypatch):

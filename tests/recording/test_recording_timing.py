@@ -6,7 +6,6 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from srt.exceptions import InputError
-from srt.recording.recording import Recording, Site
 from srt.recording.timing import sample_timing, stamp_resolution
 
 N = 5000
@@ -58,15 +57,6 @@ def test_jitter_up_to_two_percent_counts_as_rounding():
     assert not isinstance(sample_timing(stamps(0.01) + 0.02 * jitter).interval_s, float)
 
 
-def test_gaps_start_new_pieces_and_leave_one_interval():
-    time = np.delete(stamps(0.01), [1000, 2000, 2001])
-    time[4000:] += 3600.123
-    timing = sample_timing(time)
-    assert timing.gaps.tolist() == [1000, 1999, 4000]
-    assert timing.interval_s == pytest.approx(0.01, rel=1e-10)
-    assert not timing.gaps.flags.writeable
-
-
 @given(
     lengths=st.lists(st.integers(2, 60), min_size=1, max_size=8),
     gap=st.floats(2.0, 1e6),
@@ -86,10 +76,6 @@ def test_pieces_of_any_length_share_one_interval(lengths, gap, dt, unit):
     assert isinstance(timing.interval_s, float)
     assert timing.gaps.tolist() == np.cumsum(lengths)[:-1].tolist()
     assert timing.interval_s == pytest.approx(dt, abs=2 * unit + 1e-12 * start)
-
-
-def test_two_samples_are_enough():
-    assert sample_timing(np.array([1.0, 1.5])).interval_s == 0.5
 
 
 def test_a_given_rate_overrides_the_stamps():
@@ -133,16 +119,6 @@ def test_resolution_of_other_stamps_is_that_of_floats():
     time = 0.001 * np.arange(5000)
     time[1234] += 2e-4
     assert stamp_resolution(time) == pytest.approx(1e-4)
-
-
-def test_timing_is_found_once_and_only_when_asked_for(monkeypatch):
-    calls = []
-    monkeypatch.setattr("srt.recording.recording.sample_timing", lambda *a: calls.append(a) or sample_timing(*a))
-    recording = Recording(stamps(0.01), np.zeros((N, 3)), np.zeros((N, 3)), Site(9.8))
-    assert not calls
-    assert recording.interval_s == recording.nominal_interval_s == pytest.approx(0.01)
-    assert recording.gaps.size == 0
-    assert len(calls) == 1
 
 
 @pytest.mark.parametrize("interval_ms", [5.0, 4.6, 7.3])

@@ -144,12 +144,6 @@ def test_other_arrays_become_contiguous_float64():
         assert array.flags.c_contiguous
 
 
-def test_one_temperature_for_all_samples_stays_one_value():
-    recording = make(temperature=np.broadcast_to(21.5, 1000))
-    assert recording.temperature.strides == (0,)
-    assert recording.temperature.mean() == 21.5
-
-
 def test_values_whose_sum_overflows_are_still_finite():
     make(gyro=np.full((1000, 3), 1e308))
 

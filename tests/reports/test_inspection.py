@@ -1,12 +1,10 @@
 """Findings of an inspection in simulated and recorded data, and its picture."""
 
 import json
-import subprocess
 import sys
 from dataclasses import replace
 
 import accuracy_trials
-import matplotlib as mpl
 import numpy as np
 import pytest
 import recorded_sets
@@ -17,8 +15,8 @@ from scipy.spatial.transform import Rotation
 import sims
 import srt
 from srt.model.table1 import SEQUENCES
-from srt.reports.figures.inspection import envelope, inspection_figure, save_figure
-from srt.reports.inspection import declared_units, inspect
+from srt.reports.figures.inspection import envelope, inspection_figure
+from srt.reports.inspection import inspect
 from srt.reports.text.inspection import inspection_report
 
 FOLDER = recorded_sets.data_folder()
@@ -120,12 +118,6 @@ def test_turns_and_what_they_are(inspected):
         assert turn.confidence > 0.9
 
 
-def test_moves_are_no_sequences(inspected_rests):
-    found = inspected_rests
-    assert [turn.sequence for turn in found.turns if turn.sequence] == ["1", "13"]
-    assert all(turn.labelled is None for turn in found.turns)
-
-
 def test_net_rotation_of_a_turn_by_hand():
     simulation = scenario("free-mems", free={"turns": 4, "smallest_turn_deg": 60.0, "largest_turn_deg": 170.0})
     found = inspect(simulation.recording)
@@ -222,26 +214,11 @@ def test_temperature():
     assert (seen.recorded, seen.first_c, seen.last_c, seen.lowest_c, seen.highest_c) == (True, 20.0, 21.0, 20.0, 21.0)
 
 
-def test_it_is_json(inspected, inspected_rests):
-    for found in (inspected, inspected_rests):
-        document = json.loads(json.dumps(found.as_dict(), allow_nan=False))
-        assert document["format"] == "srt-inspection"
-        assert len(document["turns"]) == len(found.turns)
-        assert (document["allan"] is None) == (found.allan is None)
-
-
 def test_faults_that_only_a_calibration_shows_are_told(inspected):
     assert inspected.not_looked_for == ("gyro_factor", "accel_factor", "accel_bias_drift", "asymmetry_omitted")
     assert inspected.as_dict()["not_looked_for"] == list(inspected.not_looked_for)
     assert f"(--deep): {', '.join(inspected.not_looked_for)}." in " ".join(inspection_report(inspected).split())
     assert replace(inspected, calibrated=True).not_looked_for == ()
-
-
-def test_declared_units(tmp_path, rested):
-    srt.write_recording(rested, tmp_path / "x", samples_format="npz")
-    assert declared_units(tmp_path / "x") == {"gyro": "rad/s", "accel": "m/s^2", "time": "s"}
-    assert declared_units(tmp_path / "x" / "recording.toml") == declared_units(tmp_path / "x")
-    assert declared_units(tmp_path / "absent.bag") == {}
 
 
 def test_without_allantools_the_short_figures_stand_in(monkeypatch):
@@ -292,15 +269,6 @@ def test_the_picture_shows_rests_sequences_and_slopes(rested, inspected_rests):
     assert len(rates.collections[0].get_paths()) == len(found.stillness.windows_s)
     slopes = [text.get_text() for text in figure.axes[1].get_legend().get_texts()]
     assert any(text.startswith("random walk 0.1") for text in slopes)  # 0.15 °/√h
-
-
-def test_the_picture_leaves_matplotlib_alone(tmp_path, rested, inspected_rests):
-    before = dict(mpl.rcParams)
-    save_figure(inspection_figure(rested, inspected_rests), tmp_path / "x.png")
-    assert dict(mpl.rcParams) == before
-    assert (tmp_path / "x.png").read_bytes().startswith(b"\x89PNG")
-    code = "import srt.reports.figures.inspection, sys; sys.exit('matplotlib.pyplot' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
 @pytest.mark.skipif(

@@ -78,16 +78,6 @@ def test_errors_of_hand_turned_units_match_their_sigmas(units):
         assert chi2.ppf(tail, n) <= np.sum(column**2) <= chi2.isf(tail, n) * widening, name
 
 
-@pytest.mark.parametrize("estimator", ["graph", "ekf"])
-def test_joint_estimators_agree(estimator):
-    """The same recordings by the joint estimators: one unit of each grade, within the band of 27 values of each."""
-    pytest.importorskip("gtsam" if estimator == "graph" else "filterpy")
-    for g, grade in enumerate(GRADES):
-        z = normalised(1000 * g, grade, "raised-cosine", estimator)
-        z = z[np.isfinite(z)]
-        assert np.max(np.abs(z)) < np.sqrt(chi2.isf(0.01 / (4 * len(NAMES)), 1))
-
-
 def angles_in_windows(samples, turns, rests, profile):
     """Angle turned inside each found window, rad, and its length, s; ``rests`` are those before and after each turn."""
     begins, ends = np.array(rests).T

@@ -235,12 +235,6 @@ def test_misnamed_axes_are_found(wrong, signs):
         srt.calibrate(replace(recording, gyro=gyro, accel=accel), checks=False)
 
 
-@given(st.integers(0, 2), st.integers(-8, 8), st.integers(-8, 8))
-def test_quarter_turns_add(axis, first, second):
-    product = quarter_turn(axis, first) @ quarter_turn(axis, second)
-    np.testing.assert_array_equal(product, quarter_turn(axis, first + second))
-
-
 @settings(max_examples=30)
 @given(st.integers(0, 2), st.integers(-4, 4), st.sampled_from([(a, s) for a in range(3) for s in (1, -1)]))
 def test_quarter_turns_agree_with_rotations(axis, count, face):

@@ -30,39 +30,7 @@ from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SYMBOLS, SensorErrors
 G = SITE.gravity_m_s2
 BIASES = (("κx", 1e-3), ("κy", 1e-3), ("κz", 1e-3), ("λx", 1e-2), ("λy", 1e-2), ("λz", 1e-2))
 NAVIGATION = GRADES["navigation"]
-NOISES = ("gyro_noise", "accel_noise", "gyro_quantization", "accel_quantization")
-TEN_TIMES = replace(NAVIGATION, **{name: 10.0 * getattr(NAVIGATION, name) for name in NOISES})
 SMOOTH = ImuModel(NAVIGATION.gyro_noise, NAVIGATION.accel_noise)
-
-# Δa_H by component from [P] eqs. 3-5: factor and symbol in turn; times g, but for accelerometer biases.
-SIGNATURES = {
-    "1": {"x": "-2π κyy -2π κyyy"},
-    "2": {"y": "2π κxx 2π κxxx"},
-    "3": {"y": "-2π κzz -2π κzzz"},
-    "1a": {"x": "2π κyy -2π κyyy"},
-    "2a": {"y": "-2π κxx 2π κxxx"},
-    "3a": {"y": "2π κzz -2π κzzz"},
-    "4": {"y": "4 υyz"},
-    "5": {"x": "4 υzx"},
-    "6": {"y": "4 υxy"},
-    "7": {"x": "2 μxy 1 υxy", "z": "-2 λz -1π κxx -1π κxxx"},
-    "8": {"x": "2 μxz 1 υzx", "y": "-2 λy 1π κxx 1π κxxx"},
-    "9": {"z": "2 μzx 1 υzx", "y": "-2 λy -1π κzz -1π κzzz"},
-    "10": {"z": "2 μzy 1 υyz", "x": "-2 λx 1π κzz 1π κzzz"},
-    "11": {"y": "2 μyz 1 υyz", "x": "-2 λx -1π κyy -1π κyyy"},
-    "12": {"y": "2 μyx 1 υxy", "z": "-2 λz 1π κyy 1π κyyy"},
-    "13": {"y": "-2 λy -2 υyz", "x": "2 μxz -1 υzx 1π κyy 1π κyyy"},
-    "14": {"x": "-2 λx -2 υzx", "y": "2 μyz -1 υyz -1π κxx -1π κxxx"},
-}
-
-
-def coefficients(text):
-    out = np.zeros(N_PARAMETERS)
-    words = text.split()
-    for factor, symbol in zip(words[::2], words[1::2], strict=True):
-        value = float(factor.removesuffix("π")) * (math.pi if factor.endswith("π") else 1.0)
-        out[SYMBOLS.index(symbol)] = value * (1.0 if symbol in {"λx", "λy", "λz"} else G)
-    return out
 
 
 def table(*ids, **options):
@@ -183,18 +151,6 @@ def test_derivatives_predict_the_moves():
     assert np.abs(rho).max() > 1e3 * tolerance
 
 
-def test_moves_lower_the_bound():
-    """Gyro parameters gain most: a move turns by as much as a sequence, and its ends are windows that are there."""
-    known = fixture(1e-3) | {"wobble_sigma_rad": 1e-5}
-    recorded = linearise(table(moves="recorded"), site=SITE, imu=NAVIGATION, sample_rate_hz=100.0)
-    without, with_moves = linear().bound(known, 5e-6).covariance, recorded.bound(known, 5e-6).covariance
-    assert_not_below(without, with_moves)
-    ratio = np.sqrt(np.diag(with_moves) / np.diag(without))
-    assert ratio[GROUP_SLICES["gyro_asymmetry"]].max() < 0.9
-    covariance = recorded._covariance()
-    assert np.linalg.eigvalsh(covariance / np.sqrt(np.outer(*[np.diag(covariance)] * 2)))[0] > 0.0
-
-
 def test_noise_is_that_of_noisy_readings():
     """Measurements of noisy readings, whitened with the covariance, are independent and of unit variance."""
     vector = np.array(normal_errors(np.random.default_rng(2), 0.05).vector)
@@ -289,28 +245,6 @@ def test_bound_is_the_inverse_information_of_all_unknowns_at_once():
     np.testing.assert_allclose(got / np.outer(sigma, sigma), expected / np.outer(sigma, sigma), rtol=0.0, atol=1e-6)
 
 
-@pytest.mark.parametrize("name", SIGNATURES)
-def test_change_of_the_carried_back_force_has_the_papers_signature(name):
-    model = still_earth()
-    k = list(SIGNATURES).index(name)
-    sequence = sims.TABLE_1[name]
-    down = np.eye(3)["xyz".index(sequence.down)]
-    errors = model.errors[k, :, :24]
-    # C f at the end less f at the start; a rotation error ρ adds ρ × C f, and C f is f at the start.
-    change = model.turn[k] @ errors[END_ACCEL] + np.cross(errors[ROTATION].T, -G * down).T - errors[START_ACCEL]
-    # Two rotations that meet inside a sample commute but for (β̇ dt / 2)².
-    tolerance = G * len(sequence.rotations) * (0.5 / 100.0) ** 2
-    for axis, row in zip("xyz", change, strict=True):
-        if axis != sequence.down:
-            expected = coefficients(SIGNATURES[name].get(axis, ""))[:24]
-            np.testing.assert_allclose(row, expected, rtol=0.0, atol=tolerance, err_msg=f"{name} {axis}")
-
-
-@cache
-def still_earth():
-    return linear(earth_rate=False)
-
-
 def assert_not_below(worse, better):
     scale = np.sqrt(np.outer(np.diag(worse), np.diag(worse)))
     assert np.linalg.eigvalsh((worse - better) / scale)[0] > -1e-9
@@ -322,18 +256,6 @@ def test_an_unknown_north_is_the_limit_of_a_poor_one():
         linear().bound(fixture(1e-3) | sigma, 5e-6).sigma for sigma in (north, {"north_sigma_rad": math.inf})
     )
     np.testing.assert_allclose(unknown, poor, rtol=1e-4)
-
-
-@pytest.mark.parametrize("known", [{}, fixture(1e3) | {"north_sigma_rad": math.inf}], ids=["exact", "free"])
-def test_noise_scales_the_bound_where_no_prior_does(known):
-    quiet, noisy = (linear(imu).bound(known, 0.0).sigma for imu in (NAVIGATION, TEN_TIMES))
-    np.testing.assert_allclose(noisy, 10.0 * quiet, rtol=1e-6)
-
-
-def test_gravity_is_a_common_error_of_the_scales():
-    exact, known = (linear().bound({}, sigma).covariance for sigma in (0.0, 5e-5))
-    part = GROUP_SLICES["accel_scale"]
-    np.testing.assert_allclose((known - exact)[part, part], (5e-5 / G) ** 2, rtol=1e-3)
 
 
 def test_errors_that_no_sequence_shows_are_named():

@@ -20,8 +20,6 @@ from srt.comparison.parallel import Engine
 from srt.estimation.options import Options
 from srt.exceptions import DataError
 from srt.sensor_errors import NAMES
-from srt.sequences import checked_preparation
-from srt.sequences.window_means import average_windows
 
 ONE_MOTION = "\ntrials_per_motion = 100"
 
@@ -101,60 +99,22 @@ def test_a_batch_leaves_no_recording_in_memory(tmp_path, motion):
     assert after == before
 
 
-def test_readings_of_one_schedule_are_averaged_together(tmp_path, monkeypatch):
-    """Those with a start from the truth too, and a recording with other labels by itself."""
-    campaign = small_campaign(tmp_path, trials="4" + ONE_MOTION)
-    simulations = [simulate(campaign.unit(0, k)[0]) for k in range(4)]
-    recordings = [own.recording for own in simulations]
-    recordings[2] = recordings[2].with_sequences(recordings[2].sequences[1:])
-    sizes = []
-
-    def counted(recordings, *rest):
-        sizes.append(len(recordings))
-        return average_windows(recordings, *rest)
-
-    monkeypatch.setattr(checked_preparation, "average_windows", counted)
-    options = [Options()] * 4 + [Options(start=simulations[0].truth)]
-    found = estimate_units([*recordings, recordings[0]], options)
-    assert sizes == [3]
-    assert {own.status for own in found} <= {"converged", "partial"}
-    np.testing.assert_allclose(found[4].errors.vector, found[0].errors.vector, rtol=0, atol=1e-10)
-
-
-def test_units_with_a_motion_each_are_iterated_together(tmp_path, monkeypatch):
-    """The errors of the fixture change the number of samples of the rotations."""
+@pytest.mark.parametrize("noise", [False, True])
+def test_units_with_a_motion_each_are_those_of_single_runs(tmp_path, noise):
+    """The errors of the fixture change the number of samples; biases that wander, by noise, the times that matter."""
     campaign = small_campaign(tmp_path, trials=6)
+    campaign.scenario["recording"]["noise"] = noise
     campaign.scenario["fixture"] |= {"rotation_sigma_mrad": 20.0, "stated_rotation_sigma_mrad": 20.0}
     recordings = [simulate(campaign.unit(1, k)[0]).recording for k in range(6)]
     assert len({len(recording.time) for recording in recordings}) > 1
-    sizes = []
-
-    def counted(data, options, formulas, start, *rest, **stated):
-        sizes.append(len(start))
-        return iterate_units(data, options, formulas, start, *rest, **stated)
-
-    def averaged(recordings, *rest):
-        sizes.append(len(recordings))
-        return average_windows(recordings, *rest)
-
-    monkeypatch.setattr(estimator, "iterate_units", counted)
-    monkeypatch.setattr(checked_preparation, "average_windows", averaged)
-    found = estimate_units(recordings, [Options()] * 6)
-    assert sizes == [6, 6]
-    for recording, own in zip(recordings, found, strict=True):
+    for recording, own in zip(recordings, estimate_units(recordings, [Options()] * 6), strict=True):
+        if noise:
+            assert_as_alone(recording, own)
+            continue
         alone = srt.calibrate(recording, "closed-form", checks=False)
         assert (own.status, own.message) == (alone.status, alone.message)
         np.testing.assert_allclose(own.errors.vector, alone.errors.vector, rtol=0, atol=1e-12)
         np.testing.assert_allclose(own.sigma, alone.sigma, rtol=1e-7)
-
-
-def test_units_whose_biases_wander_are_together_in_one_motion_only(tmp_path):
-    """The times of the windows matter then."""
-    campaign = small_campaign(tmp_path, trials=2)
-    campaign.scenario["recording"]["noise"] = True
-    recordings = [simulate(campaign.unit(1, k)[0]).recording for k in range(2)]
-    for pair in zip(recordings, estimate_units(recordings, [Options()] * 2), strict=True):
-        assert_as_alone(*pair)
 
 
 def test_a_unit_that_cannot_be_calibrated_leaves_the_others(tmp_path):

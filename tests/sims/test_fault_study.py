@@ -1,17 +1,10 @@
 """Study of faults: severities, detection, outcomes and tables."""
 
-import math
-
 import faults
-import numpy as np
 import pytest
 from faults import (
-    ALL_OR_NOTHING,
-    FACTORS,
     KINDS,
-    LEAST_ONE,
     MOVED,
-    SHARES,
     Outcome,
     case_of,
     injected,
@@ -19,8 +12,6 @@ from faults import (
     outcome_of,
     severity_at,
 )
-from hypothesis import given
-from hypothesis import strategies as st
 from injected_faults.foreign_operators import PAIRS
 from injected_faults.injection import GRADES, INJECTIONS, VARIANTS, Injection
 
@@ -64,33 +55,6 @@ def test_smallest_severity_counts_and_table(ran, capsys):
     assert main(kinds=("bump",), grades=(FIRST,), units=50, jobs=1) == 0
 
 
-@given(
-    stated=st.floats(1.5, 1e3),
-    unit=st.sampled_from(["mrad", LEAST_ONE[0], FACTORS[0], ALL_OR_NOTHING[0]]),
-    rung=st.integers(0, 12),
-)
-def test_steps_go_towards_no_fault_and_never_reach_it(stated, unit, rung):
-    """None is 0 of an amount and a factor of 1; of things that are counted one is the least."""
-    made = injection("bump", {FIRST: stated}, unit)
-    here, smaller = (severity_at(made, FIRST, r) for r in (rung, rung + 1))
-    if rung == 0:
-        assert here == stated
-    if here is None:
-        assert smaller is None
-    elif smaller is not None:
-        assert smaller < here or (unit in LEAST_ONE and smaller < math.ceil(here))
-        assert smaller > (1.0 if unit in FACTORS else 0.0)
-    else:
-        assert unit in ALL_OR_NOTHING or (unit in LEAST_ONE and here <= 1.0) or rung == 0
-
-
-@given(st.floats(0.0, 0.9))
-def test_a_share_that_is_left_nears_the_whole(stated):
-    made = injection("window_short", {FIRST: stated}, SHARES[0])
-    left = [1.0 - severity_at(made, FIRST, rung) for rung in range(5)]
-    assert left == pytest.approx([(1.0 - stated) * 0.5**rung for rung in range(5)])
-
-
 def test_real_outcomes():
     """No finding without a fault, a warning, a refusal on reading, and a half severity."""
     grade, seed = "tactical-fog", 320_000
@@ -114,13 +78,6 @@ def test_outcomes_of_some_kinds():
     assert 0.0 < found.error < faults.SIGMAS
     # Gyros that do not sense the Earth rate cannot tell a wrong latitude from wrong gravity.
     assert injected("longitude for latitude", grade, 1.0, seed).first == "gravity"
-
-
-def test_what_is_told_without_a_cause():
-    assert Outcome("", "sound", 5.0).told == "nothing, sound beyond 4 sigma"
-    assert Outcome("", "doubtful", 1.0).told == "nothing, doubtful"
-    assert not Outcome("", "doubtful", 1.0).harmless
-    assert Outcome("refused", "failed", np.nan).told == "refused"
 
 
 @pytest.mark.parametrize("study", ["drawn", "clean"])

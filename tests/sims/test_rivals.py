@@ -12,7 +12,6 @@ from ferraris import (
     TABLE_1_TURN_RAD,
     TABLE_1_TURNS,
     TURN_RAD,
-    TURN_SEQUENCES,
     Take,
     ferraris_motions,
     imucal_errors,
@@ -23,16 +22,15 @@ from studies import rms
 from sims.physics.fixture import FixtureDraw, earth_rate_ned, rotation
 from sims.physics.imu import read_out
 from sims.physics.motion import RateProfile
-from sims.physics.table_motion import Schedule, run_schedule, table1_motion
-from srt.sensor_errors import GROUP_SLICES, NAMES, SensorErrors
+from sims.physics.table_motion import table1_motion
+from srt.sensor_errors import GROUP_SLICES, SensorErrors
 
 RATE_HZ = 50.0
 DWELL_S = 2.0
 PROFILE = RateProfile(1.0, 10.0)
 SLACK_S = PROFILE.rate_rad_s / PROFILE.accel_rad_s2 + 2.0 / RATE_HZ
 """Excess of a rotation's duration over its angle at full rate: half of both ramps, and fractions of samples."""
-EARTH = np.abs(earth_rate_ned(SITE.latitude_rad))
-NORTH, UP = EARTH[0], EARTH[2]
+NORTH = abs(earth_rate_ned(SITE.latitude_rad)[0])
 
 
 def unit(seed=3):
@@ -93,46 +91,6 @@ def test_earths_rate_limits_imucal_to_a_microradian():
     assert d[GROUP_SLICES["accel_scale"]].max() < 4.0 * left * 5e-3
     assert d[GROUP_SLICES["gyro_bias"]].max() < 1e-15
     assert d[GROUP_SLICES["accel_bias"]].max() < 1e-12
-
-
-def test_the_rotation_about_z_of_table_1_has_north_along_its_axis():
-    """z lies along the table's x axis, which is north, and turns by the right hand: the rate counts as scale.
-
-    Sequence 3 starts with x down by a turn of the outer axis of -90°, which lays z to the south.
-    """
-    pytest.importorskip("imucal")
-    d = by_table_1(SensorErrors())["gyro_scale_z"]
-    lasts = TABLE_1_TURN_RAD / PROFILE.rate_rad_s + PROFILE.rate_rad_s / PROFILE.accel_rad_s2
-    # Up to one sample more, and K_ga times the specific force left over, as above.
-    assert d == pytest.approx(-NORTH * lasts / TABLE_1_TURN_RAD, abs=(UP + NORTH) * SLACK_S / TABLE_1_TURN_RAD)
-    assert -53e-6 < d < -51e-6
-
-
-def test_errors_of_the_fixture_become_errors_of_the_unit():
-    """A start angle and a turned angle off by a milliradian: their first-order effects, by hand.
-
-    With the inner axis off by δ, the unit's x axis lies at -δ from the outer axis: what should be (1, 0, 0) is
-    (1, -δ, 0), and the sum of the elements xy and yx of the gyro matrix is -δ. An angle off by ε makes a scale of
-    ε over the angle. Second orders are below δ².
-    """
-    pytest.importorskip("imucal")
-    delta = 1e-3
-    fixture = {"site": SITE, "sample_rate_hz": RATE_HZ, "earth_rate": False}
-    faces, _ = ferraris_motions(face_s=DWELL_S, profile=PROFILE, **fixture)
-    off = FixtureDraw(
-        starts=np.array([[delta, 0.0], [0.0, 0.0], [0.0, 0.0]]),
-        legs=(np.zeros(1), np.zeros(1), np.array([delta])),
-    )
-    turns = run_schedule(Schedule(TURN_SEQUENCES, PROFILE, dwell_s=1.0), fixture_draw=off, **fixture)
-    take = [Take(read_out(m, SensorErrors()), m.windows) for m in (faces, turns)]
-    regions = signal_regions(*take, face_s=DWELL_S)
-    d = imucal_errors(regions, sample_rate_hz=RATE_HZ, gravity_m_s2=SITE.gravity_m_s2)
-    expected = dict.fromkeys(NAMES, 0.0)
-    expected["gyro_orthogonality_xy"] = -delta
-    expected["gyro_scale_z"] = delta / TURN_RAD
-    # The frame in which the gyro matrix is symmetric turns by half of it about z, and the accelerometers with it.
-    expected["accel_misalignment_xy"], expected["accel_misalignment_yx"] = -0.5 * delta, 0.5 * delta
-    np.testing.assert_allclose(d.vector, [expected[name] for name in NAMES], rtol=0.0, atol=delta**2)
 
 
 def test_one_unit_of_the_comparison():

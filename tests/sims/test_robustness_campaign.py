@@ -17,11 +17,10 @@ import numpy as np
 import pytest
 from small_campaign import SMALL, numbers, same, small_campaign
 
-import srt
 from sims.physics.imu import accel_matrix, gyro_matrix, is_imu
 from sims.physics.sequences import TABLE_1
 from sims.robustness import trial
-from sims.robustness.campaign import AXES, drawn_prior, load_campaign
+from sims.robustness.campaign import drawn_prior, load_campaign
 from sims.robustness.result_folder import ResultFolder, schema
 from sims.robustness.run import run_campaign
 from sims.robustness.trial import OUTCOMES, run_trial, score
@@ -31,7 +30,7 @@ from srt.closed_form.estimator import estimate_units
 from srt.comparison.parallel import Engine, _ended_managers_are_silent
 from srt.constants import DEG
 from srt.exceptions import DataError, InputError
-from srt.sensor_errors import GROUP_SLICES, NAMES, SensorErrors
+from srt.sensor_errors import GROUP_SLICES, SensorErrors
 
 
 @pytest.fixture
@@ -92,15 +91,6 @@ def test_more_trials_leave_those_before_alone(small, tmp_path):
     assert same(fewer_again, few)
 
 
-def test_every_estimator_gets_the_same_recording(small):
-    extra = '[[estimator]]\nname = "least-squares"\n'
-    rows = run_trial(small(extra=extra), (0, 0))
-    assert [row["estimator"] for row in rows] == ["least-squares", "closed-form"]
-    assert {row["seed"] for row in rows} == {rows[0]["seed"]}
-    for name in NAMES:
-        assert rows[0][f"truth_{name}"] == rows[1][f"truth_{name}"]
-
-
 def test_axes_mean_what_they_say(small):
     campaign = small(extra="accel_bias_mg = { low = 100.0, high = 100.0 }\nasymmetry_ppm = { choices = [500] }\n")
     bounds = {"gyro_scale": 0.5, "accel_scale": 0.5, "gyro_orthogonality": 0.03, "accel_misalignment": 0.03}
@@ -113,13 +103,6 @@ def test_axes_mean_what_they_say(small):
         assert part.max() > 0.9 * bound or group == "gyro_bias"  # whose bound is drawn itself
 
 
-def test_missing_and_repeated_sequences(small):
-    campaign = small(extra="missing_sequences = { choices = [2] }\nrepeated_sequences = { choices = [3] }\n")
-    ids = [label.id for label in simulate(campaign.unit(0, 0)[0]).recording.sequences]
-    assert len(ids) == 18
-    assert len(set(ids)) == 15
-
-
 def test_dwells_stay_with_their_sequences(small):
     """Every sequence with a start window of its own length: left out or repeated, it keeps it."""
     dwells = [1.0 + 0.1 * k for k in range(len(TABLE_1))]
@@ -127,7 +110,7 @@ def test_dwells_stay_with_their_sequences(small):
     campaign = small(extra="missing_sequences = { choices = [2] }\nrepeated_sequences = { choices = [3] }\n", text=text)
     schedule = campaign.unit(0, 0)[0].schedule
     own = dict(zip(load_scenario("robustness").schedule.sequences, dwells, strict=True))
-    assert len(schedule.sequences) == 18
+    assert (len(schedule.sequences), len(set(schedule.sequences))) == (18, 15)
     assert schedule.dwells_s == tuple((own[name],) * 2 for name in schedule.sequences)
 
 
@@ -174,28 +157,22 @@ def test_a_wrong_minimum_is_called_one(small, monkeypatch):
     assert row["distance"] > 1.0
 
 
-def test_an_error_is_an_outcome(small, monkeypatch):
-    def refuse(*_, **__):
-        raise DataError("No.")
+@pytest.mark.parametrize(
+    ("error", "outcome", "said"),
+    [
+        (DataError("No."), "refused", "No."),
+        (ValueError("array must not contain infs"), "crashed", "ValueError: array must not contain infs"),
+    ],
+)
+def test_an_error_is_an_outcome_of_its_estimator_alone(small, monkeypatch, error, outcome, said):
+    def fail(*_, **__):
+        raise error
 
-    monkeypatch.setattr("srt.calibrate", refuse)
-    monkeypatch.setattr(trial, "estimate_units", lambda recordings, _: [DataError("No.")] * len(recordings))
-    for row in run_trial(small(extra='[[estimator]]\nname = "least-squares"\n'), (0, 0)):
-        assert (row["outcome"], row["message"]) == ("refused", "No.")
-
-
-def test_a_defect_is_a_failure_of_its_trial_alone(small, monkeypatch):
-    real = srt.calibrate
-
-    def sometimes(recording, name, *, options, checks):
-        if name == "least-squares":
-            raise ValueError("array must not contain infs or NaNs")
-        return real(recording, name, options=options, checks=checks)
-
-    monkeypatch.setattr("srt.calibrate", sometimes)
-    rows = run_trial(small(extra='[[estimator]]\nname = "least-squares"\n'), (0, 0))
-    assert [row["outcome"] for row in rows] == ["crashed", "converged"]
-    assert rows[0]["message"] == "ValueError: array must not contain infs or NaNs"
+    monkeypatch.setattr("srt.calibrate", fail)
+    failed, other = run_trial(small(extra='[[estimator]]\nname = "least-squares"\n'), (0, 0))
+    assert (failed["outcome"], failed["message"]) == (outcome, said)
+    assert other["outcome"] == "converged"
+    assert failed["seed"] == other["seed"]
 
 
 def test_starts_that_only_campaigns_have(small):
@@ -361,10 +338,6 @@ def test_a_mistake_is_one_sentence(mistake, tmp_path):
     assert "\n" not in sentence
 
 
-def test_every_axis_is_described():
-    assert all(axis.text for axis in AXES.values())
-
-
 # Engines
 
 
@@ -392,16 +365,6 @@ def test_another_service_at_the_address_of_a_scheduler_is_reported(small, tmp_pa
         address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
         with pytest.raises(InputError, match="No Dask scheduler answers at"):
             run_campaign(small(), tmp_path / "a", engine=Engine(scheduler=address))
-
-
-def test_workers_cannot_be_negative():
-    with pytest.raises(InputError, match="-1"):
-        Engine(-1)
-
-
-def test_far_more_workers_than_cores_are_refused():
-    with pytest.raises(InputError, match="100000, but this machine has"):
-        Engine(100_000)
 
 
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="processes are looked up in /proc")
@@ -435,6 +398,12 @@ def test_a_run_that_is_given_up_needs_no_advice_of_joblib(recwarn):
     next(results)
     results.close()
     assert [str(each.message) for each in recwarn] == []
+
+
+@pytest.mark.parametrize(("workers", "said"), [(-1, "-1"), (100_000, "100000, but this machine has")])
+def test_numbers_of_workers_that_no_machine_has_are_refused(workers, said):
+    with pytest.raises(InputError, match=said):
+        Engine(workers)
 
 
 def _runs(process):

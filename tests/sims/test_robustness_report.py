@@ -7,44 +7,20 @@ from dataclasses import replace
 from functools import cache
 from html.parser import HTMLParser
 
-import numpy as np
 import pyarrow as pa
 import pytest
-from campaign_tables import SCALES, grid_rows, header, noisy_rows, staircase_study, table
+from campaign_tables import grid_rows, header, staircase_study, table
 
 import srt
-from sims.robustness import figures, report, tables
+from sims.robustness import report, tables
 from sims.robustness.summary import summarise
 from sims.robustness.trial import OUTCOMES
-from srt.sensor_errors import INDEX, NAMES, SYMBOLS
+from srt.sensor_errors import NAMES
 
 
 @pytest.fixture(scope="module")
 def study():
     return staircase_study()
-
-
-def test_cells_of_a_map_say_their_share_and_empty_ones_are_hatched(study):
-    told = replace(study[1], grid={**SCALES, "scale_percent": [1.0, 10.0, 50.0, 90.0]})
-    found = summarise(study[0], told).maps[0]
-    figure = figures.map_figure(found, told.estimators)
-    panels = [axes for axes in figure.axes if axes.get_title(loc="left") in told.estimators]
-    assert len(panels) == 2
-    written = {(t.get_position()): t.get_text() for t in panels[0].texts}
-    assert written[0, 0] == "100"
-    assert written[2, 3] == "0"
-    assert len(written) == 12
-    hatched = [patch for patch in panels[0].patches if patch.get_hatch()]
-    assert sorted((p.get_x() + 0.5, p.get_y() + 0.5) for p in hatched) == [(3, 0), (3, 1), (3, 2), (3, 3)]
-    assert panels[0].collections[0].get_clim() == (0.0, 100.0)
-
-
-def test_rings_are_around_dishonest_sigmas():
-    found = summarise(table(noisy_rows(50, {"accel_scale_y": 2.0})), header()).consistency
-    axes = figures.consistency_figure(found, ("closed-form",)).axes[0]
-    rings = [line for line in axes.lines if line.get_markersize() == 12.0]
-    assert [ring.get_xdata().tolist() for ring in rings] == [[INDEX["accel_scale_y"]]]
-    assert len(axes.get_xticks()) == len(SYMBOLS)
 
 
 HOSTILE = "<script>alert('1')</script> | $x_{$ `b` [link](http://evil.example) \n\x00 _dash_ & {{ 7*7 }} \u4e2d"
@@ -173,10 +149,6 @@ def test_hostile_text_is_shown_and_not_obeyed():
     assert "{{ 7*7 }}" in page
 
 
-def test_the_page_is_the_same_from_the_same_numbers():
-    assert report.html_report(summarise(*noise_free())) == page_of("noise-free")
-
-
 def test_the_page_says_how_much_is_done_and_what_was_averaged(study, monkeypatch):
     for name, nothing in (("_maps", ()), ("_sizes", ()), ("_consistency", None), ("_effort", None)):
         monkeypatch.setattr(report, name, lambda _, nothing=nothing: nothing)  # the text alone is looked at
@@ -218,8 +190,3 @@ def test_an_absent_jinja_says_what_to_install(monkeypatch, study):
     monkeypatch.setitem(sys.modules, "jinja2", None)
     with pytest.raises(srt.MissingExtraError, match=r"pip install 'strapdown-rotation-test\[campaign\]'"):
         report.html_report(summarise(*study))
-
-
-def test_numbers_as_people_read_them():
-    shown = [tables.number(v) for v in (0.0, 0.00012, 0.0123, 1.0, 999.4, 12345.6, 2e7, np.nan)]
-    assert shown == ["0", "1.2e-04", "0.0123", "1", "999", "12346", "2.00e+07", "–"]

@@ -25,12 +25,6 @@ def study():
     return staircase_study()
 
 
-def test_the_outcomes_are_those_of_the_trials():
-    assert tuple(tables.OUTCOME_WORDS) == tuple(OUTCOMES)
-    assert tables.OUTCOME_WORDS["wrong_minimum"] == "wrong minimum"
-    assert tables.OUTCOME_WORDS["no_imu"] == "no IMU"
-
-
 def test_counts_leave_out_what_is_no_imu(study):
     found = summarise(*study)
     counts = found.outcomes.loc["closed-form", list(OUTCOMES)].to_dict()
@@ -46,13 +40,10 @@ def test_counts_leave_out_what_is_no_imu(study):
 
 @pytest.mark.parametrize(("k", "n"), [(0, 10), (10, 10), (3, 10), (997, 1000), (0, 1)])
 def test_interval_of_a_share(k, n):
+    assert share_interval(0, 0) == (0.0, 1.0)
     low, high = share_interval(k, n)
     expected = binomtest(k, n).proportion_ci(0.95, "exact")
     np.testing.assert_allclose((low, high), expected, rtol=1e-9, atol=1e-15)
-
-
-def test_nothing_tried_says_nothing_of_a_share():
-    assert share_interval(0, 0) == (0.0, 1.0)
 
 
 def test_map_of_the_first_two_axes(study):

@@ -73,22 +73,6 @@ def test_increments_are_rates_times_the_interval():
     np.testing.assert_allclose(increment.accel, rate.accel * 0.01, rtol=1e-14)
 
 
-def test_low_rate_recording_is_the_sum_of_a_fast_one():
-    errors = SensorErrors(np.random.default_rng(3).normal(size=27) * 0.1)
-    slow, fast = (
-        read_out(
-            sims.table1_motion(site=SITE, sequences=("1",), sample_rate_hz=hz, dwell_s=1.0),
-            errors,
-            kind="increment",
-        )
-        for hz in (50.0, 1000.0)
-    )
-    n = min(len(slow.time), len(fast.time) // 20)
-    for name in ("gyro", "accel"):
-        summed = getattr(fast, name)[: 20 * n].reshape(n, 20, 3).sum(axis=1)
-        np.testing.assert_allclose(getattr(slow, name)[:n], summed, rtol=1e-14, atol=1e-15)
-
-
 def test_random_walks_have_their_density():
     model = ImuModel(gyro_noise=2e-5, accel_noise=3e-4)
     recording = read_out(STILL, NONE, model, np.random.default_rng(4), kind="increment")
@@ -135,17 +119,6 @@ def test_drift_is_stationary_and_runs_on_across_gaps():
         assert np.mean(draws[first] * draws[second]) == pytest.approx(expected, abs=3.5 * spread * math.sqrt(2.0))
 
 
-def test_drift_keeps_its_correlation_within_a_piece():
-    motion = constant_motion((0, 0, 0), (0, 0, 0), 11, 10.0)
-    rng = np.random.default_rng(7)
-    draws = np.array([drift(1.0, motion, rng) for _ in range(1000)])
-    process = math.log(10.0) / math.pi / ALLAN_FLOOR**2
-    # Variance of the change over 1 s: 2 σ² Σ (1 - exp(-1/τ)).
-    expected = 2.0 * process * sum(-math.expm1(-1.0 / tau) for tau in CORRELATION_TIMES_S)
-    low, high = chi_square_bounds(3000)
-    assert low < np.mean((draws[:, 10] - draws[:, 0]) ** 2) / expected < high
-
-
 def test_quantization_carries_its_remainder():
     quantum = 2.5e-6
     motion = constant_motion((1e-5, -3e-5, 0.2), (0, 0, 0), 5000, gap_after=2000)
@@ -156,21 +129,6 @@ def test_quantization_carries_its_remainder():
         error = np.cumsum(recording.gyro[piece] - motion.angle[piece], axis=0)
         assert np.abs(error).max() < quantum
         assert np.ptp(error) > 0.9 * quantum
-
-
-def test_quantization_error_of_a_sum_has_its_variance():
-    motion = constant_motion((1.23456, -2.34567, 0.98765), (0, 0, 0), 50)
-    rng = np.random.default_rng(9)
-    model = ImuModel(gyro_quantization=1e-3)
-    errors = np.array(
-        [(read_out(motion, NONE, model, rng, kind="increment").gyro - motion.angle).sum(axis=0) for _ in range(700)]
-    )
-    # The error of one fixed sum takes two values: variance quantum² p (1 - p), p the fraction in the sum.
-    fraction = np.modf(np.abs(motion.angle.sum(axis=0)) / 1e-3)[0]
-    expected = 1e-6 * fraction * (1.0 - fraction)
-    kurtosis = (1.0 - 3.0 * fraction * (1.0 - fraction)) / (fraction * (1.0 - fraction))
-    bound = 3.5 * expected * np.sqrt((kurtosis - 1.0) / 700.0) + 3.5**2 * expected / 700.0
-    assert np.all(np.abs(np.mean(errors**2, axis=0) - expected) < bound)
 
 
 def test_saturation_and_resolution():

@@ -8,7 +8,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import sims
-from sims.physics.integrals import node_count
 from srt.constants import EARTH_RATE_RAD_S
 from srt.exceptions import InputError
 from srt.recording.recording import Site
@@ -293,10 +292,6 @@ def test_quadrature_is_at_its_limit(monkeypatch):
     np.testing.assert_allclose(coarse.velocity_abs, fine.velocity_abs, atol=1e-14)
 
 
-def test_node_count_follows_the_phase():
-    assert [node_count(p) for p in (1e-4, 0.02, 0.5)] == [4, 7, 13]
-
-
 def test_ringing_reaches_into_the_window_unless_it_settles():
     ringing = sims.RateProfile(1.0, 10.0, settling_rad=1e-3, settling_hz=5.0, settling_decay_s=0.1)
     spread = []
@@ -316,12 +311,6 @@ def test_time_stamps_windows_and_gaps():
     np.testing.assert_array_equal(motion.piece_starts, [0, *gaps])
     assert len(gaps) == 2
     assert motion.time[0] == 0.01
-    for label, (first, second) in zip(motion.labels, motion.windows, strict=True):
-        assert (label.start_static_s, label.end_static_s) == (first, second)
-        for start, end in (first, second):
-            rows = np.flatnonzero(rows_in(motion, start, end))
-            assert len(rows) == 100
-            assert motion.time[rows[-1]] == end
     assert motion.windows[0] == ((0.0, 1.0), (7.39, 8.39))  # 2π s + 0.1 s of ramps, to the next sample edge
     # The move to sequence 2 goes the shorter way: 90 degrees about inner, none of the 360 about outer.
     assert motion.windows[1][0][0] == 8.39 + 1.0 + 1.68
