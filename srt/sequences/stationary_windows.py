@@ -27,9 +27,12 @@ _LONGEST_SUM_S: Final = 2.0
 _SIGMAS: Final = 6.0
 """Limit of a sum of readings, in sigma, for motion: about 0.001 false alarms in the 500,000 tests of a recording."""
 
+_COARSE: Final = 4.0
+"""Ratio of the variance of the gyros at rest to that of their steps below which the steps hide more than the noise."""
 _GROWN: Final = 4.0
-"""Ratio of two rates of a motion that begins smoothly: a rate that grows with the square of time begins as long before
-the first as that is before the second. Readings in steps hide more of the beginning than their noise."""
+"""Growth of a rate beyond its limit from which the beginning of the motion is extrapolated."""
+_BEGINNING: Final = 2.0 / 3.0
+"""Power of the growth that is in proportion to the time: between rates that grow with time (1) and its square (1/2)."""
 _DOUBTFUL: Final = 2.5
 """Limit, in sigma, of a single gyro reading next to motion; a larger one is excluded from the window."""
 _CORE_BLOCKS: Final = 20
@@ -72,9 +75,10 @@ def to_the_sample(
 
     The threshold for still blocks may lie far above the noise of the unit, so that the ends of a run may belong to a
     slow rotation. Therefore the quietest part of the run near either end (the core) represents rest. From the core
-    outward, sums of 1, 2, 4 ... readings are compared with it. The first sum beyond its noise ends the window. As many
-    samples again are excluded, and the time in which a smooth motion grows to that rate, because noise and steps of the
-    readings hide the start of a rotation. Excluded samples belong to the rotation.
+    outward, sums of 1, 2, 4 ... readings are compared with it. The first sum beyond its noise ends the window, and as
+    many samples again are excluded, because noise hides the start of a slow rotation. Where the steps of the readings
+    hide more than their noise, so is the time in which the motion grows to that rate. Excluded samples belong to the
+    rotation.
 
     Parameters
     ----------
@@ -89,6 +93,7 @@ def to_the_sample(
     pieces = np.array([0, *recording.gaps.tolist(), len(recording.time)])
     # A hand trembles less in a core than elsewhere; the noise of a unit on a fixture is the same everywhere.
     spread = np.ones(6) if recording.fixture is None else _spread_of_sums(blocks, rest)
+    coarse = bool(np.any(rest.level[:3] < _COARSE * blocks.floor[:3]))
     out: list[tuple[int, int]] = []
     for first, last in runs:
         if last - first < 3:
@@ -100,7 +105,7 @@ def to_the_sample(
             max(int(pieces[piece - 1]), int(blocks.first[first]) - reach),
             min(int(pieces[piece]), int(blocks.first[last - 1]) + blocks.size + reach),
         )
-        a, b = _extend(recording, cores, outer, rest.level, spread)
+        a, b = _extend(recording, cores, outer, rest.level, spread, coarse=coarse)
         if out and a < out[-1][1]:  # both extend into the same blocks: each gets one half
             middle = (a + out[-1][1]) // 2
             out[-1], a = (out[-1][0], middle), middle
@@ -160,15 +165,19 @@ def _extend(
     outer: tuple[int, int],
     variance: Array,
     spread: Array | float = 1.0,
+    *,
+    coarse: bool = False,
 ) -> tuple[int, int]:
     """Extend the first core backward and the second forward to the last still samples, not beyond ``outer``."""
     (a, b), (c, d) = cores
     sides = ((slice(a, b), range(a - 1, outer[0] - 1, -1)), (slice(c, d), range(d, outer[1])))
-    before, after = (_still_outward(recording, *side, np.sqrt(variance), spread) for side in sides)
+    before, after = (_still_outward(recording, *side, np.sqrt(variance), spread, coarse=coarse) for side in sides)
     return a - before, d + after
 
 
-def _still_outward(recording: Recording, core: slice, outward: range, least: Array, spread: Array | float) -> int:
+def _still_outward(
+    recording: Recording, core: slice, outward: range, least: Array, spread: Array | float, *, coarse: bool
+) -> int:
     """Number of samples next to a core that are consistent with it; negative if motion begins in the core."""
     if len(outward) == 0:
         return 0
@@ -190,18 +199,25 @@ def _still_outward(recording: Recording, core: slice, outward: range, least: Arr
         limit = _SIGMAS * np.sqrt(n * tremor * (1.0 + n / len(beside)) + n**2 * wander)
         ratio = (np.abs(total[n:] - total[:-n]) / limit).max(axis=1)
         if (ratio > 1.0).any():
-            grown = min(_GROWN, float(ratio.max()))
-            first, fast = int(np.argmax(ratio > 1.0)), int(np.argmax(ratio >= grown))
-            hidden = round((fast - first) / max(np.sqrt(grown) - 1.0, 0.5))
+            first = int(np.argmax(ratio > 1.0))
             # Longer sums that end later do not shorten the window.
             best = first + n - 1
-            kept = min(kept, max(0, best - 2 * (n - 1)), max(first + n // 2 - hidden, -len(beside) // 4))
+            kept = min(kept, max(0, best - 2 * (n - 1)))
+            if coarse:
+                kept = min(kept, max(first + n // 2 - _hidden(ratio), -len(beside) // 4))
             total = total[: best + 1]
         n *= 2
     # The sample next to the motion may contain its first or last moment, below the detection limit.
     while 0 < kept < len(outward) and np.any(np.abs(deviation[kept - 1, :3]) > _DOUBTFUL):
         kept -= 1
     return kept
+
+
+def _hidden(ratio: Array) -> int:
+    """Samples between the beginning of a motion and its first rate beyond the limit; ``ratio`` is the rate over it."""
+    grown = min(_GROWN, float(ratio.max()))
+    growing = int(np.argmax(ratio >= grown)) - int(np.argmax(ratio > 1.0))
+    return round(growing / max(grown**_BEGINNING - 1.0, 0.5))
 
 
 def split_at_jumps(recording: Recording, windows: SequenceOf[tuple[int, int]], floor: Array) -> list[tuple[int, int]]:

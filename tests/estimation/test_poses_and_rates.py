@@ -222,7 +222,16 @@ def test_directions_that_a_protocol_hardly_shows_do_not_keep_it_from_converging(
     """
     score = protocols.by_protocol((protocol, "fixed"), seed - protocols.FIRST_SEED, ["least-squares"])["least-squares"]
     assert score.status == "partial"
-    assert np.all(score.observed[GROUP_SLICES["gyro_scale"]])
+    assert np.all(np.isfinite(score.error[GROUP_SLICES["gyro_scale"]]))
+
+
+def test_misalignments_whose_squares_count_are_not_observed():
+    """Ferraris' turns without a fixture: 20 mrad beside 5e-6; NEES of thousands if they count as observed."""
+    scores = [
+        protocols.by_protocol(("ferraris", "fixed"), unit, ["least-squares"])["least-squares"] for unit in range(3)
+    ]
+    # The sigmas hold what the fixed misalignments may be: an upper limit, 1 %.
+    assert sum(score.nees for score in scores) < chi2.ppf(0.99, sum(score.freedom for score in scores))
 
 
 @pytest.mark.parametrize("name", ["24-face-tumble", "six-face-tumble", "rate-table"])
