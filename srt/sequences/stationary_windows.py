@@ -217,7 +217,8 @@ def _hidden(ratio: Array) -> int:
     """Samples between the beginning of a motion and its first rate beyond the limit; ``ratio`` is the rate over it."""
     grown = min(_GROWN, float(ratio.max()))
     growing = int(np.argmax(ratio >= grown)) - int(np.argmax(ratio > 1.0))
-    return round(growing / max(grown**_BEGINNING - 1.0, 0.5))
+    share: float = max(grown**_BEGINNING - 1.0, 0.5)
+    return round(growing / share)
 
 
 def split_at_jumps(recording: Recording, windows: SequenceOf[tuple[int, int]], floor: Array) -> list[tuple[int, int]]:
