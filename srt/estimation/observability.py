@@ -82,8 +82,7 @@ def admit(A: Array, wanted: Mask) -> Mask:
     """
     admitted = np.zeros(N_PARAMETERS, dtype=np.bool_)
     basis: list[Array] = []
-    finest = 1.0 / np.linalg.norm(A[:, _MATRICES] / admission_sigma()[_MATRICES], 2)
-    least = admission_sigma() / observed_limit(finest=float(finest))
+    least = admission_sigma() / observed_limit()
     for name in _ADMISSION:
         j = INDEX[name]
         if not wanted[j]:

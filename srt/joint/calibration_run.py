@@ -19,7 +19,7 @@ from srt.estimation.fixed_parameters import (
     reason_on_request,
     seen_by_earth_rate_alone,
 )
-from srt.estimation.observability import finest_sigma, observed_limit
+from srt.estimation.observability import observed_limit
 from srt.joint.initial_attitudes import placed
 from srt.joint.iteration import iterate, observable_parameters
 from srt.joint.linearisation import linearise
@@ -106,9 +106,7 @@ def run(joint: JointModel, solver: JointSolver, progress: Progress | None) -> Ca
             held = found_held
             joint.unmodelled_sigma = NO_ERRORS
             continue
-        assert iteration.covariance is not None
-        limit = observed_limit(joint.admission, finest_sigma(iteration.covariance))
-        weak = iteration.free & (iteration.sigma > limit)
+        weak = iteration.free & (iteration.sigma > observed_limit(joint.admission))
         if not weak.any() or solver.prior is not None:
             break
         iteration.free = iteration.free & ~weak
