@@ -196,6 +196,14 @@ class _Rig:
         return simulate(self.still.scenario.model_copy(update={"site": self._still_earth}))
 
 
+def _of_sources(found: Calibration) -> dict[str, Array]:
+    """Sigma by source of a calibration, shape (27,), without the factor by which residuals enlarge all of them.
+
+    What enlarges them, as a bias that depends on specific force, is a source of its own here.
+    """
+    return {name: sizes / (found.noise.sigma_inflation or 1.0) for name, sizes in found.contributions.items()}
+
+
 def _budget(estimator: str, rig: _Rig, calibrate: _Counted) -> Budget:
     truth = rig.still.truth.vector
     noisy = calibrate(rig.noisy, estimator)
@@ -204,10 +212,10 @@ def _budget(estimator: str, rig: _Rig, calibrate: _Counted) -> Budget:
     def shown(values: Array) -> Array:
         return np.where(seen, values, np.nan)
 
-    contributions = dict(noisy.contributions)
+    contributions = _of_sources(noisy)
     # With a bias that changes with the pose, the estimator uses one bias per sequence, which adds noise. That scatter
     # is not bias instability, and g-sensitivity has a separate row.
-    drifting = calibrate(rig.insensitive, estimator).contributions
+    drifting = _of_sources(calibrate(rig.insensitive, estimator))
     contributions |= {name: sizes for name, sizes in drifting.items() if name == "gyro_bias_instability"}
     sources = {name: shown(sizes) for name, sizes in contributions.items() if np.any(sizes > 0.0)}
     plain = calibrate(rig.sensed(rig.still), estimator)
@@ -228,7 +236,7 @@ def _budget(estimator: str, rig: _Rig, calibrate: _Counted) -> Budget:
         after += (calibrate(rig.sensed(simulation), estimator).errors.vector - plain.errors.vector) ** 2
     for simulation in rig.fixtures(earth=False):
         before += (calibrate(rig.sensed(simulation), "closed-form", **once).errors.vector - truth) ** 2
-    explained = noisy.contributions.get("earth_rate_alignment", np.zeros(N_PARAMETERS)) ** 2
+    explained = contributions.get("earth_rate_alignment", np.zeros(N_PARAMETERS)) ** 2
     sources[FIXTURE] = shown(np.sqrt(np.maximum(after / rig.draws - explained, 0.0)))
     first = calibrate(rig.sensed(rig.still), "closed-form", **once).errors.vector
     alone = calibrate(rig.sensed(rig.standing()), "closed-form", **once).errors.vector

@@ -3,6 +3,7 @@
 import json
 import math
 
+import g_sensitivity
 import numpy as np
 import pytest
 
@@ -231,3 +232,11 @@ def test_the_plan_counts_on_the_moves(folder):
     assert made["worst_ratio"] == pytest.approx(np.nanmax(with_moves / targets), rel=1e-12)
     assert sims.load_scenario(folder / "s.toml").schedule.moves == "recorded"
     assert "Let the log run on during the moves" in (folder / "s.md").read_text(encoding="utf-8")
+
+
+def test_residuals_that_contradict_a_pooled_bias_enlarge_no_source():
+    """Γ of 30 °/h/g enlarges the sigmas of one bias for all poses by 1.6; the noise is that of the right model."""
+    plan = g_sensitivity.mems_scenario(dwell_s=4.0, sample_rate_hz=50.0)
+    (pooled,), (right,) = (budget(plan, draws=2, gyro_bias=mode) for mode in ("pooled", "g-sensitive"))
+    # Four unknowns of each gyro in place of one: the bias is a small part of the noise of a rotation.
+    np.testing.assert_allclose(pooled.sources["gyro_noise"][:3], right.sources["gyro_noise"][:3], rtol=0.05)
