@@ -243,7 +243,7 @@ def _fit_one(tau: Array, count: Array, variance: Array, first: int = 0, *, drift
 
     ``drifting`` adds a flat part.
     """
-    if variance.max() == 0.0:
+    if not 0.0 < variance.max() < math.inf:  # readings that are constant, or too large to be squared
         return _Fit(np.zeros(2), 0.0, 0.0)
     if len(tau) < 2:  # windows of a few samples: one octave does not separate quantization from white noise
         return _Fit(np.array([variance[0] * tau[0], 0.0]), 1.0, 0.0)
