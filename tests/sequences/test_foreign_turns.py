@@ -200,3 +200,11 @@ def test_pulses_far_above_the_noise_are_sound(estimator):
         z = (found.errors.vector - np.array([errors.get(name, 0.0) for name in NAMES])) / found.sigma
         squares = z @ np.linalg.solve(found.covariance / np.outer(found.sigma, found.sigma), z)
         assert chi2.sf(squares, len(NAMES)) > 0.01 / 4, number
+
+
+def test_counts_that_carry_over_are_not_truncated():
+    """Pulses of a steady rate that noise does not change: two values in a window, which show no width of zero."""
+    rng = np.random.default_rng((SEED, 7709))
+    motion = on_fixture(list(table_1())[:5], rng, rest_s=13.5, rate_rad_s=1.5, sigma_rad=1e-3)
+    named = {finding.cause.name for finding in srt.diagnose(with_pulses(motion, {}, 3.0, rng)).findings}
+    assert named <= {"sequence_missing"}
