@@ -59,7 +59,7 @@ def sum_once(recording: srt.Recording) -> float:
 def process_time(arguments: list[str], environment: dict[str, str] | None = None) -> float:
     """CPU time of a process with its start and its own processes, s.
 
-    What is installed has been compiled: the source is not compiled anew where writing that has been turned off.
+    Installed modules are compiled once, also where writing of bytecode has been turned off.
 
     Raises
     ------

@@ -199,7 +199,7 @@ class _Rig:
 def _of_sources(found: Calibration) -> dict[str, Array]:
     """Sigma by source of a calibration, shape (27,), without the factor by which residuals enlarge all of them.
 
-    What enlarges them, as a bias that depends on specific force, is a source of its own here.
+    The effect behind that factor, as a bias that depends on specific force, is a source of its own.
     """
     return {name: sizes / (found.noise.sigma_inflation or 1.0) for name, sizes in found.contributions.items()}
 

@@ -25,8 +25,7 @@ _ADMISSION: Final = (
 _SHARE: Final = 1.0 / 3.0
 """Share of the prior sigma below which the sigma of an observed parameter lies."""
 _LARGEST_ANGLE: Final = 0.03
-"""Largest sigma of an observed misalignment, rad."""
-_MISALIGNMENTS: Final = ("gyro_orthogonality", "accel_misalignment")
+"""Largest sigma of an observed misalignment, rad: the covariance is linear, and squares of larger ones exceed 1e-3."""
 _MATRICES: Final = np.flatnonzero([name.split("_")[1] in ("scale", "orthogonality", "misalignment") for name in NAMES])
 """Parameters of the sensor matrices."""
 
@@ -46,10 +45,9 @@ def observed_limit(admission: Array | None = None, finest: float = math.inf) -> 
     exceed ``finest``, the smallest sigma of a combination of elements of the sensor matrices.
     """
     limit = _SHARE * (admission_sigma() if admission is None else admission)
-    for group in _MISALIGNMENTS:
-        limit[GROUP_SLICES[group]] = np.minimum(
-            limit[GROUP_SLICES[group]], min(_LARGEST_ANGLE, math.sqrt(2.0 * finest))
-        )
+    largest_angle = min(_LARGEST_ANGLE, math.sqrt(2.0 * finest))
+    for group in ("gyro_orthogonality", "accel_misalignment"):
+        limit[GROUP_SLICES[group]] = np.minimum(limit[GROUP_SLICES[group]], largest_angle)
     return limit
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import wraps
-from typing import TYPE_CHECKING, Concatenate, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
 
@@ -15,11 +15,10 @@ if TYPE_CHECKING:
 
     from srt.types import Array, Indices
 
-Options = ParamSpec("Options")
-Value = TypeVar("Value")
+Function = TypeVar("Function", bound="Callable[..., Any]")
 
 
-def derived(make: Callable[Concatenate[Recording, Options], Value]) -> Callable[Concatenate[Recording, Options], Value]:
+def derived(make: Function) -> Function:
     """Function of a recording and hashable options that computes each value once, see :meth:`Recording.memo`.
 
     Raises
@@ -29,12 +28,12 @@ def derived(make: Callable[Concatenate[Recording, Options], Value]) -> Callable[
     """
 
     @wraps(make)
-    def stored(recording: Recording, /, *args: Options.args, **options: Options.kwargs) -> Value:
+    def stored(recording: Recording, *args: Any, **options: Any) -> Any:
         require_type(make.__name__, "a recording (srt.read makes one of arrays)", recording, Recording)
         key = (make, args, tuple(sorted(options.items())))
         return recording.memo(key, lambda: make(recording, *args, **options))
 
-    return stored
+    return cast("Function", stored)
 
 
 def six_channels(recording: Recording, samples: slice | Indices) -> Array:

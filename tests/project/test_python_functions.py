@@ -238,3 +238,8 @@ def test_wrong_use_is_one_sentence_of_python(log, call, sentence):
 def test_a_keyword_of_a_recording_is_refused_where_the_file_states_it(folder):
     with pytest.raises(srt.InputError, match="gyro_unit is given, but the recording states it"):
         srt.read(folder, gyro_unit="deg/s")
+
+
+def test_a_recording_may_be_given_by_name(recording):
+    for function in (srt.find_turns, srt.recognise):
+        assert function(recording=recording) is function(recording)
