@@ -12,11 +12,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import settings
 from ideal_table_1 import STEPS, Simulated, component_rows, ideal_motion, player_of
 
 import sims
 from srt.sensor_errors import N_PARAMETERS, SensorErrors
 from srt.sequences.preparation import PreparedRecording
+
+# No test is timed: on a busy machine the first import alone can take longer than the deadline of an example.
+settings.register_profile("untimed", deadline=None)
+settings.load_profile("untimed")
 
 with contextlib.suppress(ModuleNotFoundError):
     from threadpoolctl import threadpool_limits

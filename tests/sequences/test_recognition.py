@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from injected_faults.injection import GRADES, Case
+from scipy.spatial.transform import Rotation
 from studies import nees_of
 
 import srt
@@ -238,8 +239,6 @@ def test_misnamed_axes_are_found(wrong, signs):
 @settings(max_examples=30)
 @given(st.integers(0, 2), st.integers(-4, 4), st.sampled_from([(a, s) for a in range(3) for s in (1, -1)]))
 def test_quarter_turns_agree_with_rotations(axis, count, face):
-    from scipy.spatial.transform import Rotation
-
     vector = np.zeros(3)
     vector[axis] = 0.5 * np.pi * count
     matrix = Rotation.from_rotvec(vector).as_matrix()
