@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import copy
 import difflib
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
+    from typing import Self
 
 
 class SrtError(Exception):
@@ -27,6 +29,12 @@ class SrtError(Exception):
         super().__init__(*args)
         self.fault = fault
 
+    def reworded(self, text: str) -> Self:
+        """Make the same error with another sentence."""
+        other = copy.copy(self)
+        other.args = (text,)
+        return other
+
 
 class InputError(SrtError):
     """Unreadable input or wrong usage (exit code 2)."""
@@ -35,7 +43,17 @@ class InputError(SrtError):
 
 
 class NotStatedError(InputError):
-    """A quantity that the input does not state and the user has to."""
+    """A quantity that the input does not state and the user has to.
+
+    Attributes
+    ----------
+    missing : tuple of str
+        Keywords of :func:`srt.read` that state what is missing.
+    """
+
+    def __init__(self, *args: object, missing: Iterable[str] = (), fault: str | None = None) -> None:
+        super().__init__(*args, fault=fault)
+        self.missing = tuple(missing)
 
 
 class DataError(SrtError):

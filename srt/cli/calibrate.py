@@ -6,9 +6,12 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from srt.cli.calibration_jobs import Display, Job, draw, plan, plan_fleet, plan_merging
+from srt.cli.calibration_jobs import Display, Job, draw, plan, plan_fleet, plan_folder, plan_merging
+from srt.cli.convert import GROUPS as LOG_GROUPS
+from srt.cli.convert import log_options
 from srt.cli.fleet import FLEET_FROM, FleetEngine, run_fleet
 from srt.cli.grouped_command import GroupedCommand
+from srt.cli.logs import take_log
 from srt.cli.merge import run_merging
 from srt.cli.messages import announce, figure_title, say, show, warn
 from srt.cli.output_paths import RESULT_SUFFIXES, make_directory, require_matplotlib
@@ -24,6 +27,7 @@ if TYPE_CHECKING:
 
     from srt.estimation.options import Options
     from srt.model.prior import Prior
+    from srt.recording.recording import Recording
     from srt.result.calibration import Calibration
 
 # Option types of srt.estimation.options, written out: importing them would make the help wait for numpy.
@@ -53,12 +57,14 @@ GROUPS = {
         "average", "down", "window_attitude", "step", "start", "max_playbacks", "loss", "filter", "prior", "live",
         "target", "force", "trust",
     ),
+    **{f"Log: {title.lower()}": names for title, names in LOG_GROUPS.items()},
 }  # fmt: skip
 """Groups of options in the help."""
 
 
 USUAL = (
-    "estimator", "output", "plot", "details", "merge", "protocol", "no_asymmetry", "workers", "loss", "quiet",
+    "estimator", "output", "targets", "plot", "details", "merge", "protocol", "no_asymmetry", "workers", "loss",
+    "quiet",
 )  # fmt: skip
 """Options of the short help."""
 
@@ -73,6 +79,13 @@ USUAL = (
     help="auto, closed-form, least-squares, ekf, graph, or another that is installed.",
 )
 @click.option("-o", "--output", type=PATH, help="Result: FILE.json, or a folder for several.")
+@click.option(
+    "--to",
+    "targets",
+    multiple=True,
+    metavar="TARGET",
+    help="Also write for this tool (srt export --list) to the folder -o; repeatable.",
+)
 @click.option("--plot", type=PATH, help="Figure: FILE.png, .pdf or .svg.")
 @click.option("--details", is_flag=True, help="Show sources of sigma, sequences and residuals, too.")
 @click.option("--budget", is_flag=True, help="As --details, with all sources of sigma instead of three.")
@@ -129,6 +142,7 @@ USUAL = (
 )
 @click.option("--force", is_flag=True, help="Calibrate in spite of a fault of the recording.")
 @click.option("--trust", is_flag=True, help="Accept a calibration file that was changed after it was written.")
+@log_options
 def calibrate(
     recordings: tuple[Path, ...],
     estimator: str,
@@ -148,7 +162,11 @@ def calibrate(
     without_turn: tuple[str, ...],
     **choices: Any,
 ) -> int:
-    """Calibrate the unit of each RECORDING, a folder with recording.toml and samples.
+    """Calibrate the unit of each RECORDING, a folder with recording.toml and samples, or a log in another format.
+
+    A log takes the options of 'srt convert', by which units, gravity and site are stated. -o FOLDER then keeps the
+    recording made of it, the calibration with its picture, and a file for each tool that --to names; a second run reads
+    FOLDER/recording, with what was entered in its recording.toml. -o FILE.json keeps the calibration alone.
 
     A folder that contains recordings, at any depth, stands for all of them, and so does a pattern in quotes, as
     'lot-7/*'. Those, more than five recordings, and several with --workers or --scheduler, are a fleet: one table shows
@@ -169,7 +187,7 @@ def calibrate(
     found = find_recordings(recordings, files=RESULT_SUFFIXES if merge else ())
     shared = scheduler is not None or (workers != 1 and len(found.paths) > 1)
     fleet = not merge and (found.searched or shared or len(found.paths) >= FLEET_FROM)
-    jobs = (plan_merging if merge else plan_fleet if fleet else plan)(found.paths, output, plot)
+    jobs = choose_jobs(found.paths, output, plot, choices, merge=merge, fleet=fleet)
     # Whatever can be refused without the samples is refused before they are read.
     one_truth = merge or not (fleet or len(jobs) > 1)
     tables = details or budget or verdict
@@ -207,6 +225,24 @@ def calibrate(
     if merge:
         return run_merging(jobs, estimator, options, display, output, plot)
     return run_each(jobs, estimator, options, display, output)
+
+
+def choose_jobs(
+    paths: Sequence[Path], output: Path | None, plot: Path | None, choices: dict[str, Any], *, merge: bool, fleet: bool
+) -> tuple[Job, ...]:
+    """Jobs with the paths of their results, which can be written; the options of a log are taken out of the choices.
+
+    Raises
+    ------
+    InputError
+    """
+    log, targets = take_log(paths, choices), choices.pop("targets")
+    if log is None and not targets:
+        return (plan_merging if merge else plan_fleet if fleet else plan)(paths, output, plot)
+    if merge or fleet or (log is None and len(paths) > 1):
+        what = "--to belongs to one recording" if log is None else f"{log.path} is a log, which is calibrated alone"
+        raise InputError(f"{what}: leave out --merge, --scheduler and other recordings.")
+    return plan_folder(paths[0], output, plot, log, targets)
 
 
 def refuse_combinations(*rules: tuple[bool, str]) -> None:
@@ -249,14 +285,17 @@ def run_each(jobs: Sequence[Job], estimator: str, options: Options, display: Dis
         if number and not display.quiet:
             show()
         try:
-            calibration = run_job(job, estimator, options, display)
+            recording = display.load(job)
+            if job.log is not None and not display.quiet:
+                show(f"{inspected(job, recording)}\n")
+            calibration = run_job(job, estimator, options, display, recording)
         except SrtError as error:
             sentence = str(error)
             named = len(jobs) == 1 or str(job.recording) in sentence
             say(sentence if named else f"{job.recording}: {sentence}")
             codes.append(error.exit_code)
         else:
-            codes.append(report_problems(job, calibration))
+            codes += [report_problems(job, calibration), write_files(job, calibration, recording, display)]
     if not display.quiet and min(codes) == 0:
         more = "" if display.complete else "--details shows more. "
         rest = "Nothing was written: -o FILE.json keeps the result." if output is None else ""
@@ -307,8 +346,15 @@ def parse_targets(texts: Sequence[str]) -> dict[str, float]:
     return targets
 
 
-def run_job(job: Job, estimator: str, options: Options, display: Display) -> Calibration:
+def run_job(
+    job: Job, estimator: str, options: Options, display: Display, recording: Recording | None = None
+) -> Calibration:
     """Calibrate one recording; write and print the result, whatever its status.
+
+    Parameters
+    ----------
+    recording : Recording, optional
+        That of the job, if it was read before.
 
     Raises
     ------
@@ -318,18 +364,38 @@ def run_job(job: Job, estimator: str, options: Options, display: Display) -> Cal
     import srt
     from srt.cli.progress import iteration_progress
 
-    recording = display.load(job.recording)
+    recording = recording or display.load(job)
     with iteration_progress(job.name, quiet=display.quiet) as progress:
         calibration = srt.calibrate(
             recording, estimator, force=display.force, without_turns=display.without, options=options, progress=progress
         )
     if job.output is not None:
+        if job.targets:
+            make_directory(job.output.parent)
         calibration.save(job.output)
     if not display.quiet:
         show(display.text(calibration, str(job.recording), str(job.recording)))
     draw(calibration, job.plot, figure_title(job.name), display.truth)
     announce(job.output, job.plot, quiet=display.quiet)
     return calibration
+
+
+def inspected(job: Job, recording: Recording) -> str:
+    """Overview of a recording that was made of a log, and its faults."""
+    from srt.reports.inspection import inspect
+    from srt.reports.text.inspection import inspection_summary
+
+    return inspection_summary(inspect(recording), title=str(job.recording))
+
+
+def write_files(job: Job, calibration: Calibration, recording: Recording, display: Display) -> int:
+    """Write a calibration for other tools, unless it failed; give the worst exit code."""
+    from srt.cli.export import write_targets
+    from srt.result.verdict import FAILED
+
+    if not job.targets or job.output is None or (calibration.judgement.word == FAILED and not display.force):
+        return 0
+    return write_targets(calibration, job.output.parent, job.targets, recording, quiet=display.quiet)
 
 
 def report_problems(job: Job, calibration: Calibration) -> int:

@@ -6,7 +6,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from srt.cli.output_paths import PLOT_SUFFIXES, RESULT_SUFFIXES, check_directory, check_file, recording_folder
+from srt.cli.output_paths import (
+    PLOT_SUFFIXES,
+    RESULT_SUFFIXES,
+    check_directory,
+    check_file,
+    picture_in,
+    recording_folder,
+)
 from srt.cli.recording_arguments import file_name, unit_names
 from srt.exceptions import InputError
 
@@ -14,6 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
+    from srt.cli.logs import Log
     from srt.recording.protocol import Protocol
     from srt.recording.recording import Recording
     from srt.result.calibration import Calibration
@@ -29,12 +37,18 @@ class Job:
     name : str
         Name of the folder of the recording; the file of the result has it where there are several.
     output, plot : Path or None
+    log : Log or None
+        Log of which the recording is made first; if that is its path, the log is calibrated as it is.
+    targets : tuple of str
+        Formats in which the calibration is written, too, beside its file.
     """
 
     recording: Path
     name: str
     output: Path | None = None
     plot: Path | None = None
+    log: Log | None = None
+    targets: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,11 +70,17 @@ class Display:
     protocol: Protocol | None = None
     without: tuple[str, ...] = ()
 
-    def load(self, path: Path) -> Recording:
-        """Load a recording, with the protocol that replaces its labels."""
+    def load(self, job: Job) -> Recording:
+        """Load a recording, made of its log if it is to be, with the protocol that replaces its labels."""
         from srt.recording.folder import load_recording
 
-        recording = load_recording(path)
+        log = job.log
+        if log is None:
+            recording = load_recording(job.recording)
+        elif job.recording == log.path:
+            recording = log.read(force=self.force, quiet=self.quiet)
+        else:
+            recording = log.convert(job.recording.parent, force=self.force, quiet=self.quiet)
         return recording if self.protocol is None else replace(recording, protocol=self.protocol, sequences=())
 
     def text(self, calibration: Calibration, title: str, source: str = "") -> str:
@@ -115,6 +135,41 @@ def plan(recordings: Sequence[Path], output: Path | None, plot: Path | None) -> 
         file = output / f"{names[0]}.json" if output is not None and into_folder else output
         return (Job(recordings[0], names[0], file, plot),)
     return tuple(_job(path, name, output, plot) for path, name in zip(recordings, names, strict=True))
+
+
+def plan_folder(
+    recording: Path, output: Path | None, plot: Path | None, log: Log | None, targets: Sequence[str]
+) -> tuple[Job, ...]:
+    """Choose the paths of the results of a log, or of a recording that is also written for other tools.
+
+    Parameters
+    ----------
+    output : Path or None
+        A folder; for a log without targets, the file of the calibration.
+
+    Raises
+    ------
+    InputError
+        A path that cannot be written, or a file where a folder is needed.
+    """
+    from srt.exporters.registry import exporter
+    from srt.recording.folder import TOML_NAME
+
+    for target in targets:
+        exporter(target)
+    folder = output is not None and (output.is_dir() or output.suffix.lower() not in RESULT_SUFFIXES)
+    if targets and not folder:
+        raise InputError("With --to there are several files: name a folder for them, as -o results.")
+    if output is None or not folder:
+        return tuple(replace(job, log=log) for job in plan([recording], output, plot))
+    check_directory(output)
+    check_file(plot, PLOT_SUFFIXES, "The plot")
+    if (output / TOML_NAME).exists():
+        raise InputError(f"The folder {output} is a recording: name another folder for the results.")
+    name = recording_folder(recording).resolve().name if log is None else recording.stem
+    place = recording if log is None else output / "recording"
+    file, picture = output / "calibration.json", picture_in(output) if plot is None else plot
+    return (Job(place, name, file, picture, log, tuple(dict.fromkeys(targets))),)
 
 
 def plan_merging(recordings: Sequence[Path], output: Path | None, plot: Path | None) -> tuple[Job, ...]:

@@ -14,7 +14,7 @@ from srt.cli.recording_arguments import check_median_force, median_force
 from srt.exceptions import DataError, InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
     from pathlib import Path
 
     from srt.recording.recording import Recording
@@ -53,15 +53,6 @@ def _list_formats(ctx: click.Context, param: click.Parameter, value: bool) -> No
         rows.append([name, each.title, " ".join(each.suffixes), each.extra or ""])
     show(text_table(["format", "what it is", "files", "extra"], rows, "llll"))
     ctx.exit()
-
-
-def _options(*groups: list[Callable[[Any], Any]]) -> Callable[[Any], Any]:
-    def decorate(command: Any) -> Any:
-        for each in reversed([option for group in groups for option in group]):
-            command = each(command)
-        return command
-
-    return decorate
 
 
 _READ = [
@@ -131,6 +122,19 @@ _SAY = [
     click.option("--temperature-c", type=float, help="Temperature of all samples, if the file has none."),
 ]  # fmt: skip
 
+
+def _options(*groups: list[Callable[[Any], Any]]) -> Callable[[Any], Any]:
+    def decorate(command: Any) -> Any:
+        for each in reversed([option for group in groups for option in group]):
+            command = each(command)
+        return command
+
+    return decorate
+
+
+log_options: Final = _options(_READ, _SAY)
+"""Decorator of a command with the options that describe a log."""
+
 _WRITE = [
     click.option("-o", "--output", required=True, type=PATH, help="Folder to write."),
     click.option("--samples-format", cls=RenamedOption, earlier=("--to",), type=click.Choice(SAMPLES_FORMATS),
@@ -141,12 +145,12 @@ _WRITE = [
 ]  # fmt: skip
 
 
-_GROUPS = {
-    "Reading of SOURCE": (*_READING, "name", "columns", "gyro_lsb", "accel_lsb", "gyro_offset", "accel_offset"),
+GROUPS: Final = {
+    "Reading of the log": (*_READING, "name", "columns", "gyro_lsb", "accel_lsb", "gyro_offset", "accel_offset"),
     **{title: tuple(key.replace("-", "_") for key in keys) for title, keys in _STATED.items()},
     "Identification": ("serial", "date", "temperature_c", "applied"),
 }
-"""Groups of options in the help."""
+"""Groups of the options that describe a log, in the help."""
 
 
 _USUAL = (
@@ -156,25 +160,23 @@ _USUAL = (
 """Options of the short help."""
 
 
-@click.command(cls=GroupedCommand, usual=_USUAL, groups=_GROUPS)
+@click.command(cls=GroupedCommand, usual=_USUAL, groups=GROUPS)
 @click.argument("source", type=PATH)
 @click.argument("second", metavar="[SOURCE2]", required=False, type=PATH)
 @click.option(
     "--list", is_flag=True, is_eager=True, expose_value=False, callback=_list_formats, help="List the formats and exit."
 )
-@_options(_READ, _SAY, _WRITE)
+@log_options
+@_options(_WRITE)
 def convert(
     source: Path,
     second: Path | None,
-    name: str,
     output: Path,
     samples_format: str,
-    like: Path | None,
-    applied: str | None,
     force: bool,
     overwrite: bool,
     quiet: bool,
-    **rest: Any,
+    **given: Any,
 ) -> int:
     """Convert the log SOURCE to a recording: a folder with recording.toml and the samples, in SI units.
 
@@ -190,24 +192,44 @@ def convert(
     check_target(output, source, second, samples_format, overwrite=overwrite)
     if source.suffix == ".toml" or (source / "recording.toml").is_file():
         raise InputError(f"{source} is a recording already: name the log that it was made of, or use it as it is.")
-    from srt.exporters.applied_file import applied_of
-    from srt.recording.reading import read_log
     from srt.recording.writing import write_recording
 
-    given = {**rest, "second": second}
-    if applied is not None:
-        given["applied"] = applied_of(applied, rest["instance"])
-    recording, imported, importer = read_log(source, given, format=name, like=like)
-    if not force:
-        check_gravity(recording, source, rest.get("accel_lsb"))
+    recording, text = read_source(source, second, given, force=force)
     # All checks are done: the recording is written.
     write_recording(recording, output, samples_format=samples_format, overwrite=overwrite)
     if not quiet:
-        from srt.reports.text.imported_log import import_text
-
-        show(import_text(recording, imported, importer, source))
+        show(text)
         show(f"Written to {output}: recording.toml, samples.{samples_format}")
     return 0
+
+
+def read_source(source: Path, second: Path | None, given: Mapping[str, Any], *, force: bool) -> tuple[Recording, str]:
+    """Read a log by the options that describe it; the table of what was read.
+
+    Parameters
+    ----------
+    given : mapping of str to object
+        Options of :data:`log_options`, by the names of the parameters.
+    force : bool
+        Accept accelerometers that do not read gravity.
+
+    Raises
+    ------
+    SrtError
+        A log that cannot be read, something that has to be stated and is not, or another size than gravity.
+    """
+    from srt.exporters.applied_file import applied_of
+    from srt.recording.reading import read_log
+    from srt.reports.text.imported_log import import_text
+
+    rest = {**given, "second": second}
+    name, like = rest.pop("name", "auto"), rest.pop("like", None)
+    if rest.get("applied") is not None:
+        rest["applied"] = applied_of(rest["applied"], rest.get("instance"))
+    recording, imported, importer = read_log(source, rest, format=name, like=like)
+    if not force:
+        check_gravity(recording, source, rest.get("accel_lsb"))
+    return recording, import_text(recording, imported, importer, source)
 
 
 def check_target(folder: Path, source: Path, second: Path | None, samples_format: str, *, overwrite: bool) -> None:

@@ -8,11 +8,10 @@ import click
 
 from srt.cli.calibrate import report_problems, run_job
 from srt.cli.calibration_jobs import Display, Job
-from srt.cli.messages import show, warn
-from srt.cli.output_paths import check_directory, check_recording_target, make_directory, require_matplotlib
+from srt.cli.messages import show
+from srt.cli.output_paths import check_directory, check_recording_target, make_directory, picture_in
 from srt.cli.path_type import PATH
 from srt.cli.simulate import run_scenario, summary, write_simulation
-from srt.exceptions import MissingExtraError
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -40,12 +39,7 @@ def demo(output: Path, seed: int | None, quiet: bool) -> int:
     check_directory(output)
     # A recording with a truth beside it was simulated and can be replaced; any other is kept.
     check_recording_target(folder, overwrite=(folder / NAME).is_file())
-    plot: Path | None = output / "calibration.png"
-    try:
-        require_matplotlib()
-    except MissingExtraError as error:
-        plot = None
-        warn(f"No plot will be made: {error}")
+    plot = picture_in(output)
     make_directory(output)
     scenario = sims.load_scenario(SCENARIO)
     simulation = run_scenario(scenario, seed)

@@ -8,16 +8,19 @@ import click
 
 from srt.cli.apply import check_match, load_fit, warn_of_unmeasured
 from srt.cli.grouped_command import GroupedCommand
-from srt.cli.messages import show, warn
+from srt.cli.messages import announce, say, show, warn
 from srt.cli.output_paths import check_file
 from srt.cli.path_type import PATH
-from srt.exceptions import InputError
+from srt.exceptions import InputError, SrtError
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
+    from srt.exporters.conversion import ExportedCalibration
     from srt.exporters.correction_difference import Readings
     from srt.exporters.file_format import Exporter
+    from srt.recording.recording import Recording
     from srt.result.calibration import Calibration
 
 
@@ -117,14 +120,57 @@ def export(
     )
     written = () if output is None else save(made, output)
     warn_of_unmeasured(calibration, calibration_file)
-    if made.unknown:
-        warn(f"{chosen.title}: left out of the file, as they are not known: {'; '.join(made.unknown)}.")
+    warn_of_unknown(made)
     if not quiet:
         from srt.reports.text.exported_calibration import export_text
 
         show(export_text(made))
         show("".join(f"\nWritten to {place}" for place in written) or "\nNothing is written: add -o FILE.")
     return 0
+
+
+def write_targets(
+    calibration: Calibration, folder: Path, targets: Sequence[str], recording: Recording, *, quiet: bool
+) -> int:
+    """Write a calibration in the formats of other tools, as kalibr.yaml; give the worst exit code.
+
+    A format that cannot hold it is told on standard error, and the others are written.
+
+    Parameters
+    ----------
+    recording : Recording
+        Raw readings on which the differences are measured.
+    """
+    from srt.exporters.conversion import export as make
+    from srt.exporters.conversion import save
+    from srt.exporters.correction_difference import Readings
+    from srt.exporters.export_model import ExportSettings
+    from srt.exporters.registry import exporter
+    from srt.reports.text.exported_calibration import export_summary
+
+    codes = [0]
+    readings = Readings.of(recording, "the recording")
+    for target in targets:
+        chosen = exporter(target)
+        rate_hz = 1.0 / recording.nominal_interval_s if "rate_hz" in chosen.options else None
+        try:
+            made = make(calibration, target, readings=readings, settings=ExportSettings(rate_hz=rate_hz))
+            written = save(made, folder / f"{target}{chosen.suffixes[0]}")
+        except SrtError as error:
+            say(f"{target} was not written: {error}")
+            codes.append(error.exit_code)
+            continue
+        warn_of_unknown(made)
+        if not quiet:
+            show(f"\n{export_summary(made)}")
+        announce(*written, quiet=quiet)
+    return max(codes)
+
+
+def warn_of_unknown(made: ExportedCalibration) -> None:
+    """Print a warning that names the values which the format requires and nothing states; nothing if there are all."""
+    if made.unknown:
+        warn(f"{made.format.title}: left out of the file, as they are not known: {'; '.join(made.unknown)}.")
 
 
 def _check_output(chosen: Exporter, output: Path, calibration: Path) -> None:

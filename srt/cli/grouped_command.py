@@ -11,6 +11,8 @@ if TYPE_CHECKING:
 
 
 _HELP_ALL: Final = "help_all"
+ARGUMENTS: Final = "arguments"
+"""Key of the words after the name of the command in the ``meta`` of its context."""
 
 
 class GroupedCommand(click.Command):
@@ -36,6 +38,11 @@ class GroupedCommand(click.Command):
                 help=f"Show all {len([p for p in self.params if isinstance(p, click.Option)])} options and exit.",
             )
         )  # fmt: skip
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Parse the words after the name of the command, and keep them for messages."""
+        ctx.meta[ARGUMENTS] = tuple(args)
+        return super().parse_args(ctx, args)
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the usual options, or all group by group."""

@@ -96,7 +96,7 @@ def _calibration(job: Job, estimator: str, options: Options, display: Display) -
 
     if job.recording.suffix == ".json":
         return srt.load_calibration(job.recording, trust=display.trust)
-    recording = display.load(job.recording)
+    recording = display.load(job)
     with iteration_progress(job.name, quiet=display.quiet) as progress:
         calibration = srt.calibrate(recording, estimator, options=options, progress=progress, force=display.force)
     for title, reason in calibration.provenance.voided.items():

@@ -6,6 +6,7 @@ import tempfile
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Final
 
+from srt.cli.messages import warn
 from srt.exceptions import InputError, MissingExtraError
 from srt.recording.atomic_file import remove_leftovers, unwritable
 
@@ -24,6 +25,16 @@ def require_matplotlib() -> None:
     """Raise MissingExtraError if matplotlib is missing, before the result is computed."""
     if find_spec("matplotlib") is None:
         raise MissingExtraError("matplotlib", "plot", "A plot")
+
+
+def picture_in(folder: Path) -> Path | None:
+    """Path of the figure of a calibration in a folder of results; None, with a warning, if matplotlib is missing."""
+    try:
+        require_matplotlib()
+    except MissingExtraError as error:
+        warn(f"No plot will be made: {error}")
+        return None
+    return folder / "calibration.png"
 
 
 def check_plot(path: Path | None) -> None:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from srt.constants import normal_gravity_m_s2
-from srt.exceptions import DataError, InputError, MissingExtraError
+from srt.exceptions import DataError, InputError, MissingExtraError, NotStatedError
 from srt.recording.applied import applied_correction
 from srt.recording.import_options import SENSOR_UNITS, ImportOptions
 from srt.recording.imported_samples import ImportedSamples, require_units, to_recording, to_si
@@ -86,9 +86,9 @@ def load_recording(path: str | os.PathLike[str]) -> Recording:
             clock_sigma=main.get("clock_sigma_ppm"),
         )
     except InputError as error:
-        if type(error) is not InputError or str(toml.parent) in str(error):
+        if type(error) not in (InputError, NotStatedError) or str(toml.parent) in str(error):
             raise
-        raise InputError(f"{toml.parent}: {error}", fault=error.fault) from None
+        raise error.reworded(f"{toml.parent}: {error}") from None
 
 
 def _samples(toml: Path, path: Path, main: Mapping[str, Any]) -> ImportedSamples:
@@ -101,7 +101,7 @@ def _samples(toml: Path, path: Path, main: Mapping[str, Any]) -> ImportedSamples
             raise
         text = _OPTION.sub(lambda option: f"recording.{_OPTION_KEYS[option[1].replace('-', '_')]}", str(error))
         named = text if str(toml.parent) in text else f"{toml}: {text}"
-        raise type(error)(named, fault=error.fault) from None
+        raise error.reworded(named) from None
 
 
 def _own(path: Path, options: ImportOptions) -> ImportedSamples:

@@ -301,9 +301,10 @@ def to_recording(
     time, rate = imported.time, imported.sample_rate_hz
     if time is None:
         if rate is None:
-            raise InputError(
+            raise NotStatedError(
                 f"There are no time stamps: give the rate with {option('sample_rate_hz')} (sample_rate_hz in "
-                "recording.toml), or name the column of time."
+                "recording.toml), or name the column of time.",
+                missing=["sample_rate_hz"],
             )
         time = np.arange(1, len(imported.gyro) + 1) / rate
     temperature = imported.temperature
@@ -327,7 +328,7 @@ def of_channels(table: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
 
 def require_units(options: ImportOptions, stated: dict[str, str | None]) -> None:
     """Raise InputError that names all quantities whose unit, or value of a count, nobody states."""
-    missing, ways, counted = [], [], []
+    missing, ways, counted, names = [], [], [], []
     for quantity, unit in stated.items():
         name = f"{quantity}_unit"
         # The value of a count implies the unit "counts".
@@ -335,9 +336,11 @@ def require_units(options: ImportOptions, stated: dict[str, str | None]) -> None
             continue
         if (getattr(options, name) or unit) == COUNTS:
             counted.append(quantity)
+            names.append(f"{quantity}_lsb")
         if getattr(options, name) or unit in UNITS[quantity]:
             continue
         missing.append(f"{quantity} (its text {clipped(unit)!r} is not known)" if unit else quantity)
+        names.append(name)
         counts = f" (for them {option(f'{quantity}_lsb')} alone is enough)" if quantity in SENSOR_UNITS else ""
         ways.append(f"{option(name)} ({name} in recording.toml), one of {', '.join(UNITS[quantity])}{counts}")
     sentences = []
@@ -349,7 +352,7 @@ def require_units(options: ImportOptions, stated: dict[str, str | None]) -> None
             f"The {' and '.join(counted)} readings are counts: state the value of one count with {values}."
         )
     if sentences:
-        raise NotStatedError(" ".join(sentences))
+        raise NotStatedError(" ".join(sentences), missing=names)
 
 
 def _unit(options: ImportOptions, name: str, stated: str | None, notes: list[str]) -> tuple[str, str]:

@@ -179,7 +179,7 @@ def import_file(path: Path, options: ImportOptions | None = None, name: str = AU
             raise
         # Errors about arrays do not name their file, and names out of a damaged file may be unprintable.
         text = _printable(str(error))
-        raise type(error)(text if path.name in text else f"{path}: {text}", fault=error.fault) from None
+        raise error.reworded(text if path.name in text else f"{path}: {text}") from None
     if len(imported.gyro) == 0:
         raise InputError(f"{path} holds no samples of an IMU: name another file.")
     return chosen, replace(imported, notes=tuple(map(_printable, imported.notes)))

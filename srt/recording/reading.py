@@ -127,14 +127,14 @@ def read_log(
         try:
             import_file(path, options, format)
         except NotStatedError as units:
-            raise NotStatedError(f"{units} {gravity}") from None
+            raise NotStatedError(f"{units} {gravity}", missing=(*units.missing, *gravity.missing)) from None
         raise
     importer, imported = import_file(path, options, format)
     origin = {"source": os.fspath(path), "data_sha256": sha256_of(path)}
     try:
         return _recording(imported, about, {**_identification(given), **origin}), imported, importer
     except InputError as error:
-        raise InputError(f"{path}: {error}", fault=error.fault) from None
+        raise error.reworded(f"{path}: {error}") from None
 
 
 def surroundings(given: Mapping[str, Any], like: str | os.PathLike[str] | Recording | None = None) -> dict[str, Any]:
@@ -154,7 +154,8 @@ def surroundings(given: Mapping[str, Any], like: str | os.PathLike[str] | Record
     if isinstance(site, dict) and "gravity_m_s2" not in site and not {"latitude_deg", "height_m"} <= set(site):
         raise NotStatedError(
             "Gravity is not known: give it with --gravity-m-s2, or --latitude-deg and --height-m for normal gravity, "
-            "or name a recording of the same place with --like."
+            "or name a recording of the same place with --like.",
+            missing=[key for key in ("latitude_deg", "height_m") if key not in site],
         )
     name = str(like) if isinstance(like, str | os.PathLike) else "What was said of the recording"
     about = read_metadata(name, document)

@@ -4,10 +4,23 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from srt.reports.tables import text_table
+from srt.reports.tables import text_table, wrap
 
 if TYPE_CHECKING:
     from srt.exporters.conversion import ExportedCalibration
+
+
+def export_summary(made: ExportedCalibration) -> str:
+    """Title, largest difference from ``srt apply``, what the file does not hold, and advice, in lines of 80."""
+    difference = made.residuals[0]
+    sentences = (
+        f"Difference from srt apply on {made.readings.title}: at most {difference.gyro_max:.1e} rad/s and "
+        f"{difference.accel_max:.1e} m/s².",
+        f"Not in the file: {'; '.join(made.losses)}.",
+        *made.limits,
+        *made.format.advice,
+    )
+    return "\n".join([made.format.title, *(line for text in sentences for line in wrap(text, "  "))])
 
 
 def export_text(made: ExportedCalibration) -> str:

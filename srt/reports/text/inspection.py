@@ -38,6 +38,11 @@ def inspection_report(inspection: Inspection, *, title: str = "Inspection") -> s
     return "\n\n".join(part for part in parts if part)
 
 
+def inspection_summary(inspection: Inspection, *, title: str) -> str:
+    """Overview of the recording and findings, without the tables, in lines of at most 80 characters."""
+    return "\n".join([*wrap(title), *_overview(inspection), *_findings(inspection)])
+
+
 def significant(value: float, digits: int = 3) -> str:
     """Text of a number with the given number of digits, without an exponent if that is readable."""
     text = f"{value:#.{digits}g}"

@@ -1,0 +1,161 @@
+"""``srt calibrate LOG``: a log through conversion, inspection, calibration, picture and files for other tools."""
+
+import io
+import json
+import shutil
+import sys
+import tomllib
+
+import numpy as np
+import pytest
+from small_units import recorded, simulated
+
+import srt
+from srt.constants import DEG, STANDARD_GRAVITY_M_S2
+from srt.exporters import load
+
+UNITS = {"--gyro-unit": "deg/s", "--accel-unit": "g", "--time-unit": "s"}
+SITE = {"--latitude-deg": "45", "--gravity-m-s2": "9.80665"}
+STATED = [word for pair in (UNITS | SITE).items() for word in pair]
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory):
+    """Table of a short test in °/s and g, which states neither its units nor its site."""
+    folder = tmp_path_factory.mktemp("log")
+    unit = srt.load_recording(simulated(folder / "unit", dwell_s=2.0, sample_rate_hz=50.0))
+    columns = np.column_stack([unit.time, unit.gyro / DEG, unit.accel / STANDARD_GRAVITY_M_S2])
+    names = ",".join(["time", *(f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz")])
+    np.savetxt(folder / "imu.csv", columns, fmt="%.12g", delimiter=",", header=names, comments="")
+    return folder / "imu.csv"
+
+
+@pytest.fixture(scope="module")
+def made(log, tmp_path_factory):
+    """Folder of a first run, which no test changes."""
+    pytest.importorskip("yaml")
+    folder = tmp_path_factory.mktemp("first") / "new" / "unit"
+    from srt.cli import main
+
+    targets = ["--to", "kalibr", "--to", "c-header", "--to", "kalibr", "--to", "px4"]
+    # Of the readings nobody says whether an autopilot corrected them, so that px4 alone is refused.
+    assert main(["calibrate", str(log), "-o", str(folder), *targets, *STATED]) == 2
+    return folder
+
+
+@pytest.fixture
+def again(made, tmp_path):
+    """Copy of the folder of the first run."""
+    return shutil.copytree(made, tmp_path / "unit")
+
+
+def test_a_log_becomes_a_recording_a_calibration_and_the_files_asked_for(log, made):
+    files = {path.relative_to(made).as_posix() for path in made.rglob("*") if path.is_file()}
+    pictures = {name for name in files if name.endswith(".png")}
+    assert pictures <= {"calibration.png"}
+    assert files - pictures == {
+        "recording/recording.toml", "recording/samples.npz", "conversion.json", "calibration.json", "kalibr.yaml",
+        "kalibr-imu.yaml", "c-header.h",
+    }  # fmt: skip
+    apart = srt.calibrate(srt.read(log, gyro_unit="deg/s", accel_unit="g", time_unit="s", latitude_deg=45.0,
+                                   gravity_m_s2=9.80665))  # fmt: skip
+    calibration = srt.load_calibration(made / "calibration.json")
+    np.testing.assert_array_equal(calibration.errors.vector, apart.errors.vector)
+    # The file of Kalibr holds them but for asymmetry and biases; it has the accelerometers' axes.
+    found = load(made / "kalibr.yaml", "kalibr")
+    scale = slice(srt.INDEX["accel_scale_x"], srt.INDEX["accel_scale_z"] + 1)
+    np.testing.assert_allclose(found.errors.vector[scale], calibration.errors.vector[scale], atol=1e-5)
+
+
+def test_the_second_run_reads_the_recording_with_what_was_entered_in_it(log, again, shell):
+    toml = again / "recording" / "recording.toml"
+    toml.write_text(toml.read_text() + "\n[imu]\ngyro_noise_deg_per_sqrt_h = 0.002\n")
+    edited = toml.read_bytes()
+    out, _ = shell("calibrate", log, "-o", again, *STATED)
+    assert "which was made of" in out
+    assert toml.read_bytes() == edited
+    noise = srt.load_calibration(again / "calibration.json").noise
+    np.testing.assert_allclose(noise.gyro_noise_rad_per_sqrt_s, 0.002 * DEG / 60.0, rtol=1e-12)
+
+
+def test_options_that_change_make_the_recording_again_and_never_replace_an_edited_one(log, again, shell, refused):
+    shell("calibrate", log, "-o", again, "-q", "--serial", "SN-8")
+    toml = again / "recording" / "recording.toml"
+    document = tomllib.loads(toml.read_text())
+    # The units and the site of the first run hold on.
+    assert (document["recording"]["serial"], document["site"]["latitude_deg"]) == ("SN-8", 45.0)
+    toml.write_text(toml.read_text() + "# mine\n")
+    before = {path: path.read_bytes() for path in again.rglob("*") if path.is_file()}
+    sentence = refused("calibrate", log, "-o", again, "--serial", "SN-9")
+    assert "edited" in sentence
+    assert "--serial" in sentence
+    assert {path: path.read_bytes() for path in again.rglob("*") if path.is_file()} == before
+
+
+def test_another_log_or_a_foreign_folder_is_refused(log, again, tmp_path, refused):
+    other = tmp_path / "other.csv"
+    other.write_text(log.read_text() + "\n")
+    assert "was not made of" in refused("calibrate", other, "-o", again, *STATED)
+    (again / "conversion.json").unlink()
+    assert "was not made of" in refused("calibrate", log, "-o", again, *STATED)
+    raw = recorded(tmp_path / "raw")
+    assert "is a recording" in refused("calibrate", log, "-o", raw, *STATED)
+
+
+def test_a_file_of_json_keeps_the_calibration_alone(log, tmp_path, shell, refused):
+    assert "folder" in refused("calibrate", log, "-o", tmp_path / "u.json", "--to", "kalibr", *STATED)
+    assert "folder" in refused("calibrate", log, "--to", "kalibr", *STATED)
+    shell("calibrate", log, "-o", tmp_path / "u.json", "-q", *STATED)
+    assert [path.name for path in tmp_path.iterdir()] == ["u.json"]
+    assert srt.load_calibration(tmp_path / "u.json").site.gravity_m_s2 == 9.80665
+
+
+def test_what_is_missing_is_refused_with_the_command(log, tmp_path, refused):
+    sentence = refused("calibrate", log, "-o", tmp_path / "out", "--to", "kalibr", "--accel-unit", "g", sentences=4)
+    command = f"srt calibrate {log} -o {tmp_path / 'out'} --to kalibr --accel-unit g "
+    missing = "--gyro-unit GYRO_UNIT --time-unit TIME_UNIT --latitude-deg LATITUDE_DEG --height-m HEIGHT_M"
+    assert sentence.endswith(f"{command}{missing}.\n")
+    assert list(tmp_path.iterdir()) == []
+
+
+class Terminal(io.StringIO):
+    """Stream of a person at a terminal."""
+
+    def isatty(self):
+        return True
+
+
+def test_what_is_missing_is_asked_at_a_terminal(log, tmp_path, shell, monkeypatch):
+    monkeypatch.setattr(sys, "stdin", Terminal("dps\nfurlongs\ng\ns\n45\n0\n"))
+    monkeypatch.setattr(sys, "stderr", Terminal())
+    shell("calibrate", log, "-o", tmp_path / "out")
+    asked = sys.stderr.getvalue()
+    assert "Unit of the gyros (rad/s, deg/s" in asked
+    assert "Latitude of the site" in asked
+    options = json.loads((tmp_path / "out" / "conversion.json").read_text())["options"]
+    assert options == {
+        "gyro_unit": "deg/s", "accel_unit": "g", "time_unit": "s", "latitude_deg": 45.0, "height_m": 0.0,
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("words", "fragment"),
+    [
+        (["RAW", "--gyro-unit", "deg/s"], "--gyro-unit describes a log"),
+        (["RAW", "--latitude-deg", "0"], "--latitude-deg describes a log"),
+        (["LOG", "RAW"], "calibrated alone"),
+        (["LOG", "--merge"], "calibrated alone"),
+        (["RAW", "RAW", "--to", "kalibr"], "--to belongs to one recording"),
+        (["RAW", "--to", "kalibbr"], "did you mean kalibr?"),
+    ],
+)
+def test_what_does_not_go_with_a_log_is_refused(log, raw, tmp_path, words, fragment, refused):
+    words = [{"RAW": raw, "LOG": log}.get(word, word) for word in words]
+    assert fragment in refused("calibrate", *words, "-o", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_recording_is_written_for_other_tools_too(recording, tmp_path, shell):
+    shell("calibrate", recording, "-o", tmp_path / "out", "-q", "--to", "c-header")
+    names = {path.name for path in (tmp_path / "out").iterdir()}
+    assert names - {"calibration.png"} == {"calibration.json", "c-header.h"}
