@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+from pathlib import PurePath
 from typing import TYPE_CHECKING, Any
 
 import click
+from click.core import ParameterSource
 
 from srt.cli.calibrate import calibrate as calibrate_command
 from srt.cli.messages import announce, figure_title, say, show, warn
@@ -30,7 +32,13 @@ _FOREIGN_TRUTH = 10.0
 
 
 @click.command()
-@click.argument("recording", type=PATH, metavar="RECORDING")
+@click.argument("arguments", nargs=-1, required=True, type=PATH, metavar="[CALIBRATION] RECORDING")
+@click.option(
+    "--with",
+    "other",
+    metavar="FILE",
+    help="Compare CALIBRATION with this file of another program, as FILE or FORMAT:FILE.",
+)
 @click.option(
     "--estimator",
     "names",
@@ -51,7 +59,8 @@ _FOREIGN_TRUTH = 10.0
 @click.option("--details", is_flag=True, help="Show the estimates and sigmas of all estimators (120 columns).")
 @click.option("-q", "--quiet", is_flag=True, help="No progress and no tables; warnings and errors only.")
 def compare(
-    recording: Path,
+    arguments: tuple[Path, ...],
+    other: str | None,
     names: tuple[str, ...],
     reference: str | None,
     output: Path | None,
@@ -68,10 +77,20 @@ def compare(
     deviation, which follows from the two covariances if the reference is efficient. The false-alarm rate is 1 in 100
     recordings.
 
+    With --with, the parameters of CALIBRATION, a JSON file of 'srt calibrate -o', stand beside those of another
+    program's file (any that 'srt export' writes and that holds scale factors and misalignment), in sigma and in the
+    same axes, with the residuals at rest and over the turns of RECORDING that both leave, and those of raw readings.
+
     Exit codes: 0 all that ran converged (or partial) and agree; 1 they disagree, some are doubtful and others sound,
     one failed or did not converge, or fewer than two can run; 2 wrong usage or unreadable input.
     """
     # Whatever can be refused without the samples is refused before they are read.
+    if other is not None:
+        refuse_others(arguments)
+        return run_other(arguments[0], arguments[1], other, output, quiet=quiet)
+    if len(arguments) > 1:
+        raise InputError(f"One recording is compared at a time, and {arguments[1]} is another: add --with FILE?")
+    recording = arguments[0]
     check_file(output, RESULT_SUFFIXES, "The result")
     check_plot(plot)
     from srt.estimation.options import Options
@@ -99,6 +118,49 @@ def compare(
 
 # Options of 'srt calibrate' themselves, so that an option has one meaning in both commands.
 compare.params += [p for p in calibrate_command.params if p.name in SHARED_OPTIONS]
+
+
+def refuse_others(arguments: Sequence[Path]) -> None:
+    """Raise InputError for a wrong number of arguments beside --with, or an option that belongs to estimators."""
+    if len(arguments) != 2:
+        raise InputError("--with compares files: give CALIBRATION and RECORDING, as 'compare unit.json recording'.")
+    context = click.get_current_context()
+    for parameter in context.command.params:
+        name = parameter.name or ""
+        given = context.get_parameter_source(name) is not ParameterSource.DEFAULT
+        if given and name not in ("arguments", "other", "output", "quiet"):
+            raise InputError(f"{parameter.opts[0]} belongs to a comparison of estimators: leave it out, or --with.")
+
+
+def run_other(calibration_file: Path, path: Path, other: str, output: Path | None, *, quiet: bool) -> int:
+    """Compare a calibration with another program's file on a recording. Raises SrtError."""
+    check_file(output, RESULT_SUFFIXES, "The result")
+    from srt.cli.apply import check_match, load_fit
+    from srt.comparison.other_calibration import compare_with
+    from srt.exporters.conversion import load_any
+    from srt.exporters.registry import exporter
+    from srt.recording.applied import NOTHING
+    from srt.recording.atomic_file import atomic_write_text
+    from srt.recording.folder import load_recording
+    from srt.reports.text.other_calibration import other_calibration_text
+
+    calibration = load_fit(calibration_file, force=False, trust=False)
+    target, loaded = load_any(other)
+    recording = load_recording(path)
+    check_match(calibration, recording, calibration_file, path)
+    if exporter(target).find_applied and (recording.applied is None or recording.applied.system != NOTHING):
+        raise InputError(
+            f"A {target} file works on the readings of the sensors themselves, and {path} does not say that its "
+            'readings are such: state it by [imu.applied] system = "none" in its recording.toml.'
+        )
+    found = compare_with(calibration, loaded, recording)
+    if output is not None:
+        document = json.dumps(found.as_dict(), indent=1, allow_nan=False)
+        atomic_write_text(output, document + "\n")
+    if not quiet:
+        show(other_calibration_text(found, calibration_file.name, PurePath(other).name, str(path)))
+    announce(output, quiet=quiet)
+    return 0
 
 
 def check_names(names: Sequence[str], default: Sequence[str], reference: str | None) -> None:

@@ -13,7 +13,7 @@ from srt.exceptions import DataError, InputError, SrtError
 from srt.exporters.correction_difference import CorrectionDifference, Readings, compare_corrections
 from srt.exporters.export_model import ExportModel, ExportSettings, unknown
 from srt.exporters.linear_model import ASYMMETRY, FACTORS, LinearModel, linear_part
-from srt.exporters.registry import exporter
+from srt.exporters.registry import exporter, exporters
 from srt.model.sensor_model import Triad, accel_triad, gyro_triad, outside_model, to_mars
 from srt.recording.applied import NOTHING, AppliedCorrection, applied_correction
 from srt.recording.atomic_file import atomic_path
@@ -240,6 +240,36 @@ def load(path: str | PathLike[str], target: str) -> ImportedCalibration:
         raise InputError(f"{path}, read as {chosen.title}: {error}") from None
     absent = ("gyro_asymmetry", "accel_asymmetry") + (() if chosen.biases else ("gyro_bias", "accel_bias"))
     return ImportedCalibration(errors, U, absent, g_sensitivity @ U.T)
+
+
+def load_any(text: str) -> tuple[str, ImportedCalibration]:
+    """Read a file of other software named as "FILE", whose format is recognised, or as "FORMAT:FILE".
+
+    Returns
+    -------
+    target : str
+        Name of the format.
+    loaded : ImportedCalibration
+
+    Raises
+    ------
+    InputError
+        A file that no format or more than one can be read from, or the errors of :func:`load`.
+    """
+    readable = [item for item in exporters().values() if item.imports]
+    name, colon, path = text.partition(":")
+    if colon and name in exporters():
+        return name, load(path, name)
+    found = {}
+    for item in readable:
+        with suppress(SrtError):
+            if Path(text).suffix.lower() in item.suffixes:
+                found[item.name] = load(text, item.name)
+    if len(found) == 1:
+        return found.popitem()
+    names = ", ".join(found or [item.name for item in readable])
+    which = "may be of more than one format" if found else "is of no format that can be read back"
+    raise InputError(f"{text} {which} ({names}): name it with its format, as {readable[0].name}:{text}.")
 
 
 def read_texts(chosen: Exporter, path: str | PathLike[str]) -> dict[str, str]:
