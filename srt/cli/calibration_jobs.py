@@ -152,24 +152,31 @@ def plan_folder(
     InputError
         A path that cannot be written, or a file where a folder is needed.
     """
+    from srt.cli.export import target_path
+    from srt.exporters.conversion import part_paths
     from srt.exporters.registry import exporter
     from srt.recording.folder import TOML_NAME
 
-    for target in targets:
-        exporter(target)
+    formats = {target: exporter(target) for target in targets}
     folder = output is not None and (output.is_dir() or output.suffix.lower() not in RESULT_SUFFIXES)
     if targets and not folder:
         raise InputError("With --to there are several files: name a folder for them, as -o results.")
     if output is None or not folder:
         return tuple(replace(job, log=log) for job in plan([recording], output, plot))
     check_directory(output)
-    check_file(plot, PLOT_SUFFIXES, "The plot")
     if (output / TOML_NAME).exists():
         raise InputError(f"The folder {output} is a recording: name another folder for the results.")
     name = recording_folder(recording).resolve().name if log is None else recording.stem
     place = recording if log is None else output / "recording"
     file, picture = output / "calibration.json", picture_in(output) if plot is None else plot
-    return (Job(place, name, file, picture, log, tuple(dict.fromkeys(targets))),)
+    if output.is_dir():
+        check_file(file, RESULT_SUFFIXES, "The result")
+        for target, chosen in formats.items():
+            for path in part_paths(chosen, target_path(output, chosen)).values():
+                check_file(path, chosen.suffixes, f"The {target} file")
+    if plot is not None or output.is_dir():
+        check_file(picture, PLOT_SUFFIXES, "The plot")
+    return (Job(place, name, file, picture, log, tuple(formats)),)
 
 
 def plan_merging(recordings: Sequence[Path], output: Path | None, plot: Path | None) -> tuple[Job, ...]:

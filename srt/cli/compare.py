@@ -140,9 +140,9 @@ def run_other(calibration_file: Path, path: Path, other: str, output: Path | Non
     from srt.exporters.conversion import load_any
     from srt.exporters.registry import exporter
     from srt.recording.applied import NOTHING
-    from srt.recording.atomic_file import atomic_write_text
     from srt.recording.folder import load_recording
     from srt.reports.text.other_calibration import other_calibration_text
+    from srt.result.json_file import save_json_file
 
     calibration = load_fit(calibration_file, force=False, trust=False)
     target, loaded = load_any(other)
@@ -155,8 +155,7 @@ def run_other(calibration_file: Path, path: Path, other: str, output: Path | Non
         )
     found = compare_with(calibration, loaded, recording)
     if output is not None:
-        document = json.dumps(found.as_dict(), indent=1, allow_nan=False)
-        atomic_write_text(output, document + "\n")
+        save_json_file(output, found.as_dict())
     if not quiet:
         show(other_calibration_text(found, calibration_file.name, PurePath(other).name, str(path)))
     announce(output, quiet=quiet)

@@ -155,7 +155,7 @@ def write_targets(
         rate_hz = 1.0 / recording.nominal_interval_s if "rate_hz" in chosen.options else None
         try:
             made = make(calibration, target, readings=readings, settings=ExportSettings(rate_hz=rate_hz))
-            written = save(made, folder / f"{target}{chosen.suffixes[0]}")
+            written = save(made, target_path(folder, chosen))
         except SrtError as error:
             say(f"{target} was not written: {error}")
             codes.append(error.exit_code)
@@ -165,6 +165,11 @@ def write_targets(
             show(f"\n{export_summary(made)}")
         announce(*written, quiet=quiet)
     return max(codes)
+
+
+def target_path(folder: Path, chosen: Exporter) -> Path:
+    """Path of the file of a format beside a calibration, as kalibr.yaml."""
+    return folder / f"{chosen.name}{chosen.suffixes[0]}"
 
 
 def warn_of_unknown(made: ExportedCalibration) -> None:

@@ -16,6 +16,7 @@ import srt
 from sims.physics.imu import ImuModel, read_out
 from srt.cli import main
 from srt.cli.app import COMMANDS
+from srt.exporters import export, save
 from srt.sensor_errors import SensorErrors
 
 pytestmark = pytest.mark.usefixtures("plain_layout")
@@ -58,6 +59,9 @@ ROWS = {
     "merge": "calibrate --merge {lab}/3.json {lab}/4.json -o {out}/both.json",
     "watch": "watch {lab}/3 --idle 0 -o {out}/w.json",
     "compare": "compare {lab}/3 --estimator closed-form --estimator least-squares -o {out}/c.json",
+    "calibrate log": "calibrate {lab}/3/samples.csv -o {out}/log --to c-header --gyro-unit rad/s --accel-unit m/s^2"
+    " --time-unit s --latitude-deg 45 --height-m 0",
+    "compare with": "compare {lab}/3.json {lab}/3 --with {lab}/3-pyins.json -o {out}/c.json",
     "fleet": "calibrate {lab}/3 {lab}/4 {lab}/5 -o {out}/fleet",
     "replay": "robustness {lab}/campaign.toml --replay 0:1 -o {out}/trial",
     "robustness": "robustness {lab}/campaign.toml -o {out}/campaign --markdown {out}/campaign.md --workers 1",
@@ -69,7 +73,7 @@ ROWS = {
 }
 """Command lines; "over" writes over what an earlier run left."""
 SLOW = {"compare", "fleet", "replay", "robustness", "calibrate plot", "inspect plot", "noise plot", "certificate",
-        "demo", "watch", "noise", "noise into", "budget", "inspect", "plan"}  # fmt: skip
+        "calibrate log", "demo", "watch", "noise", "noise into", "budget", "inspect", "plan"}  # fmt: skip
 """Rows of more than half a second."""
 WITHOUT_OUTPUT = {"list"}
 JOURNAL = {"campaign/journal.jsonl"}
@@ -83,6 +87,7 @@ def lab(tmp_path_factory):
     for seed in (3, 4, 5):
         simulated(folder / str(seed), seed=seed, dwell_s=2.0, sample_rate_hz=50.0, recording='format = "csv"')
         srt.calibrate(srt.load_recording(folder / str(seed))).save(folder / f"{seed}.json")
+    save(export(srt.load_calibration(folder / "3.json"), "pyins"), folder / "3-pyins.json")
     noise = np.random.default_rng(1).normal([0.0, 0.0, 0.0, 0.0, 0.0, 9.81], 1e-4, (2000, 6))
     at_rest = srt.Recording(0.02 * np.arange(1, 2001), noise[:, :3], noise[:, 3:], srt.Site(9.81))
     srt.write_recording(at_rest, folder / "rest")
