@@ -7,6 +7,7 @@ pages.
 from functools import cache
 from pathlib import Path
 
+import foreign_files
 import numpy as np
 
 import sims
@@ -89,6 +90,38 @@ def autopilot(path: Path) -> None:
     save(export(unit, "px4", applied=AppliedCorrection("none")), path)
 
 
+@cache
+def turned_by_hand() -> tuple[np.ndarray, np.ndarray]:
+    """Time, s, and readings, shape (n, 6), of a unit turned by hand between 25 rests."""
+    free = {"turns": 24, "dwell_s": 4.0, "profile": "recorded-hand", "turn_duration_s": [1.5, 4.0]}
+    tables = {"seed": 4, "imu": {"from": "industrial-mems"}, "site": TABLES["site"], "free": free}
+    found = sims.simulate(sims.scenario_from_dict(tables | {"recording": {"sample_rate_hz": 50.0}})).recording
+    return found.time, np.hstack([found.gyro, found.accel])
+
+
+def bag(path: Path) -> None:
+    """ROS 1 bag with the topic /imu/data."""
+    time, values = turned_by_hand()
+    stamps = foreign_files.EPOCH_NS + np.round(time * 1e9).astype(np.int64)
+    foreign_files.write_bag1(path, {"/imu/data": (stamps, values, "")})
+
+
+def flight_log(path: Path) -> None:
+    """PX4 log with the calibration that the autopilot applied."""
+    time, values = turned_by_hand()
+    stamps = np.round(time * 1e6).astype(np.uint64)
+    axes = {"X": 0.35, "Y": -0.52, "Z": 0.21}
+    parameters = {"SENS_BOARD_ROT": 0, "CAL_ACC0_ID": 2753036, "CAL_GYRO0_ID": 2818058}
+    for axis, offset in axes.items():
+        parameters |= {f"CAL_ACC0_{axis}OFF": offset, f"CAL_ACC0_{axis}SCALE": 1.01, f"CAL_GYRO0_{axis}OFF": 0.011}
+    selected = {"timestamp": stamps[:1], "accel_device_id": [2753036], "gyro_device_id": [2818058]}
+    topics = [
+        ("sensor_combined", 0, foreign_files.COMBINED, foreign_files.combined(stamps, values)),
+        ("sensor_selection", 0, foreign_files.SELECTION, selected),
+    ]
+    foreign_files.write_ulog(path, topics, parameters)
+
+
 def plan_file(path: Path) -> None:
     path.write_text(
         'imu = { from = "tactical-fog" }\nfixture = { from = "lab-1mrad" }\nsite = { from = "latitude-45" }\n'
@@ -117,6 +150,8 @@ INPUTS = {
     "log.csv": log,
     "counts.csv": counts,
     "vehicle.params": autopilot,
+    "imu.bag": bag,
+    "turned.ulg": flight_log,
     "lab.toml": plan_file,
     "mine.toml": campaign,
 }

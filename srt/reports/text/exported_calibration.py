@@ -12,15 +12,26 @@ if TYPE_CHECKING:
 
 def export_summary(made: ExportedCalibration) -> str:
     """Title, largest difference from ``srt apply``, what the file does not hold, and advice, in lines of 80."""
-    difference = made.residuals[0]
+    # Programs whose file has no biases estimate them.
+    difference = made.residuals[0] if made.format.biases else made.residuals[1]
+    which = "" if made.format.biases else ", with the biases given beside the file"
     sentences = (
-        f"Difference from srt apply on {made.readings.title}: at most {difference.gyro_max:.1e} rad/s and "
+        f"Difference from srt apply on {made.readings.title}{which}: at most {difference.gyro_max:.1e} rad/s and "
         f"{difference.accel_max:.1e} m/s².",
         f"Not in the file: {'; '.join(made.losses)}.",
         *made.limits,
         *made.format.advice,
     )
-    return "\n".join([made.format.title, *(line for text in sentences for line in wrap(text, "  "))])
+    lines = [line for text in (*_composed(made), *sentences) for line in wrap(text, "  ")]
+    return "\n".join([made.format.title, *lines])
+
+
+def _composed(made: ExportedCalibration) -> list[str]:
+    """Line on the correction of the log with which a file is composed; empty without one."""
+    if made.applied is None:
+        return []
+    which = "" if made.applied.instance is None else f" (IMU {made.applied.instance})"
+    return [f"composed with the correction by {made.applied.system} that the log was made under{which}"]
 
 
 def export_text(made: ExportedCalibration) -> str:
@@ -38,10 +49,7 @@ def export_text(made: ExportedCalibration) -> str:
         "table": "axes of the table-mounted frame",
         "accel": "axes that its accelerometer matrix defines",
     }[made.frame]
-    lines = [f"{made.format.title}", f"formula: {made.format.formula}", f"axes: {axes}"]
-    if made.applied is not None:
-        which = "" if made.applied.instance is None else f" (IMU {made.applied.instance})"
-        lines.append(f"composed with the correction by {made.applied.system} that the log was made under{which}")
+    lines = [f"{made.format.title}", f"formula: {made.format.formula}", f"axes: {axes}", *_composed(made)]
     if made.frame != "mars":
         x, y, z = made.turn_mrad
         lines.append(f"turned from MARS axes by ({x:.4f}, {y:.4f}, {z:.4f}) mrad; v is C v there, C =")
