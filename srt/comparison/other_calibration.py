@@ -14,7 +14,7 @@ import numpy as np
 from srt.comparison.estimate_difference import finite
 from srt.constants import EARTH_RATE_RAD_S
 from srt.diagnosis.gravity_rotation import ManoeuvreReadings, recognised_manoeuvres
-from srt.exceptions import DataError
+from srt.exceptions import InputError
 from srt.model.analytic_platform import integrate_attitude
 from srt.model.gyro_stream import gyro_stream
 from srt.model.sensor_model import accel_triad, gyro_triad
@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 
 _SENSED: Final = 0.5
 """Largest median difference of the rate at rest from the Earth's, over the Earth's, at which the gyros measure it."""
+_OTHER_UNIT: Final = 2.0
+"""Ratio to gravity, or its inverse, of corrected readings at rest from which they are in another unit."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,6 +138,8 @@ def compare_with(calibration: Calibration, other: ImportedCalibration, recording
     ------
     DataError
         If fewer than two stationary windows are found.
+    InputError
+        If the other calibration is for readings in another unit.
     """
     found = recognise(recording)
     readings = recognised_manoeuvres(recording, found)
@@ -151,6 +155,13 @@ def compare_with(calibration: Calibration, other: ImportedCalibration, recording
         "none": _Correction(SensorErrors(), np.zeros((3, 3))),
     }
     earth = _earth_rate(corrections["this"].apply(readings.rate, readings.force)[0])
+    force = np.linalg.norm(corrections["other"].apply(readings.rate, readings.force)[1], axis=1)
+    ratio = float(np.median(force)) / recording.site.gravity_m_s2
+    if not 1.0 / _OTHER_UNIT < ratio < _OTHER_UNIT:
+        raise InputError(
+            f"Corrected by the other calibration, the accelerometers read {ratio:.3g} times gravity at rest: it is for "
+            "readings in another unit than those of this recording, as counts."
+        )
     difference = np.where(missing, np.nan, other.errors.vector - calibration.errors.vector)
     return OtherCalibration(
         calibration=calibration,
@@ -179,8 +190,6 @@ def _residuals(
     # Means are corrected, not samples: an asymmetry would rectify the noise of these.
     rate, force = correction.apply(readings.rate, readings.force)
     size = np.linalg.norm(force, axis=1)
-    if not np.all(np.isfinite(size)) or not np.all(size > 0.0):
-        raise DataError("The correction gives no specific force at rest: check the units of the other calibration.")
     turn = np.zeros(1)
     if len(readings.spans):
         gyro = recording.gyro

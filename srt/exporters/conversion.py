@@ -235,7 +235,7 @@ def load(path: str | PathLike[str], target: str) -> ImportedCalibration:
         errors, U = to_mars(gyro, accel)
         reason = outside_model(errors)
         if reason is not None:
-            raise InputError(f"{reason}.")
+            raise InputError(f"{reason}; a file for readings in other units than rad/s and m/s², as counts, looks so.")
     except SrtError as error:
         raise InputError(f"{path}, read as {chosen.title}: {error}") from None
     absent = ("gyro_asymmetry", "accel_asymmetry") + (() if chosen.biases else ("gyro_bias", "accel_bias"))
@@ -260,13 +260,17 @@ def load_any(text: str) -> tuple[str, ImportedCalibration]:
     name, colon, path = text.partition(":")
     if colon and name in exporters():
         return name, load(path, name)
+    candidates = [item for item in readable if Path(text).suffix.lower() in item.suffixes]
+    if not any(place.exists() for item in candidates or readable for place in part_paths(item, text).values()):
+        raise InputError(f"There is no file {text} to read: check the path.")
     found = {}
-    for item in readable:
+    for item in candidates:
         with suppress(SrtError):
-            if Path(text).suffix.lower() in item.suffixes:
-                found[item.name] = load(text, item.name)
+            item.read(read_texts(item, text))
+            found[item.name] = item
     if len(found) == 1:
-        return found.popitem()
+        name = found.popitem()[0]
+        return name, load(text, name)
     names = ", ".join(found or [item.name for item in readable])
     which = "may be of more than one format" if found else "is of no format that can be read back"
     raise InputError(f"{text} {which} ({names}): name it with its format, as {readable[0].name}:{text}.")

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from srt.constants import DEG, DEG_PER_H
+from srt.exceptions import clipped
 from srt.reports.parameters import GROUP_STARTS, sigma_text, value_text
 from srt.reports.tables import fixed, table, text_table, wrap
 from srt.sensor_errors import DISPLAY_UNITS, NAMES
 
 if TYPE_CHECKING:
     from srt.comparison.other_calibration import OtherCalibration
+
+_HEAD: Final = 16
+"""Most characters of the name of a file in a table, so that its lines have at most 80."""
 
 
 def other_calibration_text(found: OtherCalibration, this: str, other: str, recording: str) -> str:
@@ -35,8 +39,9 @@ def other_calibration_text(found: OtherCalibration, this: str, other: str, recor
         f"Last column: {other} less {this}, in sigma of {this}, both in MARS axes; {other} states no sigma of its own. "
         "A '-' stands for what one of them does not hold."
     )
-    parts = [residual_table(found, this, other), *("\n".join(wrap(note)) for note in notes)]
-    return "\n".join([*parts, "", parameter_table(found, this, other), "", *wrap(legend)])
+    heads = clipped(this, _HEAD), clipped(other, _HEAD)
+    parts = [residual_table(found, *heads), *("\n".join(wrap(note)) for note in notes)]
+    return "\n".join([*parts, "", parameter_table(found, *heads), "", *wrap(legend)])
 
 
 def residual_table(found: OtherCalibration, this: str, other: str) -> str:
