@@ -1,4 +1,4 @@
-"""Pictures of the README and the documentation: fixture with the 17 sequences, calibration of the demo, convergence.
+"""Pictures of README and docs: fixture with the 17 sequences, demo, unit turned by hand, convergence.
 
 ``python benchmarks/pictures.py`` writes them to docs/images. The picture of convergence shows a table of
 docs/studies/filters.md. A test draws all again and compares, so that they are those of the present software.
@@ -18,6 +18,7 @@ import srt
 from sims.robustness.error_statistics import share_interval
 from srt.model.table1 import SEQUENCES
 from srt.reports.figures.calibration import calibration_figure
+from srt.reports.figures.inspection import inspection_figure
 from srt.reports.figures.style import (
     BLUE,
     DPI,
@@ -153,6 +154,12 @@ def demo_figure() -> Figure:
     return calibration_figure(srt.calibrate(simulation.recording), truth=simulation.truth, title="demo")
 
 
+def hand_figure() -> Figure:
+    """Readings of a unit that was turned by hand, with the stationary windows that were found."""
+    recording = sims.simulate(sims.load_scenario("free-mems")).recording
+    return inspection_figure(recording, srt.inspect(recording), title="hand")
+
+
 def start_scores() -> tuple[dict[str, dict[str, np.ndarray]], list[float]]:
     """Units with errors within 5 sigma and all units, by estimator and start, and the size of the errors, %."""
     text = STUDY.read_text(encoding="utf-8")
@@ -203,7 +210,12 @@ def convergence_figure() -> Figure:
     return figure
 
 
-PICTURES = {"fixture.png": fixture_figure, "calibration.png": demo_figure, "convergence.png": convergence_figure}
+PICTURES = {
+    "fixture.png": fixture_figure,
+    "calibration.png": demo_figure,
+    "inspection.png": hand_figure,
+    "convergence.png": convergence_figure,
+}
 
 
 def main() -> None:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import shutil
 from importlib.metadata import version as installed_version
-from typing import TYPE_CHECKING, NoReturn
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any, Final, NoReturn
 
 from docutils.nodes import SkipNode
 from docutils.utils.math import MathError
@@ -11,10 +14,16 @@ from docutils.utils.math.latex2mathml import tex2mathml
 from sphinx.util.logging import getLogger
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     import click
     from docutils import nodes
     from sphinx.application import Sphinx
     from sphinx.writers.html5 import HTML5Translator
+
+EXAMPLES: Final = Path(__file__).parents[1] / "examples"
+NOTEBOOK: Final = "from_log_to_navigation.ipynb"
+TITLE: Final = "# From a log of counts to a navigation solution\n"
 
 project = "strapdown-rotation-test"
 project_copyright = "the authors of strapdown-rotation-test"
@@ -85,9 +94,49 @@ def _titled(_: Sphinx, name: str, source: list[str]) -> None:
         source[0] = f"# Campaign {name.removeprefix('studies/')}\n\n{source[0]}"
 
 
+def _with_notebook(_: Sphinx, name: str, source: list[str]) -> None:
+    if name == "notebook":
+        source[0] += "\n\n".join(part for cell in _executed(EXAMPLES / NOTEBOOK) for part in _rendered(cell))
+
+
+def _executed(path: Path) -> list[Any]:
+    """Cells of a notebook with their outputs, run in a folder of its own beside copies of the examples."""
+    import nbclient
+    import nbformat
+
+    notebook = nbformat.read(path, as_version=4)
+    with TemporaryDirectory() as folder:
+        for file in path.parent.glob("*.py"):
+            shutil.copy(file, folder)
+        nbclient.NotebookClient(
+            notebook, timeout=600, kernel_name="python3", resources={"metadata": {"path": folder}}
+        ).execute()
+    cells: list[Any] = notebook.cells
+    return cells
+
+
+def _rendered(cell: Any) -> Iterator[str]:
+    """Parts of a page in Markdown that show a cell and its outputs."""
+    if cell.cell_type == "markdown":
+        yield cell.source.removeprefix(TITLE)  # the page has it
+        return
+    yield f"```python\n{cell.source}\n```"
+    for output in cell.outputs:
+        data = output.get("data", {})
+        if "image/png" in data:
+            html = f'<p><img alt="Output of the cell" src="data:image/png;base64,{data["image/png"].strip()}"></p>'
+        elif "text/html" in data:
+            html = data["text/html"]
+        else:
+            yield f"```text\n{(output.get('text') or data.get('text/plain', '')).rstrip()}\n```"
+            continue
+        yield f"```{{raw}} html\n{html}\n```"
+
+
 def setup(app: Sphinx) -> dict[str, bool]:
     """Connect the hooks and the renderer of formulas."""
     app.connect("source-read", _titled)
+    app.connect("source-read", _with_notebook)
     app.connect("sphinx-click-process-description", _escaped)
     app.add_html_math_renderer("mathml", inline_renderers=(_inline, None), block_renderers=(_block, None))
     return {"parallel_read_safe": True, "parallel_write_safe": True}

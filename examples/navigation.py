@@ -4,7 +4,7 @@
 rotation test, carries it on two trajectories, and lets an independent navigator (python-ins) integrate its readings
 from an exact start. gtsam's preintegration gets the same readings. Set up its environment, and best one of its own, by
 
-    pip install 'strapdown-rotation-test[examples]'
+    pip install '.[examples]'  # in a clone of the repository
 
 The folder then holds navigation-drift.png and navigation-tables.md. All random numbers follow from ``--seed``.
 

@@ -99,6 +99,14 @@ def turned_by_hand() -> tuple[np.ndarray, np.ndarray]:
     return found.time, np.hstack([found.gyro, found.accel])
 
 
+def robot_log(path: Path) -> None:
+    """Table whose header states its units."""
+    units = ["s", *["rad/s"] * 3, *["m/s^2"] * 3]
+    header = ",".join(f"{name} [{unit}]" for name, unit in zip(COLUMNS.split(","), units, strict=True))
+    time, values = turned_by_hand()
+    np.savetxt(path, np.column_stack([time, values]), fmt="%.10g", delimiter=",", header=header, comments="")
+
+
 def bag(path: Path) -> None:
     """ROS 1 bag with the topic /imu/data."""
     time, values = turned_by_hand()
@@ -151,6 +159,7 @@ INPUTS = {
     "counts.csv": counts,
     "vehicle.params": autopilot,
     "imu.bag": bag,
+    "robot.csv": robot_log,
     "turned.ulg": flight_log,
     "lab.toml": plan_file,
     "mine.toml": campaign,
