@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 import sys
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -116,15 +117,16 @@ class Log:
 
         def checked(document: dict[str, Any]) -> dict[str, Any]:
             require_format(document, "conversion", _FORMAT, _VERSION)
-            unknown = sorted(set(document["options"]) - set(_NAMES))
-            if unknown or not isinstance(document["recording_toml_sha256"], str):
-                raise InputError("it was edited: name another folder.")
             return document
 
         file = folder / _CONVERSION
-        if file.is_file() and (document := load_json_file(file, "conversion", checked))["log_sha256"] == digest:
-            return document
-        raise InputError(f"{folder / _RECORDING} was not made of {self.path}: name another folder.")
+        with suppress(InputError):  # absent, damaged or edited
+            document = load_json_file(file, "conversion", checked, signed=True)
+            if document["log_sha256"] == digest:
+                return document
+        raise InputError(
+            f"{folder / _RECORDING} was not made of {self.path}, by the digest in {file.name}: name another folder."
+        )
 
     def _read(self, given: Mapping[str, Any], *, force: bool, quiet: bool) -> tuple[Recording, dict[str, Any]]:
         known = dict(given)

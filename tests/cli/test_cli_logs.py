@@ -96,8 +96,12 @@ def test_another_log_or_a_foreign_folder_is_refused(log, again, tmp_path, refuse
     other = tmp_path / "other.csv"
     other.write_text(log.read_text() + "\n")
     assert "was not made of" in refused("calibrate", other, "-o", again, *STATED)
-    (again / "conversion.json").unlink()
-    assert "was not made of" in refused("calibrate", log, "-o", again, *STATED)
+    for text in ((again / "conversion.json").read_text().replace('"g"', '"mg"'), "{}", None):
+        if text is None:
+            (again / "conversion.json").unlink()
+        else:
+            (again / "conversion.json").write_text(text)
+        assert "was not made of" in refused("calibrate", log, "-o", again, *STATED)
     raw = recorded(tmp_path / "raw")
     assert "is a recording" in refused("calibrate", log, "-o", raw, *STATED)
 
