@@ -165,7 +165,7 @@ def plan_folder(
         return tuple(replace(job, log=log) for job in plan([recording], output, plot))
     check_directory(output)
     if (output / TOML_NAME).exists():
-        raise InputError(f"The folder {output} is a recording: name another folder for the results.")
+        raise InputError(f"{output} is the folder of a recording: name another one for the results.")
     name = recording_folder(recording).resolve().name if log is None else recording.stem
     place = recording if log is None else output / "recording"
     file, picture = output / "calibration.json", picture_in(output) if plot is None else plot

@@ -128,7 +128,7 @@ def refuse_others(arguments: Sequence[Path]) -> None:
     for parameter in context.command.params:
         name = parameter.name or ""
         given = context.get_parameter_source(name) is not ParameterSource.DEFAULT
-        if given and name not in ("arguments", "other", "output", "quiet"):
+        if given and name not in ("arguments", "other", "output", "overwrite", "quiet"):
             raise InputError(f"{parameter.opts[0]} belongs to a comparison of estimators: leave it out, or --with.")
 
 
