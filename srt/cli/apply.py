@@ -10,6 +10,7 @@ import click
 from srt.cli.grouped_command import GroupedCommand
 from srt.cli.messages import show, warn
 from srt.cli.output_paths import SAMPLES_FORMATS, check_file, check_recording_target, recording_folder
+from srt.cli.overwriting import overwrite_option
 from srt.cli.path_type import PATH
 from srt.cli.recording_arguments import check_median_force
 from srt.cli.stream import NAMES, STANDARD, run_stream, stream_options
@@ -41,7 +42,7 @@ _USUAL = (
 @stream_options
 @click.option("--force", is_flag=True, help="Accept any status of the calibration, serial and size of readings.")
 @click.option("--trust", is_flag=True, help="Accept a calibration file that was changed after it was written.")
-@click.option("--overwrite", is_flag=True, help="Write to a folder that is not empty.")
+@overwrite_option(folder=True)
 @click.option("-q", "--quiet", is_flag=True, help="No summary.")
 def apply(
     calibration_file: Path,

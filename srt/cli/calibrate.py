@@ -12,6 +12,7 @@ from srt.cli.grouped_command import GroupedCommand
 from srt.cli.merge import run_merging
 from srt.cli.messages import announce, figure_title, say, show, warn
 from srt.cli.output_paths import RESULT_SUFFIXES, make_directory, require_matplotlib
+from srt.cli.overwriting import overwrite_option
 from srt.cli.path_type import PATH
 from srt.cli.recording_arguments import find_recordings
 from srt.exceptions import DataError, InputError, SrtError
@@ -90,6 +91,7 @@ USUAL = (
     help="Leave out a turn or pose by its number, or all runs of a sequence by its id.",
 )
 @click.option("--truth", type=PATH, help="truth.json of a simulated recording: show errors.")
+@overwrite_option()
 @click.option("-q", "--quiet", is_flag=True, help="No progress and no table; warnings and errors only.")
 @click.option("--no-asymmetry", is_flag=True, help="Fix the gyro scale-factor asymmetries at zero.")
 @click.option(

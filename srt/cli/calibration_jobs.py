@@ -6,7 +6,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from srt.cli.output_paths import PLOT_SUFFIXES, RESULT_SUFFIXES, check_directory, check_file, recording_folder
+from srt.cli.output_paths import (
+    PLOT_SUFFIXES,
+    RESULT_SUFFIXES,
+    check_directory,
+    check_file,
+    check_place,
+    recording_folder,
+)
+from srt.cli.overwriting import check_replaceable
 from srt.cli.recording_arguments import file_name, unit_names
 from srt.exceptions import InputError
 
@@ -109,12 +117,11 @@ def plan(recordings: Sequence[Path], output: Path | None, plot: Path | None) -> 
     if output is not None and into_folder:
         check_directory(output)
     else:
-        check_file(output, RESULT_SUFFIXES, "The result")
-    check_file(plot, PLOT_SUFFIXES, "The plot")
-    if not several:
-        file = output / f"{names[0]}.json" if output is not None and into_folder else output
-        return (Job(recordings[0], names[0], file, plot),)
-    return tuple(_job(path, name, output, plot) for path, name in zip(recordings, names, strict=True))
+        check_place(output, RESULT_SUFFIXES, "The result")
+    if several:
+        return _jobs(recordings, names, output, plot)
+    file = output / f"{names[0]}.json" if output is not None and into_folder else output
+    return _replaceable((Job(recordings[0], names[0], file, plot),))
 
 
 def plan_merging(recordings: Sequence[Path], output: Path | None, plot: Path | None) -> tuple[Job, ...]:
@@ -153,8 +160,20 @@ def plan_fleet(recordings: Sequence[Path], output: Path | None, plot: Path | Non
                 f"The results of a fleet go to a folder, and {output} is called like a file: name another."
             )
         check_directory(output)
-    check_file(plot, PLOT_SUFFIXES, "The plot")
-    return tuple(_job(path, name, output, plot) for path, name in zip(recordings, unit_names(recordings), strict=True))
+        check_replaceable(*(output / name for name in ("fleet.csv", "fleet.json")))
+    return _jobs(recordings, unit_names(recordings), output, plot)
+
+
+def _jobs(recordings: Sequence[Path], names: Sequence[str], output: Path | None, plot: Path | None) -> tuple[Job, ...]:
+    """Jobs of several recordings, whose files can be written."""
+    return _replaceable(tuple(_job(path, name, output, plot) for path, name in zip(recordings, names, strict=True)))
+
+
+def _replaceable(jobs: tuple[Job, ...]) -> tuple[Job, ...]:
+    """Jobs, after the check that their files can be written."""
+    check_place(jobs[0].plot, PLOT_SUFFIXES, "The plot")
+    check_replaceable(*(path for job in jobs for path in (job.output, job.plot) if path is not None))
+    return jobs
 
 
 def _job(recording: Path, name: str, folder: Path | None, plot: Path | None) -> Job:

@@ -10,6 +10,7 @@ import click
 from srt.cli.calibrate import calibrate as calibrate_command
 from srt.cli.messages import announce, figure_title, say, show, warn
 from srt.cli.output_paths import RESULT_SUFFIXES, check_file, check_plot, recording_folder
+from srt.cli.overwriting import overwrite_option
 from srt.cli.path_type import PATH
 from srt.exceptions import DataError, InputError
 
@@ -49,6 +50,7 @@ _FOREIGN_TRUTH = 10.0
 @click.option("--plot", type=PATH, help="Figure: FILE.png, .pdf or .svg.")
 @click.option("--truth", type=PATH, help="truth.json of a simulated recording: show errors.")
 @click.option("--details", is_flag=True, help="Show the estimates and sigmas of all estimators (120 columns).")
+@overwrite_option()
 @click.option("-q", "--quiet", is_flag=True, help="No progress and no tables; warnings and errors only.")
 def compare(
     recording: Path,

@@ -9,6 +9,7 @@ import click
 from srt.cli.grouped_command import GroupedCommand, RenamedOption
 from srt.cli.messages import show
 from srt.cli.output_paths import SAMPLES_FORMATS, check_recording_target
+from srt.cli.overwriting import overwrite_option
 from srt.cli.path_type import PATH
 from srt.cli.recording_arguments import check_median_force, median_force
 from srt.exceptions import DataError, InputError
@@ -136,7 +137,7 @@ _WRITE = [
     click.option("--samples-format", cls=RenamedOption, earlier=("--to",), type=click.Choice(SAMPLES_FORMATS),
                  default="csv", show_default=True, help="Format of the samples written."),
     click.option("--force", is_flag=True, help="Write even if the accelerometers do not read gravity."),
-    click.option("--overwrite", is_flag=True, help="Write to a folder that is not empty."),
+    overwrite_option(folder=True),
     click.option("-q", "--quiet", is_flag=True, help="No summary."),
 ]  # fmt: skip
 

@@ -10,6 +10,7 @@ from srt.cli.apply import check_match, load_fit, warn_of_unmeasured
 from srt.cli.grouped_command import GroupedCommand
 from srt.cli.messages import show, warn
 from srt.cli.output_paths import check_file
+from srt.cli.overwriting import overwrite_option
 from srt.cli.path_type import PATH
 from srt.exceptions import InputError
 
@@ -62,6 +63,7 @@ def _list(context: click.Context, _: click.Parameter, wanted: bool) -> None:
 )
 @click.option("--force", is_flag=True, help="Accept any status of the calibration and any serial.")
 @click.option("--trust", is_flag=True, help="Accept a calibration file that was changed after it was written.")
+@overwrite_option()
 @click.option("-q", "--quiet", is_flag=True, help="No report.")
 @click.option("--list", is_flag=True, is_eager=True, expose_value=False, callback=_list, help="Show the targets.")
 def export(
@@ -131,9 +133,9 @@ def _check_output(chosen: Exporter, output: Path, calibration: Path) -> None:
     from srt.exporters.conversion import part_paths
 
     for place in part_paths(chosen, output).values():
-        check_file(place, chosen.suffixes, f"The {chosen.name} file")
         if place.resolve() == calibration.resolve():
             raise InputError(f"{place} is the calibration itself: name another file.")
+        check_file(place, chosen.suffixes, f"The {chosen.name} file")
 
 
 def _readings(

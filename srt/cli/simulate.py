@@ -10,6 +10,7 @@ import click
 from srt.cli.grouped_command import RenamedOption
 from srt.cli.messages import show
 from srt.cli.output_paths import SAMPLES_FORMATS, check_recording_target
+from srt.cli.overwriting import overwrite_option
 from srt.cli.path_type import PATH
 
 if TYPE_CHECKING:
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
     type=click.Choice(SAMPLES_FORMATS),
     help="Default: as in SCENARIO.",
 )
-@click.option("--overwrite", is_flag=True, help="Write to a folder that is not empty.")
+@overwrite_option(folder=True)
 @click.option("-q", "--quiet", is_flag=True, help="No summary.")
 def simulate(
     scenario: str, output: Path, seed: int | None, samples_format: str | None, overwrite: bool, quiet: bool

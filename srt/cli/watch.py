@@ -10,6 +10,7 @@ import click
 from srt.cli.calibration_jobs import Display, Job
 from srt.cli.messages import announce, figure_title, progress_line, show
 from srt.cli.output_paths import PLOT_SUFFIXES, RESULT_SUFFIXES, check_file, recording_folder
+from srt.cli.overwriting import overwrite_option
 from srt.cli.path_type import PATH
 from srt.cli.progress import live_text
 from srt.exceptions import DataError
@@ -49,6 +50,7 @@ if TYPE_CHECKING:
 )
 @click.option("-o", "--output", type=PATH, help="Result at the end: FILE.json.")
 @click.option("--plot", type=PATH, help="Figure of sigma against sequence: FILE.png, .pdf, .svg.")
+@overwrite_option()
 @click.option("-q", "--quiet", is_flag=True, help="Only errors of the test, and warnings of the final result.")
 def watch(
     recording: Path,
