@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Self
 
 import click
 
 from srt.cli.grouped_command import GroupedCommand, RenamedOption
-from srt.cli.messages import show
+from srt.cli.messages import show, warn
 from srt.cli.output_paths import SAMPLES_FORMATS, check_recording_target
 from srt.cli.overwriting import overwrite_option
 from srt.cli.path_type import PATH
@@ -19,6 +19,29 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from srt.recording.recording import Recording
+
+
+class _TypedNumber(float):
+    """Number whose text is as it was typed: zeros at its end say how exact it is."""
+
+    typed: str
+
+    def __new__(cls, typed: str) -> Self:
+        """Make the number of a text."""
+        number = super().__new__(cls, typed)
+        number.typed = typed
+        return number
+
+    def __str__(self) -> str:
+        return self.typed
+
+
+class _Typed(click.types.FloatParamType):
+    """Number that keeps its text."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> _TypedNumber:
+        super().convert(value, param, ctx)
+        return _TypedNumber(value)
 
 
 class _Unit(click.Choice):  # type: ignore[type-arg]  # generic from click 8.2 on
@@ -100,7 +123,7 @@ _STATED: Final = {
         "latitude-deg": "Latitude of the site.",
         "gravity-m-s2": "Gravity at the site, positive.",
         "height-m": "Height of the site: normal gravity, with the latitude.",
-        "gravity-sigma-m-s2": "1-sigma of gravity.",
+        "gravity-sigma-m-s2": "1-sigma of gravity; default: that of its digits.",
     },
     "Fixture": {
         "heading-deg": "Heading of the fixture's x axis, clockwise from north.",
@@ -124,7 +147,8 @@ _STATED: Final = {
 _SAY = [
     click.option("--like", type=PATH, metavar="RECORDING", help="Take site, fixture, imu and "
                  "sequences from this recording; options take precedence."),
-    *(click.option(f"--{key}", type=float, help=text) for keys in _STATED.values() for key, text in keys.items()),
+    *(click.option(f"--{key}", type=_Typed() if key == "gravity-m-s2" else float, help=text)
+      for keys in _STATED.values() for key, text in keys.items()),
     click.option("--applied", metavar="FORMAT:FILE", help="Correction that the readings had before they were logged, "
                  "as px4:vehicle.params or imucal:unit.json, or none; default: that in the log."),
     click.option("--serial", help="Serial of the unit."),
@@ -192,7 +216,7 @@ def convert(
     if source.suffix == ".toml" or (source / "recording.toml").is_file():
         raise InputError(f"{source} is a recording already: name the log that it was made of, or use it as it is.")
     from srt.exporters.applied_file import applied_of
-    from srt.recording.reading import read_log
+    from srt.recording.reading import gravity_warning, read_log
     from srt.recording.writing import write_recording
 
     given = {**rest, "second": second}
@@ -201,6 +225,9 @@ def convert(
     recording, imported, importer = read_log(source, given, format=name, like=like)
     if not force:
         check_gravity(recording, source, rest.get("accel_lsb"))
+    doubt = gravity_warning(recording.site)
+    if doubt is not None:
+        warn(f"{source}: {doubt}")
     # All checks are done: the recording is written.
     write_recording(recording, output, samples_format=samples_format, overwrite=overwrite)
     if not quiet:

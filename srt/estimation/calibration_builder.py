@@ -310,6 +310,7 @@ def stated_site(recording: Recording) -> StatedSite:
         gravity_m_s2=site.gravity_m_s2,
         gravity_sigma_m_s2=site.gravity_sigma_m_s2,
         latitude_sigma_deg=None if site.latitude_sigma_rad is None else float(np.degrees(site.latitude_sigma_rad)),
+        gravity_sigma_origin=site.gravity_sigma_origin,
     )
 
 

@@ -22,6 +22,7 @@ from srt.recording.protocol import load_protocol
 from srt.recording.recording import Fixture, ImuNoise, Recording, Site
 from srt.recording.samples import read_samples
 from srt.recording.schema import (
+    ASSUMED,
     COUNTS,
     POSE_KEYS,
     SECTIONS,
@@ -240,6 +241,8 @@ def _read_site(file: str, document: Mapping[str, Any]) -> Site:
             )
         gravity = normal_gravity_m_s2(given["latitude_rad"], site["height_m"])
         given = {"gravity_m_s2": gravity, "gravity_sigma_m_s2": _NORMAL_GRAVITY_SIGMA_M_S2, **given}
+    if "gravity_sigma_m_s2" not in site:
+        given["gravity_sigma_origin"] = ASSUMED
     return Site(**given)
 
 

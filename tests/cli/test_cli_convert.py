@@ -103,8 +103,30 @@ def test_like_another_recording(log, tmp_path, shell):
         assert loaded.serial is None
         assert loaded.site.latitude_rad == pytest.approx(0.5, rel=1e-15)  # through degrees and back
     assert (first.site.gravity_m_s2, first.site.gravity_sigma_m_s2) == (9.8, 1e-4)
-    # Gravity that is said has its own default of uncertainty.
-    assert (second.site.gravity_m_s2, second.site.gravity_sigma_m_s2) == (9.81, 5e-6)
+    # Gravity that is said has its own uncertainty.
+    assert (second.site.gravity_m_s2, second.site.gravity_sigma_m_s2) == (9.81, pytest.approx(0.01 / 12**0.5))
+
+
+@pytest.mark.parametrize(
+    ("typed", "sigma"),
+    [("9.81", 0.01 / 12**0.5), ("9.8100", 1e-4 / 12**0.5), ("9.80620", 5e-6), ("10", 1 / 12**0.5), ("9.80665", 0.02)],
+)
+def test_a_gravity_without_a_sigma_has_that_of_its_digits(log, tmp_path, shell, typed, sigma):
+    said = shell("convert", log, "-o", tmp_path / "rec", "-q", *SI, "--gravity-m-s2", typed, "--force").err
+    site = srt.load_recording(tmp_path / "rec").site
+    assert site.gravity_m_s2 == float(typed)
+    assert (site.gravity_sigma_m_s2, site.gravity_sigma_origin) == (pytest.approx(sigma), "assumed")
+    assert ("the standard value, which is that of no place" in said) == (typed == "9.80665")
+    assert not said or "its sigma is taken as 0.02 m/s², 2039 ppm" in said
+    # A sigma that is stated is no assumption any more.
+    stated = srt.read(tmp_path / "rec", gravity_sigma_m_s2=1e-5).site
+    assert (stated.gravity_sigma_m_s2, stated.gravity_sigma_origin) == (1e-5, None)
+
+
+def test_a_stated_sigma_of_gravity_stays(log, tmp_path, shell):
+    given = ["--gravity-m-s2", "9.80665", "--gravity-sigma-m-s2", "1e-5"]
+    assert not shell("convert", log, "-o", tmp_path / "rec", "-q", *SI, *given, "--force").err
+    assert srt.load_recording(tmp_path / "rec").site == srt.Site(9.80665, 1e-5)
 
 
 def test_units_in_the_spellings_of_files(log, tmp_path, refused, shell):
