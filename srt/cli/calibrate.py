@@ -10,7 +10,7 @@ from srt.cli.calibration_jobs import Display, Job, draw, plan, plan_fleet, plan_
 from srt.cli.fleet import FLEET_FROM, FleetEngine, run_fleet
 from srt.cli.grouped_command import GroupedCommand
 from srt.cli.merge import run_merging
-from srt.cli.messages import announce, figure_title, say, show, warn
+from srt.cli.messages import announce, figure_title, is_seen, say, show, warn
 from srt.cli.output_paths import RESULT_SUFFIXES, make_directory, require_matplotlib
 from srt.cli.path_type import PATH
 from srt.cli.recording_arguments import find_recordings
@@ -256,7 +256,7 @@ def run_each(jobs: Sequence[Job], estimator: str, options: Options, display: Dis
             say(sentence if named else f"{job.recording}: {sentence}")
             codes.append(error.exit_code)
         else:
-            codes.append(report_problems(job, calibration))
+            codes.append(report_problems(job, calibration, seen=is_seen(quiet=display.quiet)))
     if not display.quiet and min(codes) == 0:
         more = "" if display.complete else "--details shows more. "
         rest = "Nothing was written: -o FILE.json keeps the result." if output is None else ""
@@ -332,21 +332,22 @@ def run_job(job: Job, estimator: str, options: Options, display: Display) -> Cal
     return calibration
 
 
-def report_problems(job: Job, calibration: Calibration) -> int:
-    """Print what is wrong with a result; give the exit code of its status."""
+def report_problems(job: Job, calibration: Calibration, *, seen: bool) -> int:
+    """Print what is wrong with a result, unless its report was ``seen``; give the exit code of its status."""
     from srt.reports.text.calibration import held_summary
     from srt.result.verdict import DOUBTFUL, FAILED, PARTIAL
 
     judgement = calibration.judgement
-    if judgement.word == FAILED:
+    if judgement.word == FAILED and not seen:
         kept = f"; {job.output} holds it with that status" if job.output is not None else ""
         say(f"{job.recording}: {calibration.message.rstrip('.')}{kept}.")
+    if judgement.word == FAILED:
         return DataError.exit_code
-    if judgement.word == DOUBTFUL:
+    if judgement.word == DOUBTFUL and not seen:
         warn(f"{job.recording}: {judgement}")
-    clauses = ["the verdict is partial"] * (judgement.word == PARTIAL)
+    clauses = ["the verdict is partial"] * (judgement.word == PARTIAL and not seen)
     clauses += [f"{title} is void ({reason})" for title, reason in calibration.provenance.voided.items()]
-    if calibration.held:
+    if calibration.held and not seen:
         clauses.append(f"fixed, not observed: {held_summary(calibration)}")
     if clauses:
         warn(f"{job.recording}: {'; '.join(clauses)}.")

@@ -8,7 +8,7 @@ import click
 
 from srt.cli.calibrate import report_problems, run_job
 from srt.cli.calibration_jobs import Display, Job
-from srt.cli.messages import show, warn
+from srt.cli.messages import is_seen, show, warn
 from srt.cli.output_paths import check_directory, check_recording_target, make_directory, require_matplotlib
 from srt.cli.path_type import PATH
 from srt.cli.simulate import run_scenario, summary, write_simulation
@@ -61,7 +61,7 @@ def demo(output: Path, seed: int | None, quiet: bool) -> int:
     from srt.reports.text.calibration_summary import largest_error_text
 
     show(largest_error_text(calibration, truth))
-    code = report_problems(job, calibration)
+    code = report_problems(job, calibration, seen=is_seen(quiet=quiet))
     if plot is not None and not quiet:
         show(f"\nThe picture, with how to read it: {plot}")
     return code

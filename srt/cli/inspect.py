@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from srt.cli.grouped_command import RenamedOption
-from srt.cli.messages import announce, figure_title, say, show
+from srt.cli.messages import announce, figure_title, is_seen, say, show
 from srt.cli.output_paths import RESULT_SUFFIXES, check_file, check_plot, recording_folder
 from srt.cli.path_type import PATH
 from srt.exceptions import DataError
@@ -54,7 +54,6 @@ def inspect(recording: Path, deep: bool, json_file: Path | None, plot: Path | No
         save_figure(inspection_figure(samples, found, title=title), plot)
     announce(json_file, plot, quiet=quiet)
     refusal = found.diagnosis.refusal
-    if refusal is not None:
+    if refusal is not None and not is_seen(quiet=quiet):
         say(refusal.sentence)
-        return DataError.exit_code
-    return 0
+    return 0 if refusal is None else DataError.exit_code

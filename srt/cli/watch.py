@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from srt.cli.calibration_jobs import Display, Job
-from srt.cli.messages import announce, figure_title, progress_line, show
+from srt.cli.messages import announce, figure_title, is_seen, progress_line, show
 from srt.cli.output_paths import PLOT_SUFFIXES, RESULT_SUFFIXES, check_file, recording_folder
 from srt.cli.path_type import PATH
 from srt.cli.progress import live_text
@@ -99,7 +99,8 @@ def watch(
         save_figure(sigma_figure(followed.history, targets, title=title), plot)
         announce(plot, quiet=quiet)
     job = Job(recording, recording_folder(recording).resolve().name, output, None)
-    code = report_problems(job, run_job(job, estimator, Options(), Display(quiet=quiet)))
+    calibration = run_job(job, estimator, Options(), Display(quiet=quiet))
+    code = report_problems(job, calibration, seen=is_seen(quiet=quiet))
     return max(code, DataError.exit_code if followed.open_errors else 0)
 
 

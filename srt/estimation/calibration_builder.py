@@ -95,6 +95,7 @@ def build_calibration(
             unseen_errors=unseen_errors(as_found(data, result.unmodelled), observed),
             contradicted=contradicted or None,
             not_shown=_not_shown(data, options, fixed),
+            refits=result.refits or None,
         ),
         verdict=evidence,
         warnings=(*contradicted, *warnings, *_warnings(data, result, observed, turned)),

@@ -196,7 +196,10 @@ def draw_convergence(axes: Axes, calibration: Calibration) -> None:
         axes.semilogy(number[shown], steps[shown], "o-", color=BLUE, markersize=5.0)
         axes.yaxis.set_major_locator(LogLocator(numticks=7))
         axes.yaxis.set_minor_locator(NullLocator())
-    axes.set_xlabel("iteration", fontsize=MEDIUM)
+    refits = calibration.diagnostics.refits or ()
+    for number_of_first in refits:
+        axes.axvline(number_of_first - 0.5, color=GREY, linewidth=0.8, linestyle=(0, (4, 4)))
+    axes.set_xlabel("iteration" + (" (dashed: another model is fitted)" if refits else ""), fontsize=MEDIUM)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
     axes.margins(x=0.08, y=0.12)
 

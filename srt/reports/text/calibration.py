@@ -247,7 +247,9 @@ def _heading(calibration: Calibration, title: str) -> Iterable[str]:
     status = "" if calibration.status == "converged" else f"Status {calibration.status.replace('_', ' ')}: "
     yield from wrap(f"{status}{message}")
     if steps:
-        yield from wrap(f"Largest correction of each iteration: {steps}.")
+        refits = ", ".join(map(str, calibration.diagnostics.refits or ()))
+        grown = f" They grow in iteration {refits}, the first with another model." if refits else ""
+        yield from wrap(f"Largest correction of each iteration: {steps}.{grown}")
     temperature = calibration.temperature
     if temperature is not None:
         yield f"Temperature {temperature.mean_c:.1f} °C, range {temperature.range_c:.1f} °C."
