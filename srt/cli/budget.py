@@ -9,6 +9,7 @@ import click
 
 from srt.cli.calibrate import choice_option
 from srt.cli.messages import announce, figure_title, show
+from srt.cli.names import Name
 from srt.cli.output_paths import RESULT_SUFFIXES, check_file, check_plot
 from srt.cli.path_type import PATH
 from srt.cli.progress import count_progress
@@ -22,10 +23,11 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("scenario", metavar="SCENARIO")
+@click.argument("scenario", metavar="SCENARIO", type=Name("scenarios", file=True))
 @click.option(
     "--estimator",
     "estimators",
+    type=Name("estimators"),
     multiple=True,
     metavar="NAME",
     help="Repeatable. Default: closed-form and least-squares.",

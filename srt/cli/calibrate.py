@@ -10,7 +10,8 @@ from srt.cli.calibration_jobs import Display, Job, draw, plan, plan_fleet, plan_
 from srt.cli.fleet import FLEET_FROM, FleetEngine, run_fleet
 from srt.cli.grouped_command import GroupedCommand
 from srt.cli.merge import run_merging
-from srt.cli.messages import announce, figure_title, is_seen, say, show, warn
+from srt.cli.messages import announce, is_seen, say, show, warn
+from srt.cli.names import Name
 from srt.cli.output_paths import RESULT_SUFFIXES, make_directory, require_matplotlib
 from srt.cli.path_type import PATH
 from srt.cli.recording_arguments import find_recordings
@@ -67,6 +68,7 @@ USUAL = (
 @click.argument("recordings", nargs=-1, required=True, type=PATH, metavar="RECORDING...")
 @click.option(
     "--estimator",
+    type=Name("estimators", "auto"),
     default="auto",
     show_default=True,
     metavar="NAME",
@@ -80,6 +82,7 @@ USUAL = (
 @click.option("--merge", is_flag=True, help="Merge recordings or calibrations (.json) of one unit into one result.")
 @click.option(
     "--protocol",
+    type=Name("protocols", file=True),
     metavar="NAME",
     help="Protocol of the test in place of labels: a shipped one (srt list protocols), or FILE.toml.",
 )
@@ -327,7 +330,7 @@ def run_job(job: Job, estimator: str, options: Options, display: Display) -> Cal
         calibration.save(job.output)
     if not display.quiet:
         show(display.text(calibration, str(job.recording), str(job.recording)))
-    draw(calibration, job.plot, figure_title(job.name), display.truth)
+    draw(calibration, job.plot, job.name, display.truth)
     announce(job.output, job.plot, quiet=display.quiet)
     return calibration
 

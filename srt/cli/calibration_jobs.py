@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from srt.cli.messages import figure_title
 from srt.cli.output_paths import PLOT_SUFFIXES, RESULT_SUFFIXES, check_directory, check_file, recording_folder
 from srt.cli.recording_arguments import file_name, unit_names
 from srt.exceptions import InputError
@@ -76,12 +77,14 @@ class Display:
         return self.details or self.budget or self.verdict
 
 
-def draw(calibration: Calibration, plot: Path | None, title: str, truth: SensorErrors | None = None) -> None:
-    """Write the figure of a calibration; nothing for None."""
+def draw(calibration: Calibration, plot: Path | None, name: str, truth: SensorErrors | None = None) -> None:
+    """Write the figure of a calibration, with name, serial and date as its title; nothing for None."""
     if plot is not None:
         from srt.reports.figures.calibration import calibration_figure, save_figure
 
-        save_figure(calibration_figure(calibration, truth=truth, title=title), plot)
+        serial, date = calibration.provenance.serial, calibration.provenance.date
+        title = ", ".join(filter(None, (name, serial and f"serial {serial}", date)))
+        save_figure(calibration_figure(calibration, truth=truth, title=figure_title(title)), plot)
 
 
 def plan(recordings: Sequence[Path], output: Path | None, plot: Path | None) -> tuple[Job, ...]:

@@ -9,6 +9,7 @@ import click
 
 from srt.cli.calibrate import calibrate as calibrate_command
 from srt.cli.messages import announce, figure_title, is_seen, say, show, warn
+from srt.cli.names import Name
 from srt.cli.output_paths import RESULT_SUFFIXES, check_file, check_plot, recording_folder
 from srt.cli.path_type import PATH
 from srt.exceptions import DataError, InputError
@@ -34,6 +35,7 @@ _FOREIGN_TRUTH = 10.0
 @click.option(
     "--estimator",
     "names",
+    type=Name("estimators"),
     multiple=True,
     metavar="NAME",
     help="closed-form, least-squares, ekf, graph, or another that is installed; repeatable. "
@@ -41,6 +43,7 @@ _FOREIGN_TRUTH = 10.0
 )
 @click.option(
     "--reference",
+    type=Name("estimators"),
     metavar="NAME",
     help="Estimate that the others are compared with. Default: the first of "
     "graph, ekf, least-squares, closed-form that ran.",

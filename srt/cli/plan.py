@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import click
 
 from srt.cli.messages import announce, say, show
+from srt.cli.names import Name
 from srt.cli.output_paths import RESULT_SUFFIXES, check_file, check_plot
 from srt.cli.path_type import PATH
 from srt.cli.progress import status_line
@@ -34,7 +35,7 @@ class PlanFiles(NamedTuple):
 
 
 @click.command()
-@click.argument("plan_file", metavar="PLAN")
+@click.argument("plan_file", metavar="PLAN", type=Name("plans", file=True))
 @click.option("--total-time", type=float, metavar="S", help="Length of the test in s, instead of the file's.")
 @click.option("-o", "--output", type=PATH, help="Schedule for srt simulate: FILE.toml.")
 @click.option("--sheet", type=PATH, help="Sheet for the operator: FILE.md.")

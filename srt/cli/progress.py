@@ -104,6 +104,7 @@ def bar(label: str, total: int | None = None) -> Iterator[Callable[[int, int, st
 
     columns = (
         TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
+        TextColumn("left"),
     )  # fmt: skip
     with Progress(*columns, console=console, transient=True) as progress:
         task = progress.add_task(printable(label), total=total)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final
 import click
 
 from srt.cli.messages import say, show
+from srt.cli.names import Name
 from srt.cli.output_paths import check_directory, check_file, check_recording_target
 from srt.cli.path_type import PATH
 from srt.cli.progress import count_progress
@@ -23,7 +24,7 @@ _ALWAYS: Final = ("trials", "converged")
 
 
 @click.command()
-@click.argument("config", metavar="CONFIG")
+@click.argument("config", metavar="CONFIG", type=Name("campaigns", file=True))
 @click.option(
     "-o",
     "--output",

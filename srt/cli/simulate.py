@@ -9,6 +9,7 @@ import click
 
 from srt.cli.grouped_command import RenamedOption
 from srt.cli.messages import show
+from srt.cli.names import Name
 from srt.cli.output_paths import SAMPLES_FORMATS, check_recording_target
 from srt.cli.path_type import PATH
 
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("scenario", metavar="SCENARIO")
+@click.argument("scenario", metavar="SCENARIO", type=Name("scenarios", file=True))
 @click.option("-o", "--output", required=True, type=PATH, help="Folder to write.")
 @click.option("--seed", type=click.IntRange(min=0), help="Seed; default: that of the scenario, or 1.")
 @click.option(

@@ -9,6 +9,7 @@ import click
 
 from srt.cli.calibration_jobs import Display, Job
 from srt.cli.messages import announce, figure_title, is_seen, progress_line, show
+from srt.cli.names import Name
 from srt.cli.output_paths import PLOT_SUFFIXES, RESULT_SUFFIXES, check_file, recording_folder
 from srt.cli.path_type import PATH
 from srt.cli.progress import live_text
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 @click.argument("recording", type=PATH, metavar="RECORDING")
 @click.option(
     "--estimator",
+    type=Name("estimators", "auto"),
     default="auto",
     show_default=True,
     metavar="NAME",

@@ -246,6 +246,17 @@ def test_the_worst_code_wins_and_the_recording_is_named(recording, result, tmp_p
     shell("calibrate", tmp_path / "a", recording, code=1)
 
 
+def test_the_title_of_the_picture_has_verdict_serial_and_date(
+    recording, calibration, result, tmp_path, monkeypatch, shell
+):
+    drawn = []
+    monkeypatch.setattr("srt.reports.figures.calibration.save_figure", lambda figure, _: drawn.append(figure))
+    result(replace(calibration, provenance=replace(calibration.provenance, date="2026-05-04"), verdict=None))
+    shell("calibrate", recording, "--plot", tmp_path / "x.png")
+    (title,) = [text.get_text() for text in drawn[0].subfigs[0].texts]
+    assert title == "unit-7, serial SN-7, 2026-05-04: doubtful, closed-form"
+
+
 def test_two_recordings_of_one_name_would_replace_each_other(recording, tmp_path, refused):
     assert "Two recordings are named unit-7" in refused("calibrate", recording, recording, "-o", tmp_path)
 

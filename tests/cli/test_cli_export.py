@@ -61,6 +61,17 @@ def test_without_a_file_only_the_loss_is_shown(unit, tmp_path, shell):
     assert [p.name for p in tmp_path.iterdir()] == ["unit.json"]
 
 
+def test_several_targets_go_to_a_folder(unit, tmp_path, shell, refused):
+    """An option is for the formats that take it; one that none takes is refused."""
+    both = ("export", unit, "--to", "KALIBR", "--to", "pyins")
+    out, _ = shell(*both, "-o", tmp_path / "files", "--topic", "/raw")
+    assert {p.name for p in (tmp_path / "files").iterdir()} == {"kalibr.yaml", "kalibr-imu.yaml", "pyins.json"}
+    assert "/raw" in (tmp_path / "files" / "kalibr-imu.yaml").read_text()
+    assert out.count("Written to") == 3
+    assert "a folder" in refused(*both, "-o", tmp_path / "all.yaml")
+    assert "no place for prefix" in refused(*both, "-o", tmp_path / "none", "--prefix", "x")
+
+
 def test_a_quiet_run_says_nothing(unit, tmp_path, shell):
     assert shell("export", unit, "--to", "pyins", "-o", tmp_path / "p.json", "-q") == ("", "")
     assert (tmp_path / "p.json").exists()

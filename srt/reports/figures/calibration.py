@@ -63,6 +63,7 @@ _KINDS: Final = (
 _OTHER: Final = ("", "other", GREY, "D")
 """Word in the name of a component, label, colour and marker of its kind; the first that fits."""
 _APART: Final = 0.2  # distance of the marks of two kinds at one sequence, in sequences
+_HEADING: Final = 90  # characters of the heading beside the legend
 _FOOT_WIDTH: Final = 172  # characters in a line of the explanation at the foot
 _LAST: Final = (
     "Bottom left: each iteration re-processes the samples with the corrected errors, until the corrections are "
@@ -174,8 +175,11 @@ def _separate_groups(axes: Axes, which: Indices) -> None:
 
 
 def _header(figure: SubFigure, calibration: Calibration, truth: SensorErrors | None, title: str | None) -> None:
-    text = f"{calibration.estimator}, {calibration.status.replace('_', ' ')}"
-    figure.text(0.008, 0.5, f"{title}: {text}" if title else text, fontsize=LARGE, color=INK, va="center")
+    word, status = calibration.judgement.word, calibration.status
+    verdict = word if status == "converged" else f"{word} ({status.replace('_', ' ')})"
+    text = f"{verdict}, {calibration.estimator}"
+    heading = f"{clipped(title, _HEADING - len(text))}: {text}" if title else text
+    figure.text(0.008, 0.5, heading, fontsize=LARGE, color=INK, va="center")
     handles = [Line2D([], [], color=BLUE, marker="o", markersize=4.5, label="estimate, ±1σ")]
     if truth is not None:
         hollow = {"marker": "D", "markersize": 8.0, "markeredgecolor": VERMILION, "markerfacecolor": "none"}
