@@ -4,6 +4,7 @@ import json
 import re
 import shutil
 import sys
+import tomllib
 from dataclasses import replace
 from itertools import pairwise
 
@@ -17,6 +18,7 @@ from scipy.stats import norm
 import srt
 import srt.estimation.registry
 from srt.cli import main
+from srt.constants import DEG_PER_SQRT_H, MICRO_G
 from srt.reports.text.calibration import report
 from srt.reports.text.calibration_summary import calibration_summary
 from srt.sensor_errors import NAMES, SYMBOLS
@@ -118,7 +120,7 @@ def test_summary_says_what_to_do(calibration):
     assert list(rows_of("\n".join(lines))) == list(NAMES)
     assert lines.index("") <= 10
     head = " ".join(" ".join(lines[: lines.index("")]).split())
-    assert "To do: state gyro_noise_deg_per_sqrt_h in [imu] of recording.toml" in head
+    assert "# To do: add this below [imu] of recording.toml, with values of the data sheet gyro_noise_deg_per" in head
     assert "'srt inspect unit-7 --deep'" in head
     assert max(map(len, lines)) <= 80
     moved = replace(calibration, diagnostics=replace(calibration.diagnostics, unused_moves=16))
@@ -131,6 +133,32 @@ def test_summary_says_what_to_do(calibration):
     head = calibration_summary(failed, title="x", source="unit-7").split("\n\n")[0]
     assert "Status not converged: It is not done." in head
     assert "srt inspect unit-7 --deep" in head
+
+
+def test_the_noise_to_state_can_be_pasted_with_the_estimates_as_comments(recording, tmp_path, shell):
+    shutil.copytree(recording, tmp_path / "unit-7")
+    toml = tmp_path / "unit-7" / "recording.toml"
+    stated = tomllib.loads(toml.read_text())["imu"]
+    bare = re.sub(r"\n\[imu\]\n(.+\n)+", "\n", toml.read_text())
+    toml.write_text(bare)
+    out = shell("calibrate", tmp_path / "unit-7").out
+    assert len(out.splitlines()) <= 45
+    block = re.search(r"^\[imu\].*\n(?:\w+ = .*\n){4}", out, re.M)[0]
+    noise = srt.calibrate(srt.read(tmp_path / "unit-7")).noise
+    found = {
+        "gyro_noise_deg_per_sqrt_h": noise.gyro_noise_rad_per_sqrt_s / DEG_PER_SQRT_H,
+        "accel_bias_instability_ug": noise.accel_bias_wander_m_s2 / MICRO_G,
+    }
+    for key, estimate in re.findall(r"^(\w+) = +# .*: (\S+)$", block, re.M):
+        if key in found:
+            assert float(estimate) == pytest.approx(found[key].max(), rel=0.05)  # two digits
+        block = block.replace(f"{key} = ", f"{key} = {stated[key]} ")
+    toml.write_text(f"{bare}\n{block}")
+    assert tomllib.loads(block)["imu"].items() <= stated.items()
+    assert "To do: add" not in shell("calibrate", tmp_path / "unit-7").out
+    toml.write_text(bare.replace("[site]", "[imu]\ngyro_quantization_arcsec = 0.0\n\n[site]"))
+    out = shell("calibrate", tmp_path / "unit-7").out
+    assert "# To do: add this below [imu] of recording.toml, with values of the data sheet\n" in out
 
 
 @pytest.mark.parametrize(
