@@ -128,7 +128,7 @@ USUAL = (
     "--target",
     multiple=True,
     metavar="NAME=SIGMA",
-    help="ekf: sigma wanted of a parameter or group in the units of the table, as gyro_scale=1.",
+    help="ekf: sigma wanted of a parameter or group in ppm, µrad, µg or °/h, as gyro_scale=1.",
 )
 @click.option("--force", is_flag=True, help="Calibrate in spite of a fault of the recording.")
 @click.option("--trust", is_flag=True, help="Accept a calibration file that was changed after it was written.")
@@ -289,7 +289,7 @@ def load_prior(path: Path, *, trust: bool) -> Prior:
 
 
 def parse_targets(texts: Sequence[str]) -> dict[str, float]:
-    """Targets of the command line, NAME=SIGMA in the units of the table, in SI.
+    """Targets of the command line, NAME=SIGMA in ppm, µrad, µg or °/h, in SI.
 
     Raises
     ------

@@ -120,7 +120,7 @@ def export(
         place = None if output is None else output / f"{name}{item.suffixes[0]}"
         # An option of other formats alone is not for this one; one of no format is refused by the first.
         others = {option for other in chosen.values() for option in other.options} - item.options
-        fitting = {option: None if option in others else value for option, value in choices.items()}
+        fitting: dict[str, Any] = {option: None if option in others else value for option, value in choices.items()}
         export_one(calibration_file, name, place, quiet=quiet, **fitting)
     return 0
 

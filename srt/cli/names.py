@@ -37,7 +37,7 @@ def names_of(kind: str) -> Iterable[str]:
     return names(FOLDERS[kind])
 
 
-class Name(click.ParamType):
+class Name(click.types.StringParamType):
     """Name of a kind of 'srt list', which a shell completes; EKF stands for ekf.
 
     Parameters

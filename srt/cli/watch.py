@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     "--target",
     multiple=True,
     metavar="NAME=SIGMA",
-    help="Sigma wanted of a parameter or group in the units of the table, as gyro_scale=1.",
+    help="Sigma wanted of a parameter or group in ppm, µrad, µg or °/h, as gyro_scale=1.",
 )
 @click.option(
     "--every", type=click.FloatRange(0.1, 3600.0), default=1.0, show_default=True, help="Time between looks, s."

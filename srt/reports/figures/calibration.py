@@ -36,10 +36,11 @@ from srt.reports.figures.style import (
     style,
     symbol,
 )
-from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, GROUP_SLICES, SYMBOLS
+from srt.reports.parameters import units_for
+from srt.sensor_errors import DISPLAY_UNITS, GROUP_SLICES, SYMBOLS
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from srt.result.calibration import Calibration, Residual
     from srt.sensor_errors import SensorErrors
@@ -77,10 +78,10 @@ _READING: Final = {
 }
 """Explanation at the foot, with and without a truth."""
 _TITLES = {
-    "ppm": "scale factor and asymmetry, ppm",
-    "µrad": "orthogonality and misalignment, µrad",
-    "µg": "accel. bias, µg",
-    "°/h": "gyro bias, °/h",
+    "ppm": "scale factor and asymmetry",
+    "µrad": "orthogonality and misalignment",
+    "µg": "accel. bias",
+    "°/h": "gyro bias",
 }
 
 
@@ -107,9 +108,9 @@ def calibration_figure(
         width_ratios=[1.15 * len(m) + 2.2 for m in members],
         height_ratios=(1.0, 1.0),
     )
-    for column, (unit, which) in enumerate(zip(units, members, strict=True)):
-        draw_values(grid[0, column], calibration, truth, which, unit)
-        draw_errors(grid[1, column], calibration, truth, which, unit)
+    for column, which in enumerate(members):
+        draw_values(grid[0, column], calibration, truth, which)
+        draw_errors(grid[1, column], calibration, truth, which)
     grid[0, 0].set_ylabel("estimate", fontsize=MEDIUM)
     grid[1, 0].set_ylabel("estimate − truth, ±1σ" if truth is not None else "±1σ", fontsize=MEDIUM)
     convergence, residuals = course.subplots(1, 2, width_ratios=(1.0, 2.6))
@@ -124,41 +125,40 @@ def calibration_figure(
     return figure
 
 
-def _scaled(which: Indices, vector: Array) -> Array:
-    return np.asarray(vector[which] * np.array(DISPLAY_FACTORS)[which])
+def _scaled(calibration: Calibration, which: Indices, *vectors: Array) -> tuple[str, Iterator[Array]]:
+    """Unit of some parameters, and vectors of all parameters as those in it."""
+    units = units_for(calibration.errors.vector)
+    factors = np.array(units.factors)[which]
+    return units.names[int(which[0])], (vector[which] * factors for vector in vectors)
 
 
-def draw_values(axes: Axes, calibration: Calibration, truth: SensorErrors | None, which: Indices, unit: str) -> None:
+def draw_values(axes: Axes, calibration: Calibration, truth: SensorErrors | None, which: Indices) -> None:
     """Draw the values of some parameters with their sigmas."""
     style(axes)
     at = np.arange(len(which))
     seen = calibration.observed[which]
-    values = _scaled(which, calibration.errors.vector)
-    sigma = _scaled(which, calibration.sigma)
+    shown = calibration.errors.vector, calibration.sigma, (truth or calibration.errors).vector
+    unit, (values, sigma, true) = _scaled(calibration, which, *shown)
     axes.axhline(0.0, color=GREY, linewidth=0.8)
     if truth is not None:
-        axes.plot(
-            at, _scaled(which, truth.vector), "D", markersize=9.0, markerfacecolor="none", markeredgecolor=VERMILION
-        )
+        axes.plot(at, true, "D", markersize=9.0, markerfacecolor="none", markeredgecolor=VERMILION)
     axes.errorbar(at[seen], values[seen], sigma[seen], fmt="o", color=BLUE, markersize=4.5, capsize=3.0)
     axes.plot(at[~seen], values[~seen], "x", color=GREY, markersize=6.0)
-    axes.set_title(_TITLES.get(unit, unit), fontsize=MEDIUM, color=INK, loc="left")
+    axes.set_title(f"{_TITLES[DISPLAY_UNITS[which[0]]]}, {unit}", fontsize=MEDIUM, color=INK, loc="left")
     axes.margins(y=0.1)
     axes.yaxis.set_major_locator(MaxNLocator(5))
     _separate_groups(axes, which)
 
 
-def draw_errors(axes: Axes, calibration: Calibration, truth: SensorErrors | None, which: Indices, unit: str) -> None:
+def draw_errors(axes: Axes, calibration: Calibration, truth: SensorErrors | None, which: Indices) -> None:
     """Draw the 1-sigma bars of some parameters, at estimate minus truth where that is known."""
     style(axes)
     at = np.arange(len(which))
     seen = calibration.observed[which]
-    sigma = _scaled(which, calibration.sigma)[seen]
-    error = np.zeros(len(which))
-    if truth is not None:
-        error = _scaled(which, calibration.errors.vector - truth.vector)
+    difference = calibration.errors.vector - (truth or calibration.errors).vector
+    unit, (error, sigma) = _scaled(calibration, which, difference, calibration.sigma)
     axes.axhline(0.0, color=VERMILION if truth is not None else GREY, linewidth=0.8)
-    axes.errorbar(at[seen], error[seen], sigma, fmt="o" if truth is not None else "none", color=BLUE,
+    axes.errorbar(at[seen], error[seen], sigma[seen], fmt="o" if truth is not None else "none", color=BLUE,
                   ecolor=BLUE, markersize=4.5, capsize=3.0)  # fmt: skip
     axes.set_title(unit, fontsize=MEDIUM, color=INK, loc="left")
     axes.set_xticks(at, [symbol(SYMBOLS[i]) for i in which], fontsize=MEDIUM)

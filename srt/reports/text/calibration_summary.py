@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import ndtri
 
 from srt.constants import DEG_PER_H, DEG_PER_SQRT_H, MICRO_G
-from srt.reports.parameters import group_heads, group_sigmas
+from srt.reports.parameters import group_heads, group_sigmas, units_for
 from srt.reports.tables import WIDTH, decimals_for, fixed, text_table, wrap
 from srt.reports.text.calibration import heading, held_summary, parameter_table, report, time_base
 from srt.result.verdict import FAILED, SOUND, probability_text
@@ -93,9 +93,13 @@ def live_table(calibration: Calibration) -> str:
     reports = calibration.diagnostics.live
     if not reports:
         return ""
-    rows = [[report.sequence, probability_text(report.probability), *group_sigmas(report.sigma)] for report in reports]
+    units = units_for(calibration.errors.vector)
+    rows = [
+        [report.sequence, probability_text(report.probability), *group_sigmas(report.sigma, units)]
+        for report in reports
+    ]
     met = next((report.sequence for report in reports if report.targets_met), None)
-    heads = ["seq.", "p", *group_heads()]
+    heads = ["seq.", "p", *group_heads(units)]
     lines = [
         *wrap("Largest 1-sigma of each group after each sequence; p of its innovations given all sequences before"),
         text_table(heads, rows, "l" + "r" * (len(heads) - 1), gap=1),
