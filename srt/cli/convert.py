@@ -220,6 +220,8 @@ def check_target(folder: Path, source: Path, second: Path | None, samples_format
     """
     check_recording_target(folder, overwrite=overwrite)
     samples = (folder / f"samples.{samples_format}").resolve()
+    if second is not None and source.resolve() == second.resolve():
+        raise InputError(f"{source} is named twice: name the file of the other sensor, or this one alone.")
     for path in (source, second):
         if path is not None and path.resolve() == samples:
             raise InputError(f"{path} would be replaced by its own conversion: name another folder than {folder}.")

@@ -22,9 +22,8 @@ GROUP_STARTS: Final = frozenset(part.start for part in GROUP_SLICES.values())
 _DIGITS: Final = 7  # largest number of significant digits of a value; the sigma of noise-free data would require more
 _DECIMALS_FIXED: Final = 2  # decimals of a fixed parameter, which has no sigma
 _SOLVED: Final = 1e-3  # fraction of sigma below which a component is solved exactly: solvers stop at 1e-2 sigma or less
-_LARGEST_FINE: Final = 1000.0
-_COARSE: Final = {"µg": ("mg", 1000.0), "°/h": ("°/s", 3600.0)}
-"""Value from which a group is in a coarser unit; that unit, and the number of finer ones in it."""
+_COARSE: Final = {"µg": ("mg", 1000.0, 1e4), "°/h": ("°/s", 3600.0, 1e3)}
+"""Coarser unit, the number of finer ones in it, and the value from which a group is in it: beyond tactical units."""
 _HEADS: Final = {
     "gyro_scale": "gyro\nscale",
     "gyro_asymmetry": "gyro\nasym.",
@@ -52,14 +51,14 @@ FINE: Final = Units(DISPLAY_UNITS, DISPLAY_FACTORS)
 def units_for(*values: Array) -> Units:
     """Units of a report of values, shape (..., 27), SI: one for each group, by the largest value.
 
-    A group with a value of 1000 µg or 1000 °/h and more is in mg or °/s, as data sheets of such units state it.
+    A group with a value of 10 mg or 1000 °/h and more is in mg or °/s, as data sheets of such units state it.
     """
     names, factors = list(DISPLAY_UNITS), list(DISPLAY_FACTORS)
     largest = np.max(np.abs(np.vstack(values)), axis=0) * DISPLAY_FACTORS
     for part in GROUP_SLICES.values():
         coarse = _COARSE.get(DISPLAY_UNITS[part.start])
-        if coarse is not None and np.max(largest[part]) >= _LARGEST_FINE:
-            name, ratio = coarse
+        if coarse is not None and np.max(largest[part]) >= coarse[2]:
+            name, ratio, _ = coarse
             names[part] = [name] * (part.stop - part.start)
             factors[part] = [factor / ratio for factor in factors[part]]
     return Units(tuple(names), tuple(factors))
