@@ -156,7 +156,7 @@ def surroundings(given: Mapping[str, Any], like: str | os.PathLike[str] | Record
             "Gravity is not known: give it with --gravity-m-s2, or --latitude-deg and --height-m for normal gravity, "
             "or name a recording of the same place with --like."
         )
-    name = str(like) if isinstance(like, str | os.PathLike) else "What was said of the recording"
+    name = str(like) if isinstance(like, str | os.PathLike) else "As stated"
     about = read_metadata(name, document)
     return about | {"sequences": like.sequences} if isinstance(like, Recording) else about
 
@@ -180,7 +180,7 @@ def restated(
         other = sections_of(like if isinstance(like, Recording) else load_recording(like))
         document |= other
     _state(document, given)
-    about = read_metadata("What was said of the recording", document)
+    about = read_metadata("As stated", document)
     rest = {key: given[key] for key in ("serial", "date", "sample_rate_hz", "applied") if key in given}
     return replace(recording, **{name: about[name] for name in ("site", "fixture", "noise")}, **rest)
 

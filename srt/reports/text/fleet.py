@@ -99,10 +99,10 @@ def outlier_test_text(fleet: Fleet) -> str:
             f"{'is' if sound == 1 else 'are'} {sound}: no unit is tested."
         )
     low, high = f"{limit.min():.3g}", f"{limit.max():.3g}"
-    reach = low if low == high else f"{low} to {high}, depending on the number of units with the parameter"
+    reach = low if low == high else f"its limit, {low} to {high} by the number of units that have the parameter"
     few = int(np.sum(np.isnan(fleet.outliers.limit)))
     return (
-        f"Each unit is compared with all others; a z beyond {reach} is outlying. In a fleet of {sound} units without "
+        f"Each unit is compared with all others. A value is outlying if z exceeds {reach}. In a fleet of {sound} units without "
         f"outliers, the probability of any flag is at most {100.0 * EXPECTED_FALSE_FLAGS:.0f} %."
         + (f" {few} parameters are not tested: fewer than {MINIMUM_UNITS} units have them." if few else "")
     )
