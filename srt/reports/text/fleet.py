@@ -102,8 +102,8 @@ def outlier_test_text(fleet: Fleet) -> str:
     reach = low if low == high else f"its limit, {low} to {high} by the number of units that have the parameter"
     few = int(np.sum(np.isnan(fleet.outliers.limit)))
     return (
-        f"Each unit is compared with all others. A value is outlying if z exceeds {reach}. In a fleet of {sound} units without "
-        f"outliers, the probability of any flag is at most {100.0 * EXPECTED_FALSE_FLAGS:.0f} %."
+        f"Each unit is compared with all others. A value is outlying if z exceeds {reach}. In a fleet of {sound} "
+        f"units without outliers, the probability of any flag is at most {100.0 * EXPECTED_FALSE_FLAGS:.0f} %."
         + (f" {few} parameters are not tested: fewer than {MINIMUM_UNITS} units have them." if few else "")
     )
 
