@@ -48,7 +48,7 @@ from fuzz_seeds import READERS, RECORDINGS, Seed
 import srt
 from srt.exceptions import DataError, InputError
 from srt.recording.imported_samples import to_recording
-from srt.recording.importer_registry import IMPORTERS, import_file, importer
+from srt.recording.importer_registry import IMPORTERS, find_importer, import_file, importer
 from srt.recording.importers import child_process
 from srt.recording.recording import Site
 
@@ -297,6 +297,8 @@ def read(name: str, seed: Seed, path: Path) -> None:
     if name in RECORDINGS:
         srt.load_recording(path)
         return
+    with suppress(InputError):
+        find_importer(path)
     options = seed.options
     if options.second is not None:
         options = replace(options, second=path.parent / options.second)
