@@ -136,6 +136,7 @@ def open_hdf5(path: Path, title: str = "HDF5 file", *, matlab: bool = False) -> 
     try:
         shapes: dict[str, tuple[int, ...]] = {}
         units: dict[str, str] = {}
+        sizes: list[int] = []
 
         def note(name: str, node: Any) -> bool | None:
             text = matlab and node.attrs.get("MATLAB_class") in (b"char", b"cell", b"logical")
@@ -152,7 +153,8 @@ def open_hdf5(path: Path, title: str = "HDF5 file", *, matlab: bool = False) -> 
         def read(name: str) -> NDArray[Any]:
             group, _, last = name.rpartition("/")
             with clear_errors(path, title):
-                _check_dataset(path, h5py, file[group] if group else file, last, size)
+                sizes.append(_check_dataset(path, h5py, file[group] if group else file, last, size))
+                _require_expansion(path, sum(sizes))
                 values = np.asarray(file[name][()])
             return values.T if matlab else values
 
@@ -184,8 +186,8 @@ def _unit_attribute(h5py: Any, attributes: Any) -> str | None:
     return None
 
 
-def _check_dataset(path: Path, h5py: Any, group: Any, name: str, file_size: int) -> None:
-    """Refuse a link or a dataset in another file, and a dataset larger than its file allows."""
+def _check_dataset(path: Path, h5py: Any, group: Any, name: str, file_size: int) -> int:
+    """Bytes of a dataset. Raises InputError for a link, for one in another file, or larger than its file allows."""
     if not isinstance(group.get(name, getlink=True), h5py.HardLink):
         raise InputError(f"{path}: {name} is a link to another place, which is not followed: copy the data there.")
     node = group[name]
@@ -195,9 +197,11 @@ def _check_dataset(path: Path, h5py: Any, group: Any, name: str, file_size: int)
         raise InputError(f"{path}: {name} is kept in another file, which is not opened: copy the data there.")
     stored = min(int(node.id.get_storage_size()), file_size)
     item = int(node.dtype.itemsize)
-    require_size(path, f"dataset {name}", math.prod(int(n) for n in node.shape or ()) * item, stored)
+    total = math.prod(int(n) for n in node.shape or ()) * item
+    require_size(path, f"dataset {name}", total, stored)
     if node.chunks is not None:
         require_size(path, f"a chunk of dataset {name}", math.prod(int(n) for n in node.chunks) * item, file_size)
+    return total
 
 
 def _check_trees(path: Path) -> None:

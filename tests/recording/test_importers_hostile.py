@@ -113,6 +113,19 @@ class TestPromises:
                 file.create_dataset(name, shape=(1 << 40,), chunks=(1 << 10,), dtype="f8")
         assert "8796093022208 bytes" in self.refused(path, as_recording)
 
+    def test_hdf5_of_one_dataset_under_all_names(self, tmp_path, as_recording):
+        """It may be read once; as all columns together it is more than a file of that size can mean."""
+        h5py = pytest.importorskip("h5py")
+        path, rows = tmp_path / "samples.h5", 6 << 20
+        with h5py.File(path, "w") as file:
+            first, *others = COLUMNS
+            file.create_dataset(first, data=np.zeros(rows), chunks=(1 << 20,), compression="gzip", compression_opts=1)
+            for name in others:
+                file[name] = file[first]
+        # A search of the file meets each dataset once.
+        said = "its arrays are 3" if as_recording else "no column was recognised as time"
+        assert said in self.refused(path, as_recording)
+
     @pytest.mark.parametrize("way", ["external link", "soft link", "virtual", "external storage"])
     def test_hdf5_that_leads_elsewhere(self, tmp_path, as_recording, way):
         h5py = pytest.importorskip("h5py")
