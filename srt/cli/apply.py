@@ -64,8 +64,8 @@ def apply(
     The folder then holds the recording with corrected samples, in SI units, in MARS axes (those of the calibration)
     or in axes of the table-mounted frame. With --c-header alone, RECORDING and -o are left out.
 
-    Exit codes: 0 success; 1 readings that are increments stated as rates, or the reverse; 2 wrong usage, unreadable
-    input, or a calibration that does not fit the recording.
+    Exit codes: 0 success; 1 readings that are increments stated as rates, or the reverse, or a stream without a sample;
+    2 wrong usage, unreadable input, or a calibration that does not fit the recording.
     """
     streamed = stream["source"] is not None or str(recording_path) == STANDARD
     check_stream(stream, recording_path, output, c_header, streamed=streamed)

@@ -6,6 +6,7 @@ import socket
 import subprocess
 import sys
 import time
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -13,7 +14,8 @@ from stream_cases import CALIBRATION, RNG, TIME, TRUE, N, Y, corrector
 
 import srt
 from srt.cli.stream import parse_address
-from srt.stacks.text_lines import LineCorrector
+from srt.stacks.stream_correction import Counts
+from srt.stacks.text_lines import LineCorrector, bounded_lines
 
 HEADER = "time,gyro_x,gyro_y,gyro_z,accel_x,accel_y,accel_z"
 
@@ -64,7 +66,7 @@ def test_json_lines_and_covariance(told):
 
 def test_units_and_increments(told):
     dt = 0.01
-    lines = LineCorrector(corrector(told, gyro_unit=(float(np.radians(1.0)),) * 3, dt=dt))
+    lines = LineCorrector(corrector(told, dt=dt), units={"gyro": "deg"})
     y = np.column_stack([np.degrees(Y[:, :3]) * dt, Y[:, 3:] * dt])
     found = numbers([lines.correct(line) for line in csv(y)])[:, 1:]
     # Conversion there and back: four roundings of values below 0.5.
@@ -97,9 +99,77 @@ def test_damage_is_counted_and_the_stream_goes_on(told):
     assert len(told) == 1
 
 
+def test_units_of_the_names_are_those_of_the_lines(told):
+    """As convert reads them: time in ms, deg/s and g; the answers are in the same units."""
+    lines = LineCorrector(corrector(told))
+    names = "time [ms],gyro_x [deg/s],gyro_y [deg/s],gyro_z [deg/s],accel_x [g],accel_y [g],accel_z [g]"
+    y = np.column_stack([np.degrees(Y[:, :3]), Y[:, 3:] / 9.80665])
+    for _ in range(2):  # names may come again, as in each datagram
+        assert lines.correct(names) == names
+        found = numbers([lines.correct(line) for line in csv(y, 1e3 * TIME)])[:, 1:]
+        # Conversion there and back: four roundings of values below 200.
+        np.testing.assert_allclose(found[:, :3], np.degrees(TRUE[:, :3]), rtol=0, atol=1e-13)
+        np.testing.assert_allclose(found[:, 3:], TRUE[:, 3:] / 9.80665, rtol=0, atol=1e-14)
+    assert lines._corrector.interval_s == pytest.approx(0.01, rel=1e-9)
+    assert json.loads(lines.correct('{"gyro": [0, 0, 0], "accel": [0, 0, 9.8]}'))["accel"][2] > 9.0  # SI
+    assert [sentence for sentence in told if "time goes" not in sentence] == []
+
+
+@pytest.mark.parametrize(
+    ("names", "options", "said"),
+    [
+        ("gyro_x_raw,gyro_y_raw,gyro_z_raw,accel_x,accel_y,accel_z", {}, "state counts for gyro: give --gyro-lsb"),
+        ("dtheta_x,dtheta_y,dtheta_z,dv_x,dv_y,dv_z", {}, "state increments: give --increments-s SECONDS"),
+        ("gyro_x [rad],gyro_y [rad],gyro_z [rad],accel_x,accel_y,accel_z", {}, "does not fit samples of kind rate"),
+        ("gyro_x [deg/s],gyro_y,gyro_z,accel_x,accel_y,accel_z", {}, "different units (deg/s, none): name the columns"),
+        ("t,rate 1,rate 2,rate 3,accel_x,accel_y,accel_z", {}, "(found: t, rate 1, rate 2, rate 3, accel_x, accel_y, "),
+        ("gyro_x [deg/s],gyro_y [deg/s],gyro_z [deg/s],a_x,a_y,a_z", {"counts": Counts((1.0,) * 6, (0.0,) * 6)},
+         "state deg/s for gyro, but --gyro-lsb is given: leave it out"),
+    ],
+)  # fmt: skip
+def test_lines_below_names_that_are_not_understood_are_refused(told, names, options, said):
+    """Their columns may be in any order and unit; names that are understood end this."""
+    lines = LineCorrector(corrector(told), **options)
+    row = ",".join(["0"] * (names.count(",") + 1))
+    assert [lines.correct(line) for line in (names, row, row)] == ["", "", ""]
+    assert said in told[0]
+    assert "accel_z, or send lines" in told[0] or "name the columns" not in told[0]  # the sentence is whole
+    assert lines._corrector.counts["malformed"] == 3
+    assert lines.correct(HEADER)
+    assert lines.correct("0.01,0,0,0,0,0,9.8")
+
+
+def test_a_given_unit_overrides_that_of_the_names(told):
+    lines = LineCorrector(corrector(told), units={"gyro": "rad/s"})
+    lines.correct("time,gyro_x [deg/s],gyro_y [deg/s],gyro_z [deg/s],accel_x,accel_y,accel_z")
+    np.testing.assert_array_equal(numbers([lines.correct(csv()[0])])[0, 1:], TRUE[0])
+    assert told == ["the names state deg/s for gyro; read as rad/s, as given"]
+
+
+@pytest.mark.parametrize("first", ["0.0,0,0,0,0,9", "time,gyro_x,gyro_y,gyro_z,accel_x,acc"])
+def test_a_first_line_that_was_cut_loses_itself_alone(told, first):
+    lines = LineCorrector(corrector(told))
+    lines.correct(first)
+    found = [lines.correct(line) for line in [*csv()[:3], "0.5,1,2,3,4,5", *csv()[3:]]]
+    np.testing.assert_array_equal(numbers(line for line in found if line), np.column_stack([TIME, TRUE]))
+    assert (lines._corrector.counts["corrected"], lines._corrector.counts["malformed"]) == (N, 2)
+    assert told[0].startswith("line 1 ")
+
+
 @pytest.mark.parametrize(
     "line",
     [
+        '{"gyro": "123", "accel": [0, 0, 9]}',
+        '{"gyro": [true, false, 0], "accel": [0, 0, 9]}',
+        '{"gyro": [0, 0, "1"], "accel": [0, 0, 9]}',
+        '{"gyro": [0, 0, 0], "accel": [0, 0, 9], "temperature": NaN}',
+        '{"gyro": [0, 0, 0], "accel": [0, 0, 9], "other": NaN}',
+        '{"gyro": [0, 0, 0], "accel": [0, 0, 9], "other": 1e999}',
+        '{"accel": [0, 0, 9]}',
+        "[0, 0, 0, 0, 0, 9.8]",
+        "1_0.5,0,0,0,0,0,9.8",
+        "0,0,0,0,0,1_0.5,9.8",
+        "0,0,0,0,0,0,9.8,nan",
         '{"gyro": ' + "[" * 3000,
         '{"gyro": [1' + "0" * 400 + ', 0, 0], "accel": [0, 0, 9]}',
         '{"gyro": "abc", "accel": "def"}',
@@ -114,6 +184,7 @@ def test_hostile_lines_are_malformed(told, line):
     assert lines.correct("0,0,0,0,0,0,9.8")
     assert lines.correct(line) == ""
     assert lines._corrector.counts["malformed"] == 1
+    assert told[0].startswith("line 2 is no sample (")
 
 
 def test_lost_samples_clipping_and_temperature_are_told(told):
@@ -162,6 +233,28 @@ def test_the_command_answers_each_line(tmp_path):
         child.stdin.close()
         assert "6 corrected, 2 malformed" in child.stderr.read()
         assert child.wait() == 0
+
+
+def test_a_stream_without_a_sample_fails(tmp_path, monkeypatch, shell):
+    CALIBRATION.save(tmp_path / "unit.json")
+    for text in ("Zeit,Drehrate X,Drehrate Y,Drehrate Z,accel_x,accel_y,accel_z\n0,0,0,0,0,0,9.8\n", ""):
+        monkeypatch.setattr(sys, "stdin", io.StringIO(text))
+        errors = shell("apply", tmp_path / "unit.json", "-", code=1).err
+        assert errors.endswith(
+            "srt: No sample of the stream was corrected: send lines of CSV or JSON, or MAVLink by --from.\n"
+        )
+
+
+def test_a_line_without_end_does_not_fill_the_memory():
+    """32 MB of digits without a line break; the line after them is corrected."""
+    lines, text = LineCorrector(corrector([])), io.StringIO("9" * (32 << 20) + "\n0.01,0,0,0,0,0,9.8")
+    tracemalloc.start()
+    answers = [lines.correct(line) for line in bounded_lines(text)]
+    assert tracemalloc.get_traced_memory()[1] < 1 << 20
+    tracemalloc.stop()
+    assert answers[0] == ""
+    assert answers[1].startswith("0.01,")
+    assert lines._corrector.counts["malformed"] == 1
 
 
 def free_port():
@@ -221,6 +314,13 @@ def test_lines_through_udp(tmp_path):
     np.testing.assert_array_equal(found[:, 1:], TRUE[:3])
     link.send(b"garbage\n\n")
     assert link.socket.recv(65536) == b"\n\n"
+    # A datagram of the largest size, whose answers do not fit into one.
+    many = [",".join(f"{value:.6f}" for value in range(7))] * 1000
+    link.send("\n".join(many).encode())
+    received = b""
+    while received.count(b"\n") < len(many):
+        received += link.socket.recv(65536)
+    assert set(received.decode().splitlines()) == {received.decode().partition("\n")[0]}
     link.send(csv()[3].encode())
     np.testing.assert_array_equal(numbers([link.socket.recv(65536).decode()])[0, 1:], TRUE[3])
     assert "1 malformed" in link.end()
@@ -240,7 +340,9 @@ def test_mavlink_through_udp(tmp_path):
     common = pytest.importorskip("pymavlink.dialects.v20.common")
     sender = common.MAVLink(None, srcSystem=7, srcComponent=3)
     reader = common.MAVLink(None)
-    link = Link(tmp_path, "--gyro-lsb", "1/131 deg/s", "--gyro-offset", "12", "--accel-lsb", "1/4096 g")
+    # The units are those of lines of text; messages define their own.
+    lines = "--gyro-unit", "deg/s", "--accel-unit", "g"
+    link = Link(tmp_path, "--gyro-lsb", "1/131 deg/s", "--gyro-offset", "12", "--accel-lsb", "1/4096 g", *lines)
 
     def packed(message):
         data = bytes(message.pack(sender))
