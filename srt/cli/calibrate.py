@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
     from srt.estimation.options import Options
     from srt.model.prior import Prior
+    from srt.recording.recording import Recording
     from srt.result.calibration import Calibration
 
 # Option types of srt.estimation.options, written out: importing them would make the help wait for numpy.
@@ -307,8 +308,12 @@ def parse_targets(texts: Sequence[str]) -> dict[str, float]:
     return targets
 
 
-def run_job(job: Job, estimator: str, options: Options, display: Display) -> Calibration:
+def run_job(
+    job: Job, estimator: str, options: Options, display: Display, recording: Recording | None = None
+) -> Calibration:
     """Calibrate one recording; write and print the result, whatever its status.
+
+    ``recording`` is that of the job, where it is not to be read as it is.
 
     Raises
     ------
@@ -318,7 +323,7 @@ def run_job(job: Job, estimator: str, options: Options, display: Display) -> Cal
     import srt
     from srt.cli.progress import iteration_progress
 
-    recording = display.load(job.recording)
+    recording = recording or display.load(job.recording)
     with iteration_progress(job.name, quiet=display.quiet) as progress:
         calibration = srt.calibrate(
             recording, estimator, force=display.force, without_turns=display.without, options=options, progress=progress

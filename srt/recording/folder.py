@@ -73,7 +73,7 @@ def load_recording(path: str | os.PathLike[str]) -> Recording:
     about = read_metadata(str(toml), document)
     if "samples" not in main:
         raise InputError(f'{toml}: recording.samples is missing: name the samples file, as samples = "samples.csv".')
-    samples_path = _inside(toml, main["samples"])
+    samples_path = samples_inside(toml, main["samples"])
     try:
         return to_recording(
             _samples(toml, samples_path, main),
@@ -205,8 +205,8 @@ def _conversion_advice(path: Path, what: str) -> str:
     return f"convert the {what} ({title}): srt convert {path} -o DIR"
 
 
-def _inside(toml: Path, name: str) -> Path:
-    """Path of the samples, which must lie in the recording's folder; symbolic links are resolved."""
+def samples_inside(toml: Path, name: str) -> Path:
+    """Path of the samples, which must lie in the recording's folder; symbolic links are resolved. Raises InputError."""
     path = toml.parent / name
     try:
         # A bag may be a folder with links as files.
