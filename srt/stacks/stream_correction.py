@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 CORRECTED: Final = "corrected"
 MALFORMED: Final = "malformed"
+MISTAKEN: Final = "answered wrongly"
 LOST: Final = "lost"
 CLIPPED: Final = "at the end of the range"
 OTHER_TEMPERATURE: Final = "outside the temperature of the test"

@@ -23,7 +23,7 @@ from srt.recording.imported_samples import StatedUnits
 from srt.recording.importers.channels import assign, meaning_of
 from srt.recording.schema import COUNTS, TIME_UNITS
 from srt.recording.text_tables import is_number
-from srt.stacks.stream_correction import CORRECTED, LOST, MALFORMED, NOT_ADVANCING, OVERRIDDEN
+from srt.stacks.stream_correction import CORRECTED, LOST, MALFORMED, MISTAKEN, NOT_ADVANCING, OVERRIDDEN
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -70,7 +70,7 @@ class LineCorrector:
 
     __slots__ = (
         "_columns", "_corrector", "_counts", "_covariance", "_guess", "_json_scale", "_last", "_line", "_order",
-        "_refused", "_scale", "_second", "_step", "_units", "_width",
+        "_other", "_refused", "_scale", "_second", "_step", "_units", "_width",
     )  # fmt: skip
 
     def __init__(
@@ -88,6 +88,7 @@ class LineCorrector:
         self._columns: dict[str, int] | None = None
         self._width = 0
         self._guess: int | None = None  # line whose number of columns no other line has confirmed
+        self._other = 0  # number of columns of the last line that has another one
         self._order: tuple[str, ...] = ()  # of columns by names that were cut off
         self._refused = ""  # reason why lines without names are not read
         self._second = 1.0  # seconds per unit of time
@@ -156,10 +157,12 @@ class LineCorrector:
         if named or (self._columns is None and width >= len(_READINGS) and not any(map(is_number, names))):
             self._read_names(names)
             return None
-        if self._columns is not None and (self._guess is None or width <= self._width):
+        if self._columns is not None:
             if width == self._width:
                 return self._columns  # its cells are refused one by one
-            raise ValueError(f"it has {width} columns, and those before have {self._width}")
+            before, self._other = self._other, width
+            if self._guess is None or (width < self._width and width != before):
+                raise ValueError(f"it has {width} columns, and those before have {self._width}")
         if self._refused:
             raise ValueError(self._refused)
         order = self._order or (_READINGS if width == len(_READINGS) else _NAMELESS)
@@ -170,14 +173,15 @@ class LineCorrector:
     def _adopt(self, columns: dict[str, int], width: int) -> None:
         """Take the columns of a line without names for those that follow.
 
-        The line before may have been cut, as that of a logger to which the stream was connected; no line is too long.
+        One line alone may have been cut, as by the connection to a running logger: a wider one, or two narrower ones
+        of equal width, show it.
         """
         if self._guess is not None:
             self._corrector.counts[CORRECTED] -= 1
             self._corrector.event(
-                MALFORMED,
+                MISTAKEN,
                 f"line {self._guess} has {self._width} columns, and line {self._line} {width}: line {self._guess} was "
-                "cut, and its answer is wrong",
+                "damaged, and its answer is wrong",
             )
         self._columns, self._width, self._guess = columns, width, self._line
 
