@@ -352,7 +352,11 @@ def correct_lines(seed: Seed, path: Path) -> None:
 
 
 def _is_correction(old: np.ndarray, new: np.ndarray, scale: np.ndarray) -> bool:
-    true = np.hstack(CALIBRATION.apply(*np.split(old * scale, 2))) / scale
+    with np.errstate(over="ignore"):
+        readings = old * scale
+    if not np.isfinite(readings).all():
+        return False
+    true = np.hstack(CALIBRATION.apply(*np.split(readings, 2))) / scale
     return bool(np.allclose(new, true, rtol=1e-9, atol=1e-12))  # rounding of conversions there and back
 
 

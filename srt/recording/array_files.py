@@ -16,7 +16,7 @@ import numpy as np
 
 from srt.exceptions import InputError, optional
 from srt.recording.file_guards import clear_errors, load_pyarrow, require_size
-from srt.recording.parquet_pages import decoded_bytes
+from srt.recording.parquet_pages import decoded_size
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -250,7 +250,7 @@ def open_parquet(path: Path) -> Iterator[ArrayFile]:
             stamps = {name: "M8" for name, kind in types.items() if pa.types.is_timestamp(kind)}
             stamps |= {name: "m8" for name, kind in types.items() if pa.types.is_duration(kind)}
             numbers = [name for name, kind in types.items() if pa.types.is_floating(kind) or pa.types.is_integer(kind)]
-            _check_decoded(path, file.metadata, (*numbers, *stamps))
+            _check_decoded(path, rows, (*numbers, *stamps))
         index = _PANDAS_INDEX if _PANDAS_INDEX in stamps and "time" not in types else None
 
         def read(shown: str) -> NDArray[Any]:
@@ -273,13 +273,13 @@ def open_parquet(path: Path) -> Iterator[ArrayFile]:
         yield ArrayFile(path, shapes, read, others=(*(name for name in types if name not in (*shapes, index)), *twice))
 
 
-def _check_decoded(path: Path, metadata: Any, columns: tuple[str, ...]) -> None:
+def _check_decoded(path: Path, rows: int, columns: tuple[str, ...]) -> None:
     """Refuse columns whose values, as runs of one value, or whose pages are far larger than their file.
 
     Raises InputError; ValueError or LookupError for a file that contradicts itself.
     """
-    groups = sum(metadata.row_group(i).num_rows for i in range(metadata.num_row_groups))
-    if groups != metadata.num_rows:
-        raise ValueError(f"its groups have {groups} rows of {metadata.num_rows}")
-    _require_expansion(path, 8 * groups * len(columns))
-    _require_expansion(path, decoded_bytes(path, metadata, columns))
+    _require_expansion(path, 8 * rows * len(columns))
+    size = decoded_size(path, columns)
+    if size.rows != rows:
+        raise ValueError(f"its groups have {size.rows} rows of {rows}")
+    _require_expansion(path, size.page_bytes)

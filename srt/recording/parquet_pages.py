@@ -1,59 +1,70 @@
-"""Sizes that the pages of a Parquet file decode to, by their headers, which its library trusts.
+"""Sizes to which the columns of a Parquet file decode, by its footer and the headers of its pages.
 
-A header is a struct of Thrift's compact protocol; pyarrow does not show it, and its metadata may state other sizes.
+Its library trusts the headers and does not show them, and ends the process where a part of the footer is damaged that
+it parses on demand. Footer and headers are structs of Thrift's compact protocol.
 """
 
 from __future__ import annotations
 
 import mmap
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 if TYPE_CHECKING:
-    from collections.abc import Collection
+    from collections.abc import Collection, Iterator
     from pathlib import Path
 
-_DECODED, _STORED = 2, 3
-"""Fields of a page's header: its size when decompressed, and in the file."""
+_FOOTER_BYTES: Final = 8  # at the end of the file: length of the footer, and a mark
+
+# Fields of the structs, by the format's definition.
+_FILE_GROUPS, _GROUP_CHUNKS, _GROUP_ROWS, _CHUNK_COLUMN = 4, 1, 3, 3
+_COLUMN_PATH, _COLUMN_STORED, _COLUMN_DATA, _COLUMN_DICTIONARY = 3, 7, 9, 11
+_PAGE_DECODED, _PAGE_STORED = 2, 3
+
 _BOOLEANS: Final = (1, 2)
 _INTEGERS: Final = (4, 5, 6)
 _FIXED: Final = {3: 1, 7: 8}
 """Bytes of values by their type: byte and double."""
 _TEXT, _LISTS, _STRUCT = 8, (9, 10), 12
-_LONGEST_VARINT: Final = 63  # bits by which the last byte of an integer is shifted
+_LONGEST_SHIFT: Final = 63  # bits by which the last byte of an integer is shifted
 
 
-def decoded_bytes(path: Path, metadata: Any, columns: Collection[str]) -> int:
-    """Bytes of all pages of some columns when decompressed.
+class DecodedSize(NamedTuple):
+    """Size of some columns of a file when decoded."""
 
-    ``metadata`` is pyarrow's. Raises ValueError or LookupError for headers that cannot be read.
-    """
-    groups = map(metadata.row_group, range(metadata.num_row_groups))
-    chunks = [
-        chunk
-        for group in groups
-        for chunk in map(group.column, range(group.num_columns))
-        if chunk.path_in_schema in columns and chunk.num_values
-    ]
-    total = 0
+    rows: int  # of all groups of rows
+    page_bytes: int
+
+
+def decoded_size(path: Path, columns: Collection[str]) -> DecodedSize:
+    """Size of some columns when decoded. Raises ValueError or LookupError for a file that cannot be understood."""
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-        if sum(chunk.total_compressed_size for chunk in chunks) > len(data):
+        length = int.from_bytes(data[-_FOOTER_BYTES:-4], "little")
+        footer, _ = _struct(data, max(len(data) - _FOOTER_BYTES - length, 0))
+        groups = footer.get(_FILE_GROUPS, [])
+        chunks = [chunk[_CHUNK_COLUMN] for group in groups for chunk in group[_GROUP_CHUNKS]]
+        chunks = [chunk for chunk in chunks if chunk[_COLUMN_PATH][0].decode("utf-8", "replace") in columns]
+        if sum(chunk[_COLUMN_STORED] for chunk in chunks) > len(data):
             raise ValueError("its columns overlap")
-        for chunk in chunks:
-            # A dictionary comes before the data; some writers state 0 for none.
-            at = min(chunk.dictionary_page_offset or chunk.data_page_offset, chunk.data_page_offset)
-            end = at + chunk.total_compressed_size
-            while at < end:
-                header, at = _struct(data, at)
-                if min(header[_DECODED], header[_STORED]) < 0:
-                    raise ValueError("a page has a negative size")
-                total += header[_DECODED]
-                at += header[_STORED]
-    return total
+        pages = sum(size for chunk in chunks for size in _page_sizes(data, chunk))
+        return DecodedSize(sum(group[_GROUP_ROWS] for group in groups), pages)
 
 
-def _struct(data: mmap.mmap, at: int) -> tuple[dict[int, int], int]:
-    """Integers of a struct by field, and the place after it."""
-    fields: dict[int, int] = {}
+def _page_sizes(data: mmap.mmap, chunk: dict[int, Any]) -> Iterator[int]:
+    """Sizes of the pages of one column in one group of rows, decompressed."""
+    # A dictionary comes before the data; some writers state 0 for none.
+    at = min(chunk.get(_COLUMN_DICTIONARY) or chunk[_COLUMN_DATA], chunk[_COLUMN_DATA])
+    end = at + chunk[_COLUMN_STORED]
+    while at < end:
+        header, at = _struct(data, at)
+        if min(header[_PAGE_DECODED], header[_PAGE_STORED]) < 0:
+            raise ValueError("a page has a negative size")
+        yield header[_PAGE_DECODED]
+        at += header[_PAGE_STORED]
+
+
+def _struct(data: mmap.mmap, at: int) -> tuple[dict[int, Any], int]:
+    """Values of a struct by field, and the place after it."""
+    fields: dict[int, Any] = {}
     field = 0
     while head := data[at]:
         at, step, kind = at + 1, head >> 4, head & 15
@@ -61,40 +72,40 @@ def _struct(data: mmap.mmap, at: int) -> tuple[dict[int, int], int]:
             field += step
         else:
             field, at = _integer(data, at)
-        if kind in _INTEGERS:
-            fields[field], at = _integer(data, at)
-        elif kind not in _BOOLEANS:  # the type of a boolean field is its value
-            at = _after(data, at, kind)
+        if kind not in _BOOLEANS:  # the type of a boolean field is its value
+            fields[field], at = _value(data, at, kind)
     return fields, at + 1
 
 
-def _after(data: mmap.mmap, at: int, kind: int) -> int:
-    """Place after a value."""
+def _value(data: mmap.mmap, at: int, kind: int) -> tuple[Any, int]:
+    """Value, and the place after it; None for one that no field of interest has."""
     if kind in _INTEGERS:
-        return _varint(data, at)[1]
+        return _integer(data, at)
     if kind == _TEXT:
         length, at = _varint(data, at)
-        return at + length
+        return data[at : at + length], at + length
     if kind == _STRUCT:
-        return _struct(data, at)[1]
-    if kind in _LISTS:
-        count, kind, at = data[at] >> 4, data[at] & 15, at + 1
-        if count == 15:
-            count, at = _varint(data, at)
-        for _ in range(count):
-            at = at + 1 if kind in _BOOLEANS else _after(data, at, kind)
-        return at
-    return at + _FIXED[kind]
+        return _struct(data, at)
+    if kind not in _LISTS:
+        return None, at + _FIXED[kind]
+    count, kind, at = data[at] >> 4, data[at] & 15, at + 1
+    if count == 15:
+        count, at = _varint(data, at)
+    values = []
+    for _ in range(count):
+        value, at = (None, at + 1) if kind in _BOOLEANS else _value(data, at, kind)
+        values.append(value)
+    return values, at
 
 
 def _varint(data: mmap.mmap, at: int) -> tuple[int, int]:
     value = 0
-    for shift in range(0, _LONGEST_VARINT + 1, 7):
+    for shift in range(0, _LONGEST_SHIFT + 1, 7):
         byte = data[at]
         value, at = value | (byte & 127) << shift, at + 1
         if byte < 128:
             return value, at
-    raise ValueError("an integer of a page's header does not end")
+    raise ValueError("an integer does not end")
 
 
 def _integer(data: mmap.mmap, at: int) -> tuple[int, int]:
