@@ -20,8 +20,6 @@ from __future__ import annotations
 
 import gc
 import io
-import json
-import math
 import os
 import re
 import resource
@@ -46,19 +44,15 @@ from unittest import mock
 
 import harness
 import numpy as np
-from fuzz_seeds import READERS, RECORDINGS, STREAMS, Seed
+from fuzz_seeds import READERS, RECORDINGS, Seed
+from fuzz_streams import STREAMS, correct_lines
 
 import srt
 from srt.exceptions import DataError, InputError
-from srt.recording.import_options import CHANNELS
 from srt.recording.imported_samples import to_recording
 from srt.recording.importer_registry import IMPORTERS, find_importer, import_file, importer
 from srt.recording.importers import child_process
 from srt.recording.recording import Site
-from srt.recording.schema import ACCEL_UNITS, GYRO_UNITS
-from srt.sensor_errors import SensorErrors
-from srt.stacks.stream_correction import StreamCorrector, StreamOptions
-from srt.stacks.text_lines import LineCorrector, bounded_lines
 
 if TYPE_CHECKING:
     from multiprocessing.connection import Connection
@@ -84,11 +78,6 @@ TOKENS = (
     b"%s%n", b"${HOME}", b"__import__('os').system('true')", b"!!python/object/apply:os.system [\"true\"]", b"A" * 5000,
 )  # fmt: skip
 """Words that replace numbers and words of text."""
-NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
-"""A number as other programs read it."""
-CALIBRATION = srt.Calibration(
-    "hand", "converged", "Done.", SensorErrors(np.random.default_rng(1).normal(0.0, 0.01, 27)), 1e-8 * np.eye(27)
-)
 WORD = re.compile(rb"[A-Za-z0-9_.+-]+|\"[^\"\n]*\"")
 
 
@@ -320,67 +309,6 @@ def read(name: str, seed: Seed, path: Path) -> None:
         options = replace(options, second=path.parent / options.second)
     _, imported = import_file(path, options, name)
     to_recording(imported, SITE)
-
-
-def correct_lines(seed: Seed, path: Path) -> None:
-    """Correct lines as ``srt apply`` does. Raises AssertionError for an answer that is not that of its line."""
-    told: list[str] = []
-    lines = LineCorrector(StreamCorrector(CALIBRATION, "mars", StreamOptions(), told.append))
-    with path.open(encoding="utf-8", errors="replace") as file:
-        pairs = [(line.strip(), lines.correct(line)) for line in bounded_lines(file)]
-    options = seed.options
-    layouts = [{name: int(place) - 1 for name, place in options.columns.items()}] if options.columns else []
-    # Without names, or with those that are damaged.
-    usual = ("time", *CHANNELS[1:7], "temperature")
-    plain = [{name: i for i, name in enumerate(names)} for names in (usual, usual[1:])]
-    original, names_seen = set(seed.files[seed.target].decode().splitlines()), False
-    for number, (line, answer) in enumerate(pairs, start=1):
-        if not answer or answer == line:
-            numbers = [NUMBER.fullmatch(cell.strip()) for cell in line.split(",")]
-            assert not answer or line.startswith("#") or not all(numbers), f"line {number} passed: {line[:200]}"
-            names_seen |= bool(answer) and not line.startswith("#")
-            if answer and line not in original and not line.startswith("#"):
-                return  # names that are damaged, but valid, state other columns or units
-            continue
-        if any(f"line {number} was damaged, and its answer is wrong" in sentence for sentence in told):
-            continue
-        units = (options.gyro_unit, options.accel_unit) if names_seen and line[0] != "{" else ("rad/s", "m/s^2")
-        scale = np.repeat([GYRO_UNITS["rate"][units[0]], ACCEL_UNITS["rate"][units[1]]], 3)
-        found = [_numbers(line, answer, layout) for layout in ([None] if line[0] == "{" else [*layouts, *plain])]
-        right = [_is_correction(old, new, scale) for old, new in filter(None, found)]
-        assert any(right), f"line {number} is answered wrongly: {line[:200]} {answer[:200]}"
-
-
-def _is_correction(old: np.ndarray, new: np.ndarray, scale: np.ndarray) -> bool:
-    with np.errstate(over="ignore"):
-        readings = old * scale
-    if not np.isfinite(readings).all():
-        return False
-    true = np.hstack(CALIBRATION.apply(*np.split(readings, 2))) / scale
-    return bool(np.allclose(new, true, rtol=1e-9, atol=1e-12))  # rounding of conversions there and back
-
-
-def _numbers(line: str, answer: str, layout: dict[str, int] | None) -> tuple[np.ndarray, np.ndarray] | None:
-    """Six readings of a line and of its answer; None if they are none, or anything else of the line has changed."""
-    if layout is None:
-        old, new = json.loads(line), json.loads(answer)
-        arrays = "gyro" in old
-        values = [
-            [*part.pop("gyro"), *part.pop("accel")] if arrays else [part.pop(name) for name in CHANNELS[1:7]]
-            for part in (old, new)
-        ]
-        strict = all(type(each) in (int, float) and math.isfinite(each) for each in values[0])
-        return (np.array(values[0], float), np.array(values[1])) if old == new and strict else None
-    cells = [line.split(","), answer.split(",")]
-    places = [layout[name] for name in CHANNELS[1:7]]
-    if len(cells[0]) != len(cells[1]) or max(places) >= len(cells[0]):
-        return None
-    if any(old != new for i, (old, new) in enumerate(zip(*cells, strict=True)) if i not in places):
-        return None
-    if not all(NUMBER.fullmatch(part[i].strip()) for part in cells for i in places):
-        return None
-    read_off = [np.array([float(part[i]) for i in places]) for part in cells]
-    return read_off[0], read_off[1]
 
 
 def judge(name: str, seed: Seed, path: Path, watch: Watch) -> str:

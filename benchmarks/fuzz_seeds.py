@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import struct
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -296,24 +295,3 @@ RECORDINGS: dict[str, Callable[[], list[Seed]]] = {
     **{f"samples.{kind}": partial(_samples, kind) for kind in ("csv", "npz", "parquet", "h5")},
 }
 """Seeds for what load_recording reads itself."""
-
-
-def streams() -> list[Seed]:
-    """Lines for ``srt apply``; the options hold their columns and units, by which answers are checked."""
-    si, other = ImportOptions(gyro_unit="rad/s", accel_unit="m/s^2"), ImportOptions(gyro_unit="deg/s", accel_unit="g")
-    named = "time [ms],accel_x [g],accel_y [g],accel_z [g],gyro_x [deg/s],gyro_y [deg/s],gyro_z [deg/s],note"
-    rows = [f"{line},n{k}" for k, line in enumerate(_rows(np.column_stack([TIME, ACCEL, GYRO]), "").split()) if line]
-    texts = [
-        (_rows(TABLE[:, :7], ""), replace(si, columns=parse_columns("time,gyro,accel"))),
-        (_rows(TABLE, ""), replace(si, columns=parse_columns("time,gyro,accel,temperature"))),
-        (_rows(TABLE[:, 1:7], ""), replace(si, columns=parse_columns("gyro,accel"))),
-        (_rows(TABLE, ",".join(NAMES)), replace(si, columns=parse_columns("time,gyro,accel,temperature"))),
-        ("\n".join([named, *rows, ""]), replace(other, columns=parse_columns("time,accel,gyro"))),
-        ("".join(f"{json.dumps(dict(zip(NAMES, row, strict=True)))}\n" for row in TABLE.tolist()), si),
-        ("".join(f'{{"gyro": {row[1:4]}, "accel": {row[4:7]}, "id": 7}}\n' for row in TABLE.tolist()), si),
-    ]  # fmt: skip
-    return [_text("stream", text.lstrip("\n"), options) for text, options in texts]
-
-
-STREAMS = {"stream": streams}
-"""Seeds of lines that are corrected as they arrive."""
