@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 CORRECTED: Final = "corrected"
 MALFORMED: Final = "malformed"
 MISTAKEN: Final = "answered wrongly"
+CHANGED: Final = "after which the number of columns is another"
 LOST: Final = "lost"
 CLIPPED: Final = "at the end of the range"
 OTHER_TEMPERATURE: Final = "outside the temperature of the test"

@@ -23,7 +23,7 @@ from srt.recording.imported_samples import StatedUnits
 from srt.recording.importers.channels import assign, meaning_of
 from srt.recording.schema import COUNTS, TIME_UNITS
 from srt.recording.text_tables import is_number
-from srt.stacks.stream_correction import CORRECTED, LOST, MALFORMED, MISTAKEN, NOT_ADVANCING, OVERRIDDEN
+from srt.stacks.stream_correction import CHANGED, CORRECTED, LOST, MALFORMED, MISTAKEN, NOT_ADVANCING, OVERRIDDEN
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -40,6 +40,8 @@ _LONGEST: Final = 4096
 _OPTIONAL: Final = ("time", "temperature")
 _NUMERIC: Final = "+-.0123456789 "
 """Characters with which a number may begin."""
+_AGREEING: Final = 3
+"""Lines in succession without names whose number of columns is believed, against that of the lines before."""
 _LATE: Final = 1.5
 """Steps of time, in those before, from which samples are lost."""
 
@@ -69,8 +71,8 @@ class LineCorrector:
     """
 
     __slots__ = (
-        "_columns", "_corrector", "_counts", "_covariance", "_guess", "_json_scale", "_last", "_line", "_order",
-        "_other", "_refused", "_scale", "_second", "_step", "_units", "_width",
+        "_columns", "_corrector", "_counts", "_covariance", "_guess", "_json_scale", "_last", "_line", "_named",
+        "_order", "_other", "_others", "_refused", "_scale", "_second", "_step", "_units", "_width",
     )  # fmt: skip
 
     def __init__(
@@ -88,7 +90,8 @@ class LineCorrector:
         self._columns: dict[str, int] | None = None
         self._width = 0
         self._guess: int | None = None  # line whose number of columns no other line has confirmed
-        self._other = 0  # number of columns of the last line that has another one
+        self._named = False
+        self._other, self._others = 0, 0  # other number of columns, and lines in succession that have it
         self._order: tuple[str, ...] = ()  # of columns by names that were cut off
         self._refused = ""  # reason why lines without names are not read
         self._second = 1.0  # seconds per unit of time
@@ -132,7 +135,7 @@ class LineCorrector:
         if columns is not self._columns:
             self._adopt(columns, len(cells))
         else:
-            self._guess = None
+            self._guess, self._others = None, 0
         if time is not None:
             self._count_lost(time * self._second)
         for name, value in zip(_READINGS, corrected, strict=False):
@@ -160,8 +163,10 @@ class LineCorrector:
         if self._columns is not None:
             if width == self._width:
                 return self._columns  # its cells are refused one by one
-            before, self._other = self._other, width
-            if self._guess is None or (width < self._width and width != before):
+            self._others = self._others + 1 if width == self._other else 1
+            self._other = width
+            wider = self._guess is not None and width > self._width
+            if self._named or not (wider or self._others >= _AGREEING):
                 raise ValueError(f"it has {width} columns, and those before have {self._width}")
         if self._refused:
             raise ValueError(self._refused)
@@ -173,10 +178,14 @@ class LineCorrector:
     def _adopt(self, columns: dict[str, int], width: int) -> None:
         """Take the columns of a line without names for those that follow.
 
-        One line alone may have been cut, as by the connection to a running logger: a wider one, or two narrower ones
-        of equal width, show it.
+        One line alone may have been cut, as by the connection to a running logger: a wider one shows it. Otherwise
+        three in succession are believed.
         """
-        if self._guess is not None:
+        if self._columns is not None and self._guess is None:
+            self._corrector.event(
+                CHANGED, f"the lines have {width} columns from line {self._line} on, and had {self._width} before"
+            )
+        elif self._guess is not None:
             self._corrector.counts[CORRECTED] -= 1
             self._corrector.event(
                 MISTAKEN,
@@ -197,7 +206,7 @@ class LineCorrector:
                     "" if self._order else f"the names of the columns, line {self._line}, are not understood"
                 )
             raise
-        self._columns, self._width, self._guess = found.columns, len(names), None
+        self._columns, self._width, self._guess, self._named = found.columns, len(names), None, True
         self._scale, self._second = scale, TIME_UNITS[found.stated.time or "s"]
 
     def _si_per_unit(self, stated: StatedUnits) -> tuple[float, ...]:

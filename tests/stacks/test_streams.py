@@ -140,7 +140,7 @@ def test_a_given_unit_overrides_that_of_the_names(told):
     ("first", "lost", "counted"),
     [
         ("0.0,0,0,0,0,9", 0, {"answered wrongly": 1, "malformed": 1}),
-        ("0.0,0,0,0,0,0,9.8,24", 1, {"answered wrongly": 1, "malformed": 2}),
+        ("0.0,0,0,0,0,0,9.8,24", 2, {"answered wrongly": 1, "malformed": 3}),
         ("time,gyro_x,gyro_y,gyro_z,accel_x,acc", 0, {"malformed": 2}),
     ],
 )
@@ -151,6 +151,14 @@ def test_a_damaged_first_line_does_not_lose_those_that_follow(told, first, lost,
     np.testing.assert_array_equal(numbers(line for line in found if line), np.column_stack([TIME, TRUE])[lost:])
     assert lines._corrector.counts == {"corrected": N - lost, **counted}
     assert any(sentence.startswith("line 1 ") for sentence in told)
+
+
+def test_another_number_of_columns_is_believed_if_three_lines_in_succession_have_it(told):
+    lines = LineCorrector(corrector(told))
+    short = "0.0,0,0,0,0,9"
+    found = [bool(lines.correct(line)) for line in [short, short, *csv()[:2], short, *csv()[2:6], short]]
+    assert found == [True, True, False, False, True, False, False, True, True, False]
+    assert "the lines have 7 columns from line 8 on, and had 6 before" in told
 
 
 @pytest.mark.parametrize(
