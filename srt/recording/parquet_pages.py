@@ -91,6 +91,8 @@ def _value(data: mmap.mmap, at: int, kind: int) -> tuple[Any, int]:
     count, kind, at = data[at] >> 4, data[at] & 15, at + 1
     if count == 15:
         count, at = _varint(data, at)
+    if count > len(data) - at:
+        raise ValueError("a list is longer than the file")
     values = []
     for _ in range(count):
         value, at = (None, at + 1) if kind in _BOOLEANS else _value(data, at, kind)

@@ -180,6 +180,14 @@ class TestPromises:
         path.write_bytes(data[:7] + varint(2 << 30) + data[9:])
         assert f"{1 << 30} bytes" in self.refused(path, as_recording)
 
+    def test_parquet_page_with_an_endless_list(self, tmp_path, as_recording):
+        path = tmp_path / "samples.parquet"
+        write_parquet(path, {"time": np.arange(10.0)}, use_dictionary=False)
+        data = path.read_bytes()
+        # A list of booleans in the place of the page's kind, its number of elements in ten bytes.
+        path.write_bytes(data[:4] + b"\x19\xf1" + b"\xff" * 8 + b"\x7f" + data[5:])
+        assert "a list is longer than the file" in self.refused(path, as_recording)
+
     @pytest.mark.parametrize(("places", "said"), [(1, "its groups have 300 rows of 301"), (99, "has 300 rows of 301")])
     def test_parquet_that_states_another_number_of_rows(self, tmp_path, as_recording, places, said):
         path = tmp_path / "samples.parquet"
