@@ -8,7 +8,8 @@ numbers in it replaced by hostile ones. What is checked of every one:
 
 - a recording or imported samples come out, or InputError, DataError; the message is one line;
 - no more than ``--memory`` MiB are reserved beyond what the process has at its start, and less than 10 s are used;
-- no file is opened outside the input's folder, no program is run, no pickle is read, no code is made of the input.
+- no file is opened outside the input's folder, no program is run, no pickle is read, no code is made of the input;
+- of lines that are corrected as they arrive ("stream"), each has one answer: none, or the correction of its numbers.
 
 A reader's inputs run in a process of their own, so that a crash is counted and does not end the run. The readers that
 start a child process get a fork of it in place of a new interpreter, which takes 5 ms in place of 200 ms; the fork is
@@ -44,18 +45,19 @@ from unittest import mock
 import harness
 import numpy as np
 from fuzz_seeds import READERS, RECORDINGS, Seed
+from fuzz_streams import STREAMS, correct_lines
 
 import srt
 from srt.exceptions import DataError, InputError
 from srt.recording.imported_samples import to_recording
-from srt.recording.importer_registry import IMPORTERS, import_file, importer
+from srt.recording.importer_registry import IMPORTERS, find_importer, import_file, importer
 from srt.recording.importers import child_process
 from srt.recording.recording import Site
 
 if TYPE_CHECKING:
     from multiprocessing.connection import Connection
 
-NAMES = (*READERS, *RECORDINGS)
+NAMES = (*READERS, *RECORDINGS, *STREAMS)
 SECONDS_PER_INPUT = 10
 """Computing time of this process, s, after which an input counts as one that hangs; a busy machine does not matter."""
 SECONDS_TO_KILL = 20
@@ -297,6 +299,11 @@ def read(name: str, seed: Seed, path: Path) -> None:
     if name in RECORDINGS:
         srt.load_recording(path)
         return
+    if name in STREAMS:
+        correct_lines(seed, path)
+        return
+    with suppress(InputError):
+        find_importer(path)
     options = seed.options
     if options.second is not None:
         options = replace(options, second=path.parent / options.second)
@@ -333,7 +340,7 @@ def judge(name: str, seed: Seed, path: Path, watch: Watch) -> str:
 
 
 def seeds_of(name: str) -> list[Seed]:
-    return (READERS | RECORDINGS)[name]()
+    return (READERS | RECORDINGS | STREAMS)[name]()
 
 
 def pool_of(seeds: list[Seed]) -> list[bytes]:

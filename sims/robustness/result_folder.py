@@ -110,9 +110,7 @@ class ResultFolder:
         self._lock = _locked(folder)
         self._journal = folder / "journal.jsonl"
         try:
-            if fresh:
-                self._clear()
-            self._check()
+            self._check(fresh=fresh)
             self._absorb()
             self._file = self._journal.open("a", encoding="utf-8")
         except OSError as error:
@@ -210,32 +208,29 @@ class ResultFolder:
         # Its complete lines are in a part now.
         self._journal.write_text("", encoding="utf-8")
 
-    def _check(self) -> None:
-        """Refuse the folder of another campaign; write campaign.json into a new one."""
+    def _check(self, *, fresh: bool) -> None:
+        """Refuse the folder of another campaign; write campaign.json into a new one, or into one that is cleared."""
         path = self.folder / "campaign.json"
-        if path.exists():
-            try:
-                signature = json.loads(path.read_text(encoding="utf-8"))
-                same = (
-                    signature["format"] == _FORMAT
-                    and signature["version"] == _VERSION
-                    and signature["digest"] == self.campaign.digest
-                )
-            except (ValueError, KeyError, TypeError, UnicodeDecodeError):
-                same = False
-            if not same:
-                raise InputError(
-                    f"The folder {self.folder} holds results of another campaign, or of other settings of this one: "
-                    "name another folder, or add --fresh to delete them."
-                )
-        elif self._parts() or self._journal.exists():
-            raise InputError(f"The folder {self.folder} holds results of unknown origin: name another folder.")
+        found: Any = {}
+        with suppress(FileNotFoundError, ValueError):
+            found = json.loads(path.read_text(encoding="utf-8"))
+        if not isinstance(found, dict) or found.get("format") != _FORMAT:
+            held = [path, self._journal, *(self.folder / name for name in ("campaign.toml", "results.parquet"))]
+            if self._parts() or any(each.exists() for each in held):
+                raise InputError(f"The folder {self.folder} holds results of unknown origin: name another folder.")
+        elif fresh:
+            self._clear()
+        elif (found.get("version"), found.get("digest")) != (_VERSION, self.campaign.digest):
+            raise InputError(
+                f"The folder {self.folder} holds results of another campaign, or of other settings of this one: "
+                "name another folder, or add --fresh to delete them."
+            )
         signature = {"format": _FORMAT, "version": _VERSION, "digest": self.campaign.digest, "software": software()}
         atomic_write_text(path, json.dumps(signature, indent=2) + "\n")
         atomic_write_text(self.folder / "campaign.toml", self.campaign.text)
 
     def _clear(self) -> None:
-        for path in (*self._parts(), self.folder / "results.parquet", self._journal, self.folder / "campaign.json"):
+        for path in (*self._parts(), self.folder / "results.parquet", self._journal):
             path.unlink(missing_ok=True)
 
     def _parts(self) -> list[Path]:

@@ -9,6 +9,7 @@ import click
 from srt.cli.apply import check_match, load_fit
 from srt.cli.messages import show, warn
 from srt.cli.output_paths import check_file
+from srt.cli.overwriting import overwrite_option
 from srt.cli.path_type import PATH
 from srt.exceptions import InputError
 
@@ -38,6 +39,7 @@ RESULT_SUFFIXES = (".json",)
 )
 @click.option("--force", is_flag=True, help="Accept any status of the calibration and any serial.")
 @click.option("--trust", is_flag=True, help="Accept a calibration file that was changed after it was written.")
+@overwrite_option()
 @click.option("-q", "--quiet", is_flag=True, help="No table; warnings and errors only.")
 def align_mount(
     recording_path: Path | None,
@@ -59,9 +61,9 @@ def align_mount(
     that does not fit the recording.
     """
     if output is not None:
-        check_file(output, RESULT_SUFFIXES, "The mount alignment")
         if output.resolve() == calibration_file.resolve():
             raise InputError(f"{output} is the calibration itself: name another file.")
+        check_file(output, RESULT_SUFFIXES, "The mount alignment")
     from srt.recording.schema import LARGEST_SIGMA_MRAD
 
     sigmas = {"--level-sigma-mrad": level_sigma_mrad, "--axis-sigma-mrad": axis_sigma_mrad}

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 import click
 
 from srt.cli.border import guarded
+from srt.cli.grouped_command import with_help_all
 from srt.cli.messages import show
 
 if TYPE_CHECKING:
@@ -63,7 +64,7 @@ class LazyGroup(click.Group):
         module, _, attribute = COMMANDS[cmd_name][0].partition(":")
         command = getattr(importlib.import_module(module), attribute)
         assert isinstance(command, click.Command)
-        return command
+        return with_help_all(command)
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]

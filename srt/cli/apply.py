@@ -10,6 +10,7 @@ import click
 from srt.cli.grouped_command import GroupedCommand
 from srt.cli.messages import show, warn
 from srt.cli.output_paths import SAMPLES_FORMATS, check_file, check_recording_target, recording_folder
+from srt.cli.overwriting import overwrite_option
 from srt.cli.path_type import PATH
 from srt.cli.recording_arguments import check_median_force
 from srt.cli.stream import NAMES, STANDARD, run_stream, stream_options
@@ -18,6 +19,7 @@ from srt.exceptions import InputError
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from srt.diagnosis.corrected_rest import CorrectedRest
     from srt.recording.recording import Recording
     from srt.result.calibration import Calibration
 
@@ -39,9 +41,9 @@ _USUAL = (
 @click.option("--samples-format", type=click.Choice(SAMPLES_FORMATS), help="Default: as in RECORDING.")
 @click.option("--c-header", type=PATH, metavar="FILE.h", help="Also write the correction as C99.")
 @stream_options
-@click.option("--force", is_flag=True, help="Accept any status of the calibration, serial and size of readings.")
+@click.option("--force", is_flag=True, help="Accept any status of the calibration, serial, size of readings and rest.")
 @click.option("--trust", is_flag=True, help="Accept a calibration file that was changed after it was written.")
-@click.option("--overwrite", is_flag=True, help="Write to a folder that is not empty.")
+@overwrite_option(folder=True)
 @click.option("-q", "--quiet", is_flag=True, help="No summary.")
 def apply(
     calibration_file: Path,
@@ -64,8 +66,8 @@ def apply(
     The folder then holds the recording with corrected samples, in SI units, in MARS axes (those of the calibration)
     or in axes of the table-mounted frame. With --c-header alone, RECORDING and -o are left out.
 
-    Exit codes: 0 success; 1 readings that are increments stated as rates, or the reverse; 2 wrong usage, unreadable
-    input, or a calibration that does not fit the recording.
+    Exit codes: 0 success; 1 readings that are increments stated as rates, or the reverse, or a stream without a sample;
+    2 wrong usage, unreadable input, or a calibration that does not fit the recording.
     """
     streamed = stream["source"] is not None or str(recording_path) == STANDARD
     check_stream(stream, recording_path, output, c_header, streamed=streamed)
@@ -80,7 +82,7 @@ def apply(
         from srt.exporters.c_header import c99_header
 
         header = c99_header(calibration)
-    corrected, source_format = None, ""
+    corrected, source_format, rests = None, "", None
     if recording_path is not None:
         from srt.recording.folder import load_recording
 
@@ -88,6 +90,7 @@ def apply(
         source_format = samples_suffix(recording_path)
         if not force:
             check_match(calibration, recording, calibration_file, recording_path)
+            rests = check_rests(calibration, recording, calibration_file, recording_path)
         corrected = correct(calibration, recording, frame, check=not force)
     # All checks are done: the results are written.
     written = []
@@ -104,9 +107,13 @@ def apply(
         written.append(str(c_header))
     warn_of_unmeasured(calibration, calibration_file)
     if not quiet:
+        from srt.reports.tables import wrap
+
         if corrected is not None:
             axes = "MARS axes" if frame == "mars" else "axes of the table-mounted frame"
             show(f"{corrected.time.size} samples ({corrected.kind}) corrected, in {axes}")
+            if not force:
+                show("\n".join(wrap(f"Check: {rests or 'no stationary window was found'}")))
         for place in written:
             show(f"Written to {place}")
     return 0
@@ -215,6 +222,25 @@ def check_match(calibration: Calibration, recording: Recording, calibration_file
             f"The calibration {calibration_file} is of the unit {serial}, but the recording {recording_path} of "
             f"{recording.serial}: name that unit's calibration, or add --force."
         )
+
+
+def check_rests(
+    calibration: Calibration, recording: Recording, calibration_file: Path, recording_path: Path
+) -> CorrectedRest | None:
+    """Compare a recording at rest before and after the correction; None if it has no stationary window.
+
+    Raises InputError if the correction makes it clearly worse, and DataError for accelerometers in a wrong unit.
+    """
+    from srt.diagnosis.corrected_rest import corrected_rest
+
+    check_median_force(recording)
+    found = corrected_rest(calibration, recording)
+    if found is not None and found.worse:
+        raise InputError(
+            f"{recording_path}: {calibration_file} makes it worse ({found}): it is the calibration of another unit, or "
+            "this one has changed; name the unit's own, or add --force."
+        )
+    return found
 
 
 def correct(calibration: Calibration, recording: Recording, frame: Any, *, check: bool) -> Recording:

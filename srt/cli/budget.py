@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-import json
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from srt.cli.calibrate import choice_option
 from srt.cli.messages import announce, figure_title, show
-from srt.cli.output_paths import RESULT_SUFFIXES, check_file, check_plot
+from srt.cli.names import Name
+from srt.cli.output_paths import PLOT_SUFFIXES, RESULT_SUFFIXES, check_file, check_place, require_matplotlib
+from srt.cli.overwriting import check_replaceable, overwrite_option
 from srt.cli.path_type import PATH
 from srt.cli.progress import count_progress
 from srt.exceptions import InputError
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
     from sims.scenarios.scenario import Scenario
@@ -22,10 +24,11 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("scenario", metavar="SCENARIO")
+@click.argument("scenario", metavar="SCENARIO", type=Name("scenarios", file=True))
 @click.option(
     "--estimator",
     "estimators",
+    type=Name("estimators"),
     multiple=True,
     metavar="NAME",
     help="Repeatable. Default: closed-form and least-squares.",
@@ -38,6 +41,7 @@ if TYPE_CHECKING:
     "--plot", type=PATH, help="Figure: FILE.png, .pdf or .svg; one for each estimator, as FILE-least-squares.png."
 )
 @click.option("--details", is_flag=True, help="Show all parameters, and the errors that are not in the sum.")
+@overwrite_option()
 @click.option("-q", "--quiet", is_flag=True, help="No progress and no tables; warnings and errors only.")
 def budget(
     scenario: str,
@@ -63,28 +67,26 @@ def budget(
     check_file(output, RESULT_SUFFIXES, "The budget")
     if plot is not None and paper:
         raise InputError("--paper makes a table, and no plot: leave one of the two options out.")
-    check_plot(plot)
+    names = estimators or ("closed-form", "least-squares")
+    figures = {} if plot is None else figure_paths(plot, names)
     chosen = sims.load_scenario(scenario)
     if paper:
         return paper_mode(chosen, output, quiet=quiet)
     from sims.accuracy.budget import budget as predict
-    from srt.recording.atomic_file import atomic_write_text
+    from srt.result.json_file import save_json_file
 
-    names = estimators or ("closed-form", "least-squares")
     with count_progress("budget", quiet=quiet, lines=False) as progress:
         found = predict(chosen, names, draws=draws, gyro_bias=gyro_bias, progress=progress)
     if output is not None:
         document = {"scenario": chosen.model_dump(mode="json"), "budgets": [b.as_dict() for b in found]}
-        atomic_write_text(output, json.dumps(document, indent=2, allow_nan=False) + "\n")
-    figures: list[Path] = []
-    if plot is not None:
+        save_json_file(output, document)
+    if figures:
         from sims.accuracy.budget_figure import budget_figure
         from srt.reports.figures.style import save_figure
 
         for b in found:
-            file = plot if len(found) == 1 else plot.with_name(f"{plot.stem}-{b.estimator}{plot.suffix}")
-            figures.append(file)
-            save_figure(budget_figure(b, title=figure_title(f"{scenario}: error budget of {b.estimator}")), file)
+            drawn = budget_figure(b, title=figure_title(f"{scenario}: error budget of {b.estimator}"))
+            save_figure(drawn, figures[b.estimator])
     if not quiet:
         from sims.accuracy.budget import NOT_COUNTED
         from srt.reports.text.error_budget import budget_text
@@ -95,14 +97,24 @@ def budget(
         show("\n\n".join(texts))
         if not details:
             show("\n--details shows all parameters, and the errors that are not in the sum.")
-    announce(output, *figures, quiet=quiet)
+    announce(output, *figures.values(), quiet=quiet)
     return 0
+
+
+def figure_paths(plot: Path, estimators: Sequence[str]) -> dict[str, Path]:
+    """Paths of the figures by estimator, after the check that they can be written. Raises SrtError."""
+    check_place(plot, PLOT_SUFFIXES, "The plot")
+    require_matplotlib()
+    one = len(estimators) == 1
+    paths = {name: plot if one else plot.with_name(f"{plot.stem}-{name}{plot.suffix}") for name in estimators}
+    check_replaceable(*paths.values())
+    return paths
 
 
 def paper_mode(scenario: Scenario, output: Path | None, *, quiet: bool) -> int:
     """Print the analysis of the paper for the noise, bias and fixture of a scenario."""
     from srt.noise.accuracy_analysis import QUANTITIES, paper_budget
-    from srt.recording.atomic_file import atomic_write_text
+    from srt.result.json_file import save_json_file
 
     setting = paper_setting(scenario)
     found = paper_budget(setting)
@@ -112,8 +124,7 @@ def paper_mode(scenario: Scenario, output: Path | None, *, quiet: bool) -> int:
             | {name: float(values[k]) for name, values in found.items()}
             for k, q in enumerate(QUANTITIES)
         ]
-        document = {"format": "srt-paper-budget", "version": 1, "quantities": rows}
-        atomic_write_text(output, json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n")
+        save_json_file(output, {"format": "srt-paper-budget", "version": 1, "quantities": rows})
     if not quiet:
         from srt.reports.text.error_budget import paper_budget_text
 

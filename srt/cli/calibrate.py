@@ -13,8 +13,10 @@ from srt.cli.fleet import FLEET_FROM, FleetEngine, run_fleet
 from srt.cli.grouped_command import GroupedCommand
 from srt.cli.logs import take_log
 from srt.cli.merge import run_merging
-from srt.cli.messages import announce, figure_title, say, show, warn
+from srt.cli.messages import announce, is_seen, say, show, warn
+from srt.cli.names import Name
 from srt.cli.output_paths import RESULT_SUFFIXES, make_directory, require_matplotlib
+from srt.cli.overwriting import overwrite_option
 from srt.cli.path_type import PATH
 from srt.cli.recording_arguments import find_recordings
 from srt.exceptions import DataError, InputError, SrtError
@@ -73,6 +75,7 @@ USUAL = (
 @click.argument("recordings", nargs=-1, required=True, type=PATH, metavar="RECORDING...")
 @click.option(
     "--estimator",
+    type=Name("estimators", "auto"),
     default="auto",
     show_default=True,
     metavar="NAME",
@@ -93,6 +96,7 @@ USUAL = (
 @click.option("--merge", is_flag=True, help="Merge recordings or calibrations (.json) of one unit into one result.")
 @click.option(
     "--protocol",
+    type=Name("protocols", file=True),
     metavar="NAME",
     help="Protocol of the test in place of labels: a shipped one (srt list protocols), or FILE.toml.",
 )
@@ -103,6 +107,7 @@ USUAL = (
     help="Leave out a turn or pose by its number, or all runs of a sequence by its id.",
 )
 @click.option("--truth", type=PATH, help="truth.json of a simulated recording: show errors.")
+@overwrite_option()
 @click.option("-q", "--quiet", is_flag=True, help="No progress and no table; warnings and errors only.")
 @click.option("--no-asymmetry", is_flag=True, help="Fix the gyro scale-factor asymmetries at zero.")
 @click.option(
@@ -138,7 +143,7 @@ USUAL = (
     "--target",
     multiple=True,
     metavar="NAME=SIGMA",
-    help="ekf: sigma wanted of a parameter or group in the units of the table, as gyro_scale=1.",
+    help="ekf: sigma wanted of a parameter or group in ppm, µrad, µg or °/h, as gyro_scale=1.",
 )
 @click.option("--force", is_flag=True, help="Calibrate in spite of a fault of the recording.")
 @click.option("--trust", is_flag=True, help="Accept a calibration file that was changed after it was written.")
@@ -295,7 +300,9 @@ def run_each(jobs: Sequence[Job], estimator: str, options: Options, display: Dis
             say(sentence if named else f"{job.recording}: {sentence}")
             codes.append(error.exit_code)
         else:
-            codes += [report_problems(job, calibration), write_files(job, calibration, recording, display)]
+            seen = is_seen(quiet=display.quiet)
+            files = write_files(job, calibration, recording, display)
+            codes.append(max(report_problems(job, calibration, seen=seen), files))
     if not display.quiet and min(codes) == 0:
         more = "" if display.complete else "--details shows more. "
         rest = "Nothing was written: -o FILE.json keeps the result." if output is None else ""
@@ -325,7 +332,7 @@ def load_prior(path: Path, *, trust: bool) -> Prior:
 
 
 def parse_targets(texts: Sequence[str]) -> dict[str, float]:
-    """Targets of the command line, NAME=SIGMA in the units of the table, in SI.
+    """Targets of the command line, NAME=SIGMA in ppm, µrad, µg or °/h, in SI.
 
     Raises
     ------
@@ -375,7 +382,7 @@ def run_job(
         calibration.save(job.output)
     if not display.quiet:
         show(display.text(calibration, str(job.recording), str(job.recording)))
-    draw(calibration, job.plot, figure_title(job.name), display.truth)
+    draw(calibration, job.plot, job.name, display.truth)
     announce(job.output, job.plot, quiet=display.quiet)
     return calibration
 
@@ -398,21 +405,22 @@ def write_files(job: Job, calibration: Calibration, recording: Recording, displa
     return write_targets(calibration, job.output.parent, job.targets, recording, quiet=display.quiet)
 
 
-def report_problems(job: Job, calibration: Calibration) -> int:
-    """Print what is wrong with a result; give the exit code of its status."""
+def report_problems(job: Job, calibration: Calibration, *, seen: bool) -> int:
+    """Print what is wrong with a result, unless its report was ``seen``; give the exit code of its status."""
     from srt.reports.text.calibration import held_summary
     from srt.result.verdict import DOUBTFUL, FAILED, PARTIAL
 
     judgement = calibration.judgement
-    if judgement.word == FAILED:
+    if judgement.word == FAILED and not seen:
         kept = f"; {job.output} holds it with that status" if job.output is not None else ""
         say(f"{job.recording}: {calibration.message.rstrip('.')}{kept}.")
+    if judgement.word == FAILED:
         return DataError.exit_code
-    if judgement.word == DOUBTFUL:
+    if judgement.word == DOUBTFUL and not seen:
         warn(f"{job.recording}: {judgement}")
-    clauses = ["the verdict is partial"] * (judgement.word == PARTIAL)
+    clauses = ["the verdict is partial"] * (judgement.word == PARTIAL and not seen)
     clauses += [f"{title} is void ({reason})" for title, reason in calibration.provenance.voided.items()]
-    if calibration.held:
+    if calibration.held and not seen:
         clauses.append(f"fixed, not observed: {held_summary(calibration)}")
     if clauses:
         warn(f"{job.recording}: {'; '.join(clauses)}.")

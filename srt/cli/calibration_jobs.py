@@ -6,14 +6,17 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from srt.cli.messages import figure_title
 from srt.cli.output_paths import (
     PLOT_SUFFIXES,
     RESULT_SUFFIXES,
     check_directory,
     check_file,
+    check_place,
     picture_in,
     recording_folder,
 )
+from srt.cli.overwriting import check_replaceable
 from srt.cli.recording_arguments import file_name, unit_names
 from srt.exceptions import InputError
 
@@ -96,12 +99,14 @@ class Display:
         return self.details or self.budget or self.verdict
 
 
-def draw(calibration: Calibration, plot: Path | None, title: str, truth: SensorErrors | None = None) -> None:
-    """Write the figure of a calibration; nothing for None."""
+def draw(calibration: Calibration, plot: Path | None, name: str, truth: SensorErrors | None = None) -> None:
+    """Write the figure of a calibration, with name, serial and date as its title; nothing for None."""
     if plot is not None:
         from srt.reports.figures.calibration import calibration_figure, save_figure
 
-        save_figure(calibration_figure(calibration, truth=truth, title=title), plot)
+        serial, date = calibration.provenance.serial, calibration.provenance.date
+        title = ", ".join(filter(None, (name, serial and f"serial {serial}", date)))
+        save_figure(calibration_figure(calibration, truth=truth, title=figure_title(title)), plot)
 
 
 def plan(recordings: Sequence[Path], output: Path | None, plot: Path | None) -> tuple[Job, ...]:
@@ -129,12 +134,11 @@ def plan(recordings: Sequence[Path], output: Path | None, plot: Path | None) -> 
     if output is not None and into_folder:
         check_directory(output)
     else:
-        check_file(output, RESULT_SUFFIXES, "The result")
-    check_file(plot, PLOT_SUFFIXES, "The plot")
-    if not several:
-        file = output / f"{names[0]}.json" if output is not None and into_folder else output
-        return (Job(recordings[0], names[0], file, plot),)
-    return tuple(_job(path, name, output, plot) for path, name in zip(recordings, names, strict=True))
+        check_place(output, RESULT_SUFFIXES, "The result")
+    if several:
+        return _jobs(recordings, names, output, plot)
+    file = output / f"{names[0]}.json" if output is not None and into_folder else output
+    return _replaceable((Job(recordings[0], names[0], file, plot),))
 
 
 def plan_folder(
@@ -155,7 +159,6 @@ def plan_folder(
     from srt.cli.export import target_path
     from srt.exporters.conversion import part_paths
     from srt.exporters.registry import exporter
-    from srt.recording.folder import TOML_NAME
 
     formats = {target: exporter(target) for target in targets}
     folder = output is not None and (output.is_dir() or output.suffix.lower() not in RESULT_SUFFIXES)
@@ -164,18 +167,19 @@ def plan_folder(
     if output is None or not folder:
         return tuple(replace(job, log=log) for job in plan([recording], output, plot))
     check_directory(output)
-    if (output / TOML_NAME).exists():
-        raise InputError(f"{output} is the folder of a recording: name another one for the results.")
     name = recording_folder(recording).resolve().name if log is None else recording.stem
     place = recording if log is None else output / "recording"
     file, picture = output / "calibration.json", picture_in(output) if plot is None else plot
-    if output.is_dir():
-        check_file(file, RESULT_SUFFIXES, "The result")
-        for target, chosen in formats.items():
-            for path in part_paths(chosen, target_path(output, chosen)).values():
-                check_file(path, chosen.suffixes, f"The {target} file")
-    if plot is not None or output.is_dir():
-        check_file(picture, PLOT_SUFFIXES, "The plot")
+    written: list[tuple[Path, Sequence[str], str]] = [(file, RESULT_SUFFIXES, "The result")]
+    if picture is not None:
+        written.append((picture, PLOT_SUFFIXES, "The plot"))
+    for target, chosen in formats.items():
+        parts = part_paths(chosen, target_path(output, chosen)).values()
+        written += [(path, chosen.suffixes, f"The {target} file") for path in parts]
+    for path, suffixes, what in written:
+        if path.parent.is_dir() or path is plot:
+            check_place(path, suffixes, what)
+    check_replaceable(*(path for path, _, _ in written))
     return (Job(place, name, file, picture, log, tuple(formats)),)
 
 
@@ -215,8 +219,20 @@ def plan_fleet(recordings: Sequence[Path], output: Path | None, plot: Path | Non
                 f"The results of a fleet go to a folder, and {output} is called like a file: name another."
             )
         check_directory(output)
-    check_file(plot, PLOT_SUFFIXES, "The plot")
-    return tuple(_job(path, name, output, plot) for path, name in zip(recordings, unit_names(recordings), strict=True))
+        check_replaceable(*(output / name for name in ("fleet.csv", "fleet.json")))
+    return _jobs(recordings, unit_names(recordings), output, plot)
+
+
+def _jobs(recordings: Sequence[Path], names: Sequence[str], output: Path | None, plot: Path | None) -> tuple[Job, ...]:
+    """Jobs of several recordings, whose files can be written."""
+    return _replaceable(tuple(_job(path, name, output, plot) for path, name in zip(recordings, names, strict=True)))
+
+
+def _replaceable(jobs: tuple[Job, ...]) -> tuple[Job, ...]:
+    """Jobs, after the check that their files can be written."""
+    check_place(jobs[0].plot, PLOT_SUFFIXES, "The plot")
+    check_replaceable(*(path for job in jobs for path in (job.output, job.plot) if path is not None))
+    return jobs
 
 
 def _job(recording: Path, name: str, folder: Path | None, plot: Path | None) -> Job:

@@ -7,6 +7,7 @@ import textwrap
 import click
 
 from srt.cli.messages import show
+from srt.cli.names import FOLDERS, names_of
 
 KINDS = ("scenarios", "protocols", "plans", "campaigns", "estimators", "formats", "targets")
 
@@ -34,26 +35,24 @@ def catalogue(kinds: tuple[str, ...]) -> int:
 def _rows(kind: str) -> list[list[str]]:
     """Name and description of every entry of a kind."""
     if kind == "estimators":
-        from srt.estimation.registry import estimators
-
-        return [[name, _first_line(name)] for name in estimators()]
+        return [[name, _first_line(name)] for name in names_of(kind)]
     if kind == "formats":
-        from srt.recording.importer_registry import IMPORTERS, importer
+        from srt.recording.importer_registry import importer
 
-        return [[name, importer(name).title] for name in IMPORTERS]
+        return [[name, importer(name).title] for name in names_of(kind)]
     if kind == "targets":
         from srt.exporters import exporters
 
         return [[name, exporter.title] for name, exporter in exporters().items()]
     if kind == "protocols":
-        from srt.recording.protocol import load_protocol, protocol_names
+        from srt.recording.protocol import load_protocol
 
-        protocols = [load_protocol(name) for name in protocol_names()]
+        protocols = [load_protocol(name) for name in names_of(kind)]
         return [[p.name, f"{p.description} ({p.total_s:.0f} s)"] for p in protocols]
-    from sims.scenarios.library import configs_path, names, read_toml
+    from sims.scenarios.library import configs_path, read_toml
 
-    folder = {"scenarios": "scenario", "plans": "plan", "campaigns": "robustness"}[kind]
-    tables = {name: read_toml(configs_path() / folder / f"{name}.toml") for name in names(folder)}
+    folder = configs_path() / FOLDERS[kind]
+    tables = {name: read_toml(folder / f"{name}.toml") for name in names_of(kind)}
     return [[name, str((table | table.get("campaign", {})).get("description", ""))] for name, table in tables.items()]
 
 

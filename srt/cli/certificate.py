@@ -9,6 +9,7 @@ import click
 
 from srt.cli.messages import say, show, warn
 from srt.cli.output_paths import check_directory, check_file, make_directory
+from srt.cli.overwriting import overwrite_option
 from srt.cli.path_type import PATH
 from srt.exceptions import DataError, InputError
 
@@ -29,6 +30,7 @@ _NO_FOLDER: Final = (".pdf", ".htm", ".json", ".toml", ".txt", ".png", ".svg")
 @click.option("--limits", type=PATH, metavar="FILE.toml", help="Limits that the unit must meet.")
 @click.option("--against", type=PATH, metavar="OLD.json", help="An earlier calibration of the same unit.")
 @click.option("--lab", type=PATH, metavar="FILE.toml", help="Laboratory, equipment, conditions.")
+@overwrite_option()
 @click.option("-q", "--quiet", is_flag=True, help="No summary; warnings and errors only.")
 def certificate(
     calibration_file: Path,

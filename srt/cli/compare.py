@@ -10,8 +10,10 @@ import click
 from click.core import ParameterSource
 
 from srt.cli.calibrate import calibrate as calibrate_command
-from srt.cli.messages import announce, figure_title, say, show, warn
+from srt.cli.messages import announce, figure_title, is_seen, say, show, warn
+from srt.cli.names import Name
 from srt.cli.output_paths import RESULT_SUFFIXES, check_file, check_plot, recording_folder
+from srt.cli.overwriting import overwrite_option
 from srt.cli.path_type import PATH
 from srt.exceptions import DataError, InputError
 
@@ -42,6 +44,7 @@ _FOREIGN_TRUTH = 10.0
 @click.option(
     "--estimator",
     "names",
+    type=Name("estimators"),
     multiple=True,
     metavar="NAME",
     help="closed-form, least-squares, ekf, graph, or another that is installed; repeatable. "
@@ -49,6 +52,7 @@ _FOREIGN_TRUTH = 10.0
 )
 @click.option(
     "--reference",
+    type=Name("estimators"),
     metavar="NAME",
     help="Estimate that the others are compared with. Default: the first of "
     "graph, ekf, least-squares, closed-form that ran.",
@@ -57,6 +61,7 @@ _FOREIGN_TRUTH = 10.0
 @click.option("--plot", type=PATH, help="Figure: FILE.png, .pdf or .svg.")
 @click.option("--truth", type=PATH, help="truth.json of a simulated recording: show errors.")
 @click.option("--details", is_flag=True, help="Show the estimates and sigmas of all estimators (120 columns).")
+@overwrite_option()
 @click.option("-q", "--quiet", is_flag=True, help="No progress and no tables; warnings and errors only.")
 def compare(
     arguments: tuple[Path, ...],
@@ -113,7 +118,7 @@ def compare(
 
         save_figure(comparison_figure(comparison, title=figure_title(folder.resolve().name)), plot)
     announce(output, plot if comparison.reference is not None else None, quiet=quiet)
-    return report_problems(comparison, recording)
+    return report_problems(comparison, recording, seen=is_seen(quiet=quiet))
 
 
 # Options of 'srt calibrate' themselves, so that an option has one meaning in both commands.
@@ -254,17 +259,18 @@ def check_truth(path: Path, recording: Recording) -> None:
         raise InputError(f"The truth {path} is not that of this recording: name the file that lay beside it.")
 
 
-def report_problems(comparison: Comparison, path: Path) -> int:
-    """Print failures, disagreement and different verdicts on standard error; give the exit code."""
+def report_problems(comparison: Comparison, path: Path, *, seen: bool) -> int:
+    """Print failures, and what the report says unless it was ``seen``, on standard error; give the exit code."""
     for name, sentence in comparison.failures.items():
         say(f"{path}: {name} failed: {sentence}")
     for note in comparison.notes:
         warn(f"{path}: {note}")
     if not comparison.agree:
-        say(f"{path}: {comparison.verdict}")
+        if not seen:
+            say(f"{path}: {comparison.verdict}")
     elif comparison.truth is not None and min(map(comparison.rms_error, comparison.differences)) > _FOREIGN_TRUTH:
         warn(f"{path}: the estimates agree, but not with the truth: is it the truth of another recording?")
-    if comparison.verdicts_differ:
+    if comparison.verdicts_differ and not seen:
         say(f"{path}: {comparison.verdicts_differ}")
     well = comparison.agree and comparison.complete and not comparison.verdicts_differ
     return 0 if well else DataError.exit_code

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Self
 
 import click
 
 from srt.cli.grouped_command import GroupedCommand, RenamedOption
-from srt.cli.messages import show
+from srt.cli.messages import show, warn
 from srt.cli.output_paths import SAMPLES_FORMATS, check_recording_target
+from srt.cli.overwriting import overwrite_option
 from srt.cli.path_type import PATH
 from srt.cli.recording_arguments import check_median_force, median_force
 from srt.exceptions import DataError, InputError
@@ -18,6 +19,29 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from srt.recording.recording import Recording
+
+
+class _TypedNumber(float):
+    """Number whose text is as it was typed: zeros at its end say how exact it is."""
+
+    typed: str
+
+    def __new__(cls, typed: str) -> Self:
+        """Make the number of a text."""
+        number = super().__new__(cls, typed)
+        number.typed = typed
+        return number
+
+    def __str__(self) -> str:
+        return self.typed
+
+
+class _Typed(click.types.FloatParamType):
+    """Number that keeps its text."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> _TypedNumber:
+        super().convert(value, param, ctx)
+        return _TypedNumber(value)
 
 
 class _Unit(click.Choice):  # type: ignore[type-arg]  # generic from click 8.2 on
@@ -90,7 +114,7 @@ _STATED: Final = {
         "latitude-deg": "Latitude of the site.",
         "gravity-m-s2": "Gravity at the site, positive.",
         "height-m": "Height of the site: normal gravity, with the latitude.",
-        "gravity-sigma-m-s2": "1-sigma of gravity.",
+        "gravity-sigma-m-s2": "1-sigma of gravity; default: that of its digits.",
     },
     "Fixture": {
         "heading-deg": "Heading of the fixture's x axis, clockwise from north.",
@@ -114,7 +138,8 @@ _STATED: Final = {
 _SAY = [
     click.option("--like", type=PATH, metavar="RECORDING", help="Take site, fixture, imu and "
                  "sequences from this recording; options take precedence."),
-    *(click.option(f"--{key}", type=float, help=text) for keys in _STATED.values() for key, text in keys.items()),
+    *(click.option(f"--{key}", type=_Typed() if key == "gravity-m-s2" else float, help=text)
+      for keys in _STATED.values() for key, text in keys.items()),
     click.option("--applied", metavar="FORMAT:FILE", help="Correction that the readings had before they were logged, "
                  "as px4:vehicle.params or imucal:unit.json, or none; default: that in the log."),
     click.option("--serial", help="Serial of the unit."),
@@ -140,7 +165,7 @@ _WRITE = [
     click.option("--samples-format", cls=RenamedOption, earlier=("--to",), type=click.Choice(SAMPLES_FORMATS),
                  default="csv", show_default=True, help="Format of the samples written."),
     click.option("--force", is_flag=True, help="Write even if the accelerometers do not read gravity."),
-    click.option("--overwrite", is_flag=True, help="Write to a folder that is not empty."),
+    overwrite_option(folder=True),
     click.option("-q", "--quiet", is_flag=True, help="No summary."),
 ]  # fmt: skip
 
@@ -219,7 +244,7 @@ def read_source(source: Path, second: Path | None, given: Mapping[str, Any], *, 
         A log that cannot be read, something that has to be stated and is not, or another size than gravity.
     """
     from srt.exporters.applied_file import applied_of
-    from srt.recording.reading import read_log
+    from srt.recording.reading import gravity_warning, read_log
     from srt.reports.text.imported_log import import_text
 
     rest = {**given, "second": second}
@@ -229,6 +254,9 @@ def read_source(source: Path, second: Path | None, given: Mapping[str, Any], *, 
     recording, imported, importer = read_log(source, rest, format=name, like=like)
     if not force:
         check_gravity(recording, source, rest.get("accel_lsb"))
+    doubt = gravity_warning(recording.site)
+    if doubt is not None:
+        warn(f"{source}: {doubt}")
     return recording, import_text(recording, imported, importer, source)
 
 
@@ -242,6 +270,8 @@ def check_target(folder: Path, source: Path, second: Path | None, samples_format
     """
     check_recording_target(folder, overwrite=overwrite)
     samples = (folder / f"samples.{samples_format}").resolve()
+    if second is not None and source.resolve() == second.resolve():
+        raise InputError(f"{source} is named twice: name the file of the other sensor, or this one alone.")
     for path in (source, second):
         if path is not None and path.resolve() == samples:
             raise InputError(f"{path} would be replaced by its own conversion: name another folder than {folder}.")

@@ -8,8 +8,9 @@ import click
 
 from srt.cli.calibrate import report_problems, run_job
 from srt.cli.calibration_jobs import Display, Job
-from srt.cli.messages import show
+from srt.cli.messages import is_seen, show
 from srt.cli.output_paths import check_directory, check_recording_target, make_directory, picture_in
+from srt.cli.overwriting import TOML, check_replaceable, is_unchanged, overwrite_allowed, overwrite_option
 from srt.cli.path_type import PATH
 from srt.cli.simulate import run_scenario, summary, write_simulation
 
@@ -24,6 +25,7 @@ SCENARIO = "demo"
     "-o", "--output", default="demo-output", show_default=True, type=PATH, help="Folder for recording, result and plot."
 )
 @click.option("--seed", type=click.IntRange(min=0), help="Seed of unit, fixture and noise.")
+@overwrite_option()
 @click.option("-q", "--quiet", is_flag=True, help="The last sentence only.")
 def demo(output: Path, seed: int | None, quiet: bool) -> int:
     """Run the whole chain on a simulated unit: a navigation-grade IMU on a fixture of 1 mrad.
@@ -37,8 +39,10 @@ def demo(output: Path, seed: int | None, quiet: bool) -> int:
 
     folder = output / "recording"
     check_directory(output)
-    # A recording with a truth beside it was simulated and can be replaced; any other is kept.
-    check_recording_target(folder, overwrite=(folder / NAME).is_file())
+    # A recording with a truth beside it was simulated, and can be replaced while its recording.toml is unchanged.
+    simulated = (folder / NAME).is_file() and bool(is_unchanged(folder / TOML))
+    check_recording_target(folder, overwrite=overwrite_allowed() or simulated)
+    check_replaceable(output / "calibration.json", output / "calibration.png")
     plot = picture_in(output)
     make_directory(output)
     scenario = sims.load_scenario(SCENARIO)
@@ -55,7 +59,7 @@ def demo(output: Path, seed: int | None, quiet: bool) -> int:
     from srt.reports.text.calibration_summary import largest_error_text
 
     show(largest_error_text(calibration, truth))
-    code = report_problems(job, calibration)
+    code = report_problems(job, calibration, seen=is_seen(quiet=quiet))
     if plot is not None and not quiet:
         show(f"\nThe picture, with how to read it: {plot}")
     return code

@@ -9,7 +9,9 @@ import click
 from srt.cli.apply import check_match, load_fit, warn_of_unmeasured
 from srt.cli.grouped_command import GroupedCommand
 from srt.cli.messages import announce, say, show, warn
-from srt.cli.output_paths import check_file
+from srt.cli.names import Name
+from srt.cli.output_paths import check_directory, check_file, make_directory
+from srt.cli.overwriting import overwrite_option
 from srt.cli.path_type import PATH
 from srt.exceptions import InputError, SrtError
 
@@ -24,7 +26,17 @@ if TYPE_CHECKING:
     from srt.result.calibration import Calibration
 
 
-_USUAL = ("target", "output", "recording", "frame", "topic", "gyro_random_walk", "accel_random_walk", "applied", "list")
+_USUAL = (
+    "targets",
+    "output",
+    "recording",
+    "frame",
+    "topic",
+    "gyro_random_walk",
+    "accel_random_walk",
+    "applied",
+    "list",
+)
 """Options of the short help."""
 
 
@@ -41,8 +53,16 @@ def _list(context: click.Context, _: click.Parameter, wanted: bool) -> None:
 
 @click.command("export", cls=GroupedCommand, usual=_USUAL)
 @click.argument("calibration_file", metavar="CALIBRATION", type=PATH)
-@click.option("--to", "target", required=True, metavar="TARGET", help="Format to write; see --list.")
-@click.option("-o", "--output", type=PATH, help="File to write; without it, only the report.")
+@click.option(
+    "--to",
+    "targets",
+    required=True,
+    multiple=True,
+    type=Name("targets"),
+    metavar="TARGET",
+    help="Format to write; see --list. Repeatable.",
+)
+@click.option("-o", "--output", type=PATH, help="File to write, or a folder for several; default: only the report.")
 @click.option("--recording", type=PATH, help="Raw readings on which the difference is measured.")
 @click.option(
     "--frame", type=click.Choice(("mars", "table", "accel")), help="Axes of the file, where there is a choice."
@@ -65,20 +85,15 @@ def _list(context: click.Context, _: click.Parameter, wanted: bool) -> None:
 )
 @click.option("--force", is_flag=True, help="Accept any status of the calibration and any serial.")
 @click.option("--trust", is_flag=True, help="Accept a calibration file that was changed after it was written.")
+@overwrite_option()
 @click.option("-q", "--quiet", is_flag=True, help="No report.")
 @click.option("--list", is_flag=True, is_eager=True, expose_value=False, callback=_list, help="Show the targets.")
 def export(
     calibration_file: Path,
-    target: str,
+    targets: tuple[str, ...],
     output: Path | None,
-    recording: Path | None,
-    frame: str | None,
-    fit_asymmetry: bool,
-    applied: str | None,
-    force: bool,
-    trust: bool,
     quiet: bool,
-    **settings: Any,
+    **choices: Any,
 ) -> int:
     """Write CALIBRATION, the JSON file of 'srt calibrate -o', in the format of another tool.
 
@@ -92,6 +107,44 @@ def export(
     Exit codes: 0 success; 1 a file that does not reproduce the calibration; 2 wrong usage, unreadable input, or a
     calibration that the format cannot represent.
     """
+    from srt.exporters.registry import exporter
+
+    chosen = {name: exporter(name) for name in targets}
+    if len(chosen) == 1:
+        return export_one(calibration_file, targets[0], output, quiet=quiet, **choices)
+    if output is not None:
+        if output.suffix:
+            raise InputError(
+                f"Files for several tools go to a folder, and {output} is called like a file: name another."
+            )
+        check_directory(output)
+        make_directory(output)
+    for number, (name, item) in enumerate(chosen.items()):
+        if number and not quiet:
+            show()
+        place = None if output is None else output / f"{name}{item.suffixes[0]}"
+        # An option of other formats alone is not for this one; one of no format is refused by the first.
+        others = {option for other in chosen.values() for option in other.options} - item.options
+        fitting: dict[str, Any] = {option: None if option in others else value for option, value in choices.items()}
+        export_one(calibration_file, name, place, quiet=quiet, **fitting)
+    return 0
+
+
+def export_one(
+    calibration_file: Path,
+    target: str,
+    output: Path | None,
+    *,
+    recording: Path | None,
+    frame: str | None,
+    fit_asymmetry: bool,
+    applied: str | None,
+    force: bool,
+    trust: bool,
+    quiet: bool,
+    **settings: Any,
+) -> int:
+    """Write a calibration in the format of one tool; parameters as the options of the command."""
     from srt.exporters.applied_file import applied_of
     from srt.exporters.conversion import export as make
     from srt.exporters.conversion import save
@@ -182,9 +235,9 @@ def _check_output(chosen: Exporter, output: Path, calibration: Path) -> None:
     from srt.exporters.conversion import part_paths
 
     for place in part_paths(chosen, output).values():
-        check_file(place, chosen.suffixes, f"The {chosen.name} file")
         if place.resolve() == calibration.resolve():
             raise InputError(f"{place} is the calibration itself: name another file.")
+        check_file(place, chosen.suffixes, f"The {chosen.name} file")
 
 
 def _readings(

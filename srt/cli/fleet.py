@@ -7,7 +7,7 @@ from collections import Counter
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from srt.cli.calibration_jobs import draw
-from srt.cli.messages import figure_title, say, show, warn
+from srt.cli.messages import say, show, warn
 from srt.cli.output_paths import make_directory
 from srt.cli.progress import unit_progress
 from srt.exceptions import SrtError
@@ -113,7 +113,7 @@ def _write(unit: FleetUnit, job: Job) -> None:
         return
     if job.output is not None:
         unit.calibration.save(job.output)
-    draw(unit.calibration, job.plot, figure_title(job.name))
+    draw(unit.calibration, job.plot, job.name)
 
 
 def _tell(fleet: Fleet, jobs: Mapping[str, Job]) -> int:

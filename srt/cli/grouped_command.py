@@ -15,6 +15,17 @@ ARGUMENTS: Final = "arguments"
 """Key of the words after the name of the command in the ``meta`` of its context."""
 
 
+def with_help_all(command: click.Command) -> click.Command:
+    """Command that takes ``--help-all``; where ``--help`` shows all options, it is the same, and not shown."""
+    if not any(parameter.name == _HELP_ALL for parameter in command.params):
+        command.params.append(
+            click.Option(
+                ["--help-all"], is_flag=True, is_eager=True, expose_value=False, callback=_show_all, hidden=True
+            )
+        )
+    return command
+
+
 class GroupedCommand(click.Command):
     """Command whose ``--help`` shows the usual options, and ``--help-all`` all of them in groups.
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from typing import TYPE_CHECKING
 
 import click
 
 from srt.cli.grouped_command import RenamedOption
-from srt.cli.messages import announce, figure_title, say, show
+from srt.cli.messages import announce, figure_title, is_seen, say, show
 from srt.cli.output_paths import RESULT_SUFFIXES, check_file, check_plot, recording_folder
+from srt.cli.overwriting import overwrite_option
 from srt.cli.path_type import PATH
 from srt.exceptions import DataError
 
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 @click.option("-o", "--output", "json_file", cls=RenamedOption, earlier=("--json",), type=PATH,
               metavar="FILE", help="Result: FILE.json.")  # fmt: skip
 @click.option("--plot", type=PATH, metavar="FILE", help="Figure: FILE.png, .pdf or .svg.")
+@overwrite_option()
 @click.option("-q", "--quiet", is_flag=True, help="No table; fatal faults only.")
 def inspect(recording: Path, deep: bool, json_file: Path | None, plot: Path | None, quiet: bool) -> int:
     """Show the content of RECORDING, a folder with recording.toml and samples, and look for faults.
@@ -34,18 +35,17 @@ def inspect(recording: Path, deep: bool, json_file: Path | None, plot: Path | No
     """
     check_file(json_file, RESULT_SUFFIXES, "The inspection")
     check_plot(plot)
-    from srt.recording.atomic_file import atomic_write_text
     from srt.recording.folder import load_recording
     from srt.reports import inspection
     from srt.reports.text.inspection import inspection_report
+    from srt.result.json_file import save_json_file
 
     samples = load_recording(recording)
     found = inspection.inspect(samples, deep=deep)
     if not quiet:
         show(inspection_report(found, title=str(recording)))
     if json_file is not None:
-        document = json.dumps(found.as_dict(), indent=1, ensure_ascii=False, allow_nan=False)
-        atomic_write_text(json_file, document + "\n")
+        save_json_file(json_file, found.as_dict())
     if plot is not None:
         from srt.reports.figures.inspection import inspection_figure
         from srt.reports.figures.style import save_figure
@@ -54,7 +54,6 @@ def inspect(recording: Path, deep: bool, json_file: Path | None, plot: Path | No
         save_figure(inspection_figure(samples, found, title=title), plot)
     announce(json_file, plot, quiet=quiet)
     refusal = found.diagnosis.refusal
-    if refusal is not None:
+    if refusal is not None and not is_seen(quiet=quiet):
         say(refusal.sentence)
-        return DataError.exit_code
-    return 0
+    return 0 if refusal is None else DataError.exit_code

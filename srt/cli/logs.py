@@ -17,6 +17,7 @@ from srt.cli.convert import convert as convert_command
 from srt.cli.grouped_command import ARGUMENTS
 from srt.cli.messages import progress_line, show
 from srt.cli.output_paths import check_recording_target, make_directory
+from srt.cli.overwriting import is_unchanged
 from srt.exceptions import InputError, NotStatedError
 
 if TYPE_CHECKING:
@@ -88,7 +89,7 @@ class Log:
                 if not quiet:
                     show(f"{place}, which was made of {self.path} before, is read as it is now\n")
                 return load_recording(place)
-            if sha256_of(place / TOML_NAME) != before["recording_toml_sha256"]:
+            if not is_unchanged(place / TOML_NAME):
                 changed = ", ".join(_flag(name) for name in self.given if given[name] != before["options"].get(name))
                 raise InputError(
                     f"{place / TOML_NAME} was edited, and {changed} would replace it: enter the value there and leave "
@@ -104,7 +105,6 @@ class Log:
             "log": str(self.path),
             "log_sha256": digest,
             "options": _plain(given),
-            "recording_toml_sha256": sha256_of(place / TOML_NAME),
         }
         save_json_file(folder / _CONVERSION, about)
         if not quiet:

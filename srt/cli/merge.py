@@ -6,7 +6,7 @@ import math
 from typing import TYPE_CHECKING, Final
 
 from srt.cli.calibration_jobs import draw
-from srt.cli.messages import announce, say, show, warn
+from srt.cli.messages import announce, is_seen, say, show, warn
 from srt.exceptions import DataError
 
 if TYPE_CHECKING:
@@ -74,9 +74,10 @@ def run_merging(
     announce(output, plot, quiet=display.quiet)
     if output is None and plot is None and not display.quiet:
         show("\nNothing was written: -o FILE.json keeps the result.")
-    if merged.judgement.word == DOUBTFUL:
+    seen = is_seen(quiet=display.quiet)
+    if merged.judgement.word == DOUBTFUL and not seen:
         warn(str(merged.judgement))
-    if merged.held:
+    if merged.held and not seen:
         partial = "the verdict is partial; " * (merged.judgement.word == PARTIAL)
         warn(f"{partial}fixed, not observed: {held_summary(merged)}.")
     ratio = math.sqrt(repeated.chi_square / max(repeated.degrees_of_freedom, 1))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import sys
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Final
 
@@ -63,6 +64,11 @@ def say(sentence: str) -> None:
 def warn(sentence: str) -> None:
     """Print a warning on standard error: something that did not stop the work."""
     say(f"warning: {sentence}")
+
+
+def is_seen(*, quiet: bool) -> bool:
+    """True if a report is shown on a terminal, so that nothing in it need be said on standard error."""
+    return not quiet and sys.stdout is not None and sys.stdout.isatty()
 
 
 def announce(*paths: Path | None, quiet: bool = False) -> None:

@@ -9,6 +9,7 @@ import click
 from srt.cli.grouped_command import RenamedOption
 from srt.cli.messages import announce, figure_title, show
 from srt.cli.output_paths import RESULT_SUFFIXES, check_file, check_plot, recording_folder
+from srt.cli.overwriting import overwrite_option
 from srt.cli.path_type import PATH
 
 if TYPE_CHECKING:
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
 @click.option("--plot", type=PATH, metavar="FILE", help="Figure: FILE.png, .pdf or .svg.")
 @click.option("--force", is_flag=True, help="Accept any status of the calibration and any serial.")
 @click.option("--trust", is_flag=True, help="Accept a calibration file that was changed after it was written.")
+@overwrite_option()
 @click.option("-q", "--quiet", is_flag=True, help="No table.")
 def noise(
     log: Path, into: Path | None, json_file: Path | None, plot: Path | None, force: bool, trust: bool, quiet: bool
@@ -41,15 +43,13 @@ def noise(
 
     Exit codes: 0 success; 1 no stationary window of 30 s, or figures of no channel; 2 wrong usage or unreadable input.
     """
-    import json
-
     import numpy as np
 
     from srt.cli.apply import check_match, load_fit
     from srt.noise.allan import allan_deviation
     from srt.noise.noise_terms import noise_terms
-    from srt.recording.atomic_file import atomic_write_text
     from srt.result.document import to_document
+    from srt.result.json_file import save_json_file
     from srt.result.noise_figures import LogNoise
     from srt.sequences.rest_detection import undisturbed_rest
 
@@ -69,8 +69,7 @@ def noise(
         show(noise_report(terms, allan, title=str(log)))
     found = LogNoise(length_s=terms.length_s, samples_sha256=recording.data_sha256, channels=terms.figures())
     if json_file is not None:
-        document = to_document(found)
-        atomic_write_text(json_file, json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
+        save_json_file(json_file, to_document(found))
     if calibration is not None and into is not None:
         from dataclasses import replace
 

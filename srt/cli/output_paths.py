@@ -7,6 +7,7 @@ from importlib.util import find_spec
 from typing import TYPE_CHECKING, Final
 
 from srt.cli.messages import warn
+from srt.cli.overwriting import check_replaceable, refuse_recording
 from srt.exceptions import InputError, MissingExtraError
 from srt.recording.atomic_file import remove_leftovers, unwritable
 
@@ -45,7 +46,17 @@ def check_plot(path: Path | None) -> None:
 
 
 def check_file(path: Path | None, suffixes: Sequence[str], what: str) -> None:
-    """Check that a file can be written, before its content is computed; nothing for None.
+    """Check that a file can be written, and replaced if it exists, before its content is computed; nothing for None.
+
+    Parameters as those of :func:`check_place`. Raises InputError.
+    """
+    if path is not None:
+        check_place(path, suffixes, what)
+        check_replaceable(path)
+
+
+def check_place(path: Path | None, suffixes: Sequence[str], what: str) -> None:
+    """Check that a file of this name can be written, whether it exists or not; nothing for None.
 
     Parameters
     ----------
@@ -72,12 +83,17 @@ def check_file(path: Path | None, suffixes: Sequence[str], what: str) -> None:
 
 
 def check_directory(path: Path) -> None:
-    """Check that a folder can be created or written to, without creating it.
+    """Check that a folder for results can be created or written to, without creating it; none is in a recording.
 
     Raises
     ------
     InputError
     """
+    _check_directory(path)
+    refuse_recording(path, path)
+
+
+def _check_directory(path: Path) -> None:
     if path.exists() and not path.is_dir():
         raise InputError(f"{path} is a file, but results go to a folder: name another place.")
     existing = path
@@ -94,7 +110,7 @@ def check_recording_target(folder: Path, *, overwrite: bool) -> None:
     InputError
         A folder that cannot be written to, or, without ``overwrite``, one with files in it.
     """
-    check_directory(folder)
+    _check_directory(folder)
     remove_leftovers(folder)
     if folder.is_dir() and not overwrite and any(folder.iterdir()):
         raise InputError(f"The folder {folder} holds files already: name another, or add --overwrite.")

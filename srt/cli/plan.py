@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
@@ -10,7 +9,9 @@ from typing import TYPE_CHECKING, NamedTuple
 import click
 
 from srt.cli.messages import announce, say, show
+from srt.cli.names import Name
 from srt.cli.output_paths import RESULT_SUFFIXES, check_file, check_plot
+from srt.cli.overwriting import overwrite_option
 from srt.cli.path_type import PATH
 from srt.cli.progress import status_line
 from srt.comparison.parallel import one_thread
@@ -34,7 +35,7 @@ class PlanFiles(NamedTuple):
 
 
 @click.command()
-@click.argument("plan_file", metavar="PLAN")
+@click.argument("plan_file", metavar="PLAN", type=Name("plans", file=True))
 @click.option("--total-time", type=float, metavar="S", help="Length of the test in s, instead of the file's.")
 @click.option("-o", "--output", type=PATH, help="Schedule for srt simulate: FILE.toml.")
 @click.option("--sheet", type=PATH, help="Sheet for the operator: FILE.md.")
@@ -65,6 +66,7 @@ class PlanFiles(NamedTuple):
     "skipped.",
 )
 @click.option("--trust", is_flag=True, help="Accept a calibration file that was changed after it was written.")
+@overwrite_option()
 @click.option("-q", "--quiet", is_flag=True, help="No progress and no tables; warnings and errors only.")
 def plan(
     plan_file: str,
@@ -129,8 +131,9 @@ def make(
     from srt.planning.plan_document import operator_sheet, plan_document
     from srt.planning.plan_text import plan_text, table_1_text, unmet_targets_text
     from srt.planning.planner import table_1_plan
-    from srt.recording.atomic_file import atomic_write_text
+    from srt.recording.file_marks import write_marked_text
     from srt.reports.tables import wrap
+    from srt.result.json_file import save_json_file
 
     task = chosen.task()
     moves = chosen.plan.moves == "recorded"
@@ -139,11 +142,11 @@ def make(
     title = f"Rotation test of {chosen.imu.name} on {chosen.fixture.name}"
     if files.schedule is not None:
         head = f"# {title}: a plan, to be run by 'srt simulate'.\n"
-        atomic_write_text(files.schedule, head + scenario_toml(chosen.scenario(found)))
+        write_marked_text(files.schedule, head + scenario_toml(chosen.scenario(found)))
     if files.sheet is not None:
-        atomic_write_text(files.sheet, operator_sheet(found, title))
+        write_marked_text(files.sheet, operator_sheet(found, title))
     if files.document is not None:
-        atomic_write_text(files.document, json.dumps(plan_document(found), indent=2, allow_nan=False) + "\n")
+        save_json_file(files.document, plan_document(found))
     if files.plot is not None:
         from srt.planning.plan_figure import plan_figure
         from srt.reports.figures.style import save_figure

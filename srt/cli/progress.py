@@ -68,6 +68,8 @@ def live_text(*, quiet: bool) -> Iterator[Callable[[str], None] | None]:
 def iteration_progress(name: str, *, quiet: bool) -> Iterator[Callable[[int, float], None] | None]:
     """Yield a function of the number of an iteration and its largest correction; None if quiet.
 
+    Without a moving line, the progress of a long calibration is shown by a line every 30 s.
+
     Parameters
     ----------
     name : str
@@ -76,15 +78,17 @@ def iteration_progress(name: str, *, quiet: bool) -> Iterator[Callable[[int, flo
     if quiet:
         yield None
         return
-    before = 0
+    said = time.monotonic()
     with status_line(f"{name}: preparing") as update:
-        report = progress_line if update is None else update
 
         def show(number: int, correction: float) -> None:
-            nonlocal before
-            again = " (starts again with another model)" if number <= before else ""
-            report(f"{name}: iteration {number}{again}, largest correction {correction:.1e}")
-            before = number
+            nonlocal said
+            text = f"{name}: iteration {number}, largest correction {correction:.1e}"
+            if update is not None:
+                update(text)
+            elif time.monotonic() - said > _LINE_EVERY_S:
+                said = time.monotonic()
+                progress_line(text)
 
         yield show
 
@@ -100,6 +104,7 @@ def bar(label: str, total: int | None = None) -> Iterator[Callable[[int, int, st
 
     columns = (
         TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
+        TextColumn("left"),
     )  # fmt: skip
     with Progress(*columns, console=console, transient=True) as progress:
         task = progress.add_task(printable(label), total=total)

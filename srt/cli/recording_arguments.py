@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from srt.cli.output_paths import recording_folder
+from srt.cli.overwriting import TOML
 from srt.exceptions import InputError
 
 if TYPE_CHECKING:
@@ -17,7 +18,6 @@ if TYPE_CHECKING:
 
     from srt.recording.recording import Recording
 
-_TOML: Final = "recording.toml"
 _RESERVED: Final = "fleet"
 """Name of the files of the fleet, which stand beside the results."""
 
@@ -122,33 +122,33 @@ def check_median_force(recording: Recording) -> None:
 
 def _below(folder: Path) -> list[Path]:
     """Recordings below a folder that is not a recording itself."""
-    if not folder.is_dir() or (folder / _TOML).exists():
+    if not folder.is_dir() or (folder / TOML).exists():
         return []
     found = []
     for place, folders, names in os.walk(folder, onerror=_refuse):
-        if _TOML in names:
+        if TOML in names:
             found.append(Path(place))
             folders.clear()
             continue
         folders[:] = [name for name in folders if not name.startswith(".")]
         # The walk does not enter links, which may go in circles; a link to a recording is one all the same.
         links = (Path(place, name) for name in folders)
-        found += [link for link in links if link.is_symlink() and (link / _TOML).is_file()]
+        found += [link for link in links if link.is_symlink() and (link / TOML).is_file()]
     return sorted(found, key=_by_name)
 
 
 def _matches(pattern: str, files: Sequence[str]) -> list[Path]:
     found: list[Path] = []
     for path in sorted(map(Path, glob.glob(pattern, recursive=True)), key=_by_name):  # noqa: PTH207 - of any root
-        if (path / _TOML).is_file() or path.suffix in files:
+        if (path / TOML).is_file() or path.suffix in files:
             found.append(path)
-        elif path.name == _TOML:
+        elif path.name == TOML:
             found.append(path.parent)
         else:
             found += _below(path)
     if not found:
         raise InputError(
-            f"No recording matches the pattern {pattern}: give one of folders with {_TOML}, or of folders above such."
+            f"No recording matches the pattern {pattern}: give one of folders with {TOML}, or of folders above such."
         )
     return found
 

@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING, Final
 import click
 
 from srt.cli.messages import say, show
+from srt.cli.names import Name
 from srt.cli.output_paths import check_directory, check_file, check_recording_target
+from srt.cli.overwriting import check_replaceable, overwrite_allowed, overwrite_option
 from srt.cli.path_type import PATH
 from srt.cli.progress import count_progress
 from srt.exceptions import InputError
@@ -23,7 +25,7 @@ _ALWAYS: Final = ("trials", "converged")
 
 
 @click.command()
-@click.argument("config", metavar="CONFIG")
+@click.argument("config", metavar="CONFIG", type=Name("campaigns", file=True))
 @click.option(
     "-o",
     "--output",
@@ -43,6 +45,7 @@ _ALWAYS: Final = ("trials", "converged")
 @click.option("--fresh", is_flag=True, help="Delete the results of an earlier run in the folder.")
 @click.option("--replay", metavar="POINT:TRIAL", help="Repeat one trial and show it; -o keeps its recording.")
 @click.option("--markdown", type=PATH, help="Tables of the report: FILE.md.")
+@overwrite_option()
 @click.option("-q", "--quiet", is_flag=True, help="No progress and no table; warnings and errors only.")
 def robustness(
     config: str,
@@ -75,6 +78,7 @@ def robustness(
         campaign = replace(campaign, trials=trials)
     folder = output or Path(f"robustness-{campaign.name}")
     check_directory(folder)
+    check_replaceable(folder / "report.html")
     check_file(markdown, (".md",), "The document")
     from sims.robustness.report import html_report, markdown_tables, text_summary
     from sims.robustness.run import run_campaign
@@ -82,6 +86,7 @@ def robustness(
     from sims.robustness.tables import sentences
     from srt.comparison.parallel import Engine
     from srt.recording.atomic_file import atomic_write_text
+    from srt.recording.file_marks import write_marked_text
     from srt.reports.tables import wrap
 
     with count_progress(campaign.name, quiet=quiet) as progress:
@@ -93,7 +98,7 @@ def robustness(
     found = summarise(table, header_of(campaign, config))
     atomic_write_text(folder / "report.html", html_report(found))
     if markdown is not None:
-        atomic_write_text(markdown, markdown_tables(found))
+        write_marked_text(markdown, markdown_tables(found))
     if not quiet:
         show(rendered(_narrow(text_summary(found))))
         show("\n".join(line for sentence in sentences(found) for line in wrap(sentence)))
@@ -153,8 +158,9 @@ def show_trial(campaign: Campaign, task: tuple[int, int], output: Path | None) -
         from sims import simulate
         from srt.cli.simulate import write_simulation
 
-        check_recording_target(output, overwrite=False)
-        write_simulation(simulate(scenario), output, samples_format=scenario.recording.format, overwrite=False)
+        overwrite = overwrite_allowed()
+        check_recording_target(output, overwrite=overwrite)
+        write_simulation(simulate(scenario), output, samples_format=scenario.recording.format, overwrite=overwrite)
         show(f"Written: {output}; 'srt calibrate {output} --truth {output / 'truth.json'}' tries it again.")
     rows = [("estimator", "outcome", "iterations", "largest error / sigma", "message")]
     for row in run_trial(campaign, task):

@@ -9,7 +9,9 @@ import click
 
 from srt.cli.grouped_command import RenamedOption
 from srt.cli.messages import show
+from srt.cli.names import Name
 from srt.cli.output_paths import SAMPLES_FORMATS, check_recording_target
+from srt.cli.overwriting import overwrite_option
 from srt.cli.path_type import PATH
 
 if TYPE_CHECKING:
@@ -19,7 +21,7 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("scenario", metavar="SCENARIO")
+@click.argument("scenario", metavar="SCENARIO", type=Name("scenarios", file=True))
 @click.option("-o", "--output", required=True, type=PATH, help="Folder to write.")
 @click.option("--seed", type=click.IntRange(min=0), help="Seed; default: that of the scenario, or 1.")
 @click.option(
@@ -29,7 +31,7 @@ if TYPE_CHECKING:
     type=click.Choice(SAMPLES_FORMATS),
     help="Default: as in SCENARIO.",
 )
-@click.option("--overwrite", is_flag=True, help="Write to a folder that is not empty.")
+@overwrite_option(folder=True)
 @click.option("-q", "--quiet", is_flag=True, help="No summary.")
 def simulate(
     scenario: str, output: Path, seed: int | None, samples_format: str | None, overwrite: bool, quiet: bool

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import socket
 import sys
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import click
 
 from srt.cli.messages import output_errors, say, warn
-from srt.exceptions import InputError
+from srt.exceptions import DataError, InputError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -28,8 +29,12 @@ OPTIONS: Final = (
     click.option("--from", "source", metavar="ADDRESS", help="Correct datagrams that arrive there: udp:HOST:PORT."),
     click.option("--to", "target", metavar="ADDRESS", help="Send corrected datagrams there: udp:HOST:PORT."),
     click.option("--covariance", is_flag=True, help="Stream: append the 1-sigma of each value by the calibration."),
-    click.option("--gyro-unit", type=click.Choice(_UNITS), help="Stream: unit of the gyros.  [default: rad/s]"),
-    click.option("--accel-unit", type=click.Choice(_FORCE_UNITS), help="Stream: unit.  [default: m/s^2]"),
+    click.option(
+        "--gyro-unit", type=click.Choice(_UNITS), help="Stream: unit of the gyros.  [default: by the names, or rad/s]"
+    ),
+    click.option(
+        "--accel-unit", type=click.Choice(_FORCE_UNITS), help="Stream: unit.  [default: by the names, or m/s^2]"
+    ),
     click.option("--increments-s", type=float, metavar="SECONDS", help="Stream: increments of this duration."),
     click.option("--gyro-lsb", metavar="LSB", help="Lines of counts, RAW_IMU: value of one count, as '1/131 deg/s'."),
     click.option("--accel-lsb", metavar="LSB", help="Lines of counts, RAW_IMU: value of one, as '1/16384 g'."),
@@ -92,39 +97,25 @@ def run_stream(calibration: Calibration, frame: Any, given: dict[str, Any], *, c
     ------
     InputError
         Wrong options, or an address that cannot be used.
+    DataError
+        No sample was corrected.
     """
     from srt.constants import DEG, STANDARD_GRAVITY_M_S2
-    from srt.recording.schema import ACCEL_UNITS, GYRO_UNITS
-    from srt.stacks.stream_correction import StreamCorrector, StreamOptions
+    from srt.stacks.stream_correction import CORRECTED, StreamCorrector, StreamOptions
     from srt.stacks.text_lines import LineCorrector
 
-    dt = given["increments_s"]
-    kind = "rate" if dt is None else "increment"
-    units = []
-    for name, table, default in (
-        ("gyro_unit", GYRO_UNITS[kind], "rad/s" if dt is None else "rad"),
-        ("accel_unit", ACCEL_UNITS[kind], "m/s^2" if dt is None else "m/s"),
-    ):
-        unit = given[name] or default
-        if unit not in table:
-            raise InputError(f"The unit {unit} does not fit samples of kind {kind}: use one of {', '.join(table)}.")
-        units.append((table[unit],) * 3)
     ranges = [
         None if given[name] is None else given[name] * si
         for name, si in (("gyro_range_deg_s", DEG), ("accel_range_g", STANDARD_GRAVITY_M_S2))
     ]
     gravity = (calibration.site.gravity_m_s2 or STANDARD_GRAVITY_M_S2) if check_size else None
     options = StreamOptions(
-        units[0], units[1], dt, ranges[0], ranges[1], gravity=gravity, covariance=given["covariance"]
+        given["increments_s"], ranges[0], ranges[1], gravity=gravity, covariance=given["covariance"]
     )
     raw = stated_counts(given)
     corrector = StreamCorrector(calibration, frame, options, warn)
-    counts = None
-    if raw is not None:
-        # The corrector takes and gives values in the units of the answer.
-        answer = (*units[0], *units[1])
-        counts = raw._replace(unit=tuple(one / unit for one, unit in zip(raw.unit, answer, strict=True)))
-    lines = LineCorrector(corrector, covariance=given["covariance"], counts=counts)
+    units = {sensor: given[f"{sensor}_unit"] for sensor in ("gyro", "accel") if given[f"{sensor}_unit"]}
+    lines = LineCorrector(corrector, units=units, covariance=given["covariance"], counts=raw)
     try:
         if given["source"] is None:
             _standard(lines)
@@ -135,6 +126,8 @@ def run_stream(calibration: Calibration, frame: Any, given: dict[str, Any], *, c
         pass
     finally:
         say(corrector.summary())
+    if not corrector.counts[CORRECTED]:
+        raise DataError("No sample of the stream was corrected: send lines of CSV or JSON, or MAVLink by --from.")
     return 0
 
 
@@ -163,8 +156,10 @@ def _standard(lines: LineCorrector) -> None:
     if isinstance(sys.stdin, io.TextIOWrapper):
         # Bytes that are no text spoil their line alone.
         sys.stdin.reconfigure(errors="replace")
+    from srt.stacks.text_lines import bounded_lines
+
     write, flush = sys.stdout.write, sys.stdout.flush
-    for line in sys.stdin:
+    for line in bounded_lines(sys.stdin):
         corrected = lines.correct(line)
         with output_errors():
             write(corrected + "\n")
@@ -187,17 +182,27 @@ def _datagrams(corrector: StreamCorrector, lines: LineCorrector, raw: Counts | N
             link.bind(source)
             link.settimeout(given["timeout_s"])
             for packet in _received(link):
-                answer = correct(packet)
-                if not answer:
-                    continue
-                try:
-                    link.sendto(answer, address)
-                except OSError as error:
-                    corrector.event(NOT_SENT, f"a corrected datagram could not be sent ({error.strerror or error})")
+                for count, reason in _unsent(link, correct(packet), address):
+                    corrector.event(NOT_SENT, f"a corrected datagram could not be sent ({reason})", count)
     except OSError as error:
         raise InputError(
             f"The stream from {given['source']} to {target} cannot be used ({error.strerror or error}): check both."
         ) from None
+
+
+def _unsent(link: socket.socket, answers: list[bytes], address: Address) -> Iterator[tuple[int, str]]:
+    """Send answers as one datagram, or in halves where it is too long; the number not sent, and the reason."""
+    if not answers:
+        return
+    try:
+        link.sendto(b"".join(answers), address)
+    except OSError as error:
+        if error.errno == errno.EMSGSIZE and len(answers) > 1:
+            half = len(answers) // 2
+            yield from _unsent(link, answers[:half], address)
+            yield from _unsent(link, answers[half:], address)
+        else:
+            yield len(answers), error.strerror or str(error)
 
 
 def _received(link: socket.socket) -> Iterator[bytes]:
@@ -213,17 +218,19 @@ def _received(link: socket.socket) -> Iterator[bytes]:
 
 def _datagram_corrector(
     corrector: StreamCorrector, lines: LineCorrector, raw: Counts | None
-) -> Callable[[bytes], bytes]:
-    """Function of a datagram: MAVLink by its first byte, else lines of text."""
+) -> Callable[[bytes], list[bytes]]:
+    """Function of a datagram, which gives its answers: MAVLink by its first byte, else lines of text."""
     from srt.stacks import mavlink
 
     link: list[mavlink.MavlinkCorrector] = []
 
-    def correct(packet: bytes) -> bytes:
+    def correct(packet: bytes) -> list[bytes]:
         if packet[:1] and packet[0] in mavlink.MARKS:
             if not link:
                 link.append(mavlink.MavlinkCorrector(corrector, raw))
             return link[0].correct(packet)
-        return "".join(f"{lines.correct(line)}\n" for line in packet.decode("utf-8", "replace").splitlines()).encode()
+        # Lines end as those of standard input do.
+        text = io.StringIO(packet.decode("utf-8", "replace"), newline=None)
+        return [f"{lines.correct(line)}\n".encode() for line in text]
 
     return correct

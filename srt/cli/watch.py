@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING
 import click
 
 from srt.cli.calibration_jobs import Display, Job
-from srt.cli.messages import announce, figure_title, progress_line, show
+from srt.cli.messages import announce, figure_title, is_seen, progress_line, show, warn
+from srt.cli.names import Name
 from srt.cli.output_paths import PLOT_SUFFIXES, RESULT_SUFFIXES, check_file, recording_folder
+from srt.cli.overwriting import overwrite_option
 from srt.cli.path_type import PATH
 from srt.cli.progress import live_text
 from srt.exceptions import DataError
@@ -19,12 +21,14 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from srt.planning.monitoring.followed_test import FollowedTest
+    from srt.planning.monitoring.growing_recording import GrowingRecording
 
 
 @click.command()
 @click.argument("recording", type=PATH, metavar="RECORDING")
 @click.option(
     "--estimator",
+    type=Name("estimators", "auto"),
     default="auto",
     show_default=True,
     metavar="NAME",
@@ -35,7 +39,7 @@ if TYPE_CHECKING:
     "--target",
     multiple=True,
     metavar="NAME=SIGMA",
-    help="Sigma wanted of a parameter or group in the units of the table, as gyro_scale=1.",
+    help="Sigma wanted of a parameter or group in ppm, µrad, µg or °/h, as gyro_scale=1.",
 )
 @click.option(
     "--every", type=click.FloatRange(0.1, 3600.0), default=1.0, show_default=True, help="Time between looks, s."
@@ -49,6 +53,7 @@ if TYPE_CHECKING:
 )
 @click.option("-o", "--output", type=PATH, help="Result at the end: FILE.json.")
 @click.option("--plot", type=PATH, help="Figure of sigma against sequence: FILE.png, .pdf, .svg.")
+@overwrite_option()
 @click.option("-q", "--quiet", is_flag=True, help="Only errors of the test, and warnings of the final result.")
 def watch(
     recording: Path,
@@ -86,6 +91,7 @@ def watch(
     followed = FollowedTest(tuple(filter(None, (order or "").replace(" ", "").split(","))), targets, estimator)
     with GrowingRecording(recording) as growing, live_text(quiet=quiet) as update:
         follow(growing.grown, lambda: _look(growing, followed, update, quiet=quiet), every, idle)
+        readable = growing.without_unreadable()
     if not followed.history:
         raise DataError(f"{recording}: no sequence of Table 1 was found: check the start attitude and the fixture.")
     if not quiet:
@@ -99,7 +105,8 @@ def watch(
         save_figure(sigma_figure(followed.history, targets, title=title), plot)
         announce(plot, quiet=quiet)
     job = Job(recording, recording_folder(recording).resolve().name, output, None)
-    code = report_problems(job, run_job(job, estimator, Options(), Display(quiet=quiet)))
+    calibration = run_job(job, estimator, Options(), Display(quiet=quiet), readable)
+    code = report_problems(job, calibration, seen=is_seen(quiet=quiet))
     return max(code, DataError.exit_code if followed.open_errors else 0)
 
 
@@ -118,9 +125,17 @@ def follow(grown: Callable[[], bool], look: Callable[[], None], every_s: float, 
         return
 
 
-def _look(growing: object, followed: FollowedTest, update: Callable[[str], None] | None, *, quiet: bool) -> None:
+def _look(
+    growing: GrowingRecording, followed: FollowedTest, update: Callable[[str], None] | None, *, quiet: bool
+) -> None:
     """Process the new samples of the recording, and show the state of the test."""
-    recording = growing.read()  # type: ignore[attr-defined]
+    recording = growing.read()
+    if growing.begun_anew:
+        followed.begin()
+        growing.begun_anew = False
+    for note in growing.notes:
+        warn(note)
+    growing.notes.clear()
     if recording is None:
         return
     news = followed.take(recording)

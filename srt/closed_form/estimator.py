@@ -266,15 +266,18 @@ class _Unit(_Prepared):
         used = options
         if options.gyro_bias == "auto" and _shows_g_sensitivity(data, solution):
             used = replace(options, gyro_bias=G_SENSITIVE)
-            solution = iterate(data, used, formulas, *self.first, progress, fixed_sigma=uncertain)
-        data, solution = _with_instability(data, used, formulas, solution, uncertain)
+            count = solution.iterations(progress)
+            solution = iterate(data, used, formulas, *self.first, count, fixed_sigma=uncertain).counted(count)
+        data, solution = _with_instability(data, used, formulas, solution, uncertain, progress)
         excess, stated = NO_ERRORS, data
         if solution.status == "converged" and solution.verticals_disagree:
             excess = fixture_excess(data, solution.measurements, solution.covariance)
         if any(excess):
             data = as_found(data, excess)
             uncertain = fixed_sigma(data, options)
-            solution = iterate(data, used, formulas, solution.errors, solution.U, fixed_sigma=uncertain)
+            count = solution.iterations(progress)
+            found = iterate(data, used, formulas, solution.errors, solution.U, count, fixed_sigma=uncertain)
+            solution = found.counted(count)
         return _FinalSolution(self, stated, data, uncertain, solution, excess)
 
 
@@ -340,7 +343,12 @@ def _shows_g_sensitivity(data: PreparedRecording, solution: Solution) -> bool:
 
 
 def _with_instability(
-    data: PreparedRecording, options: Options, formulas: SelectedFormulas, solution: Solution, uncertain: Array
+    data: PreparedRecording,
+    options: Options,
+    formulas: SelectedFormulas,
+    solution: Solution,
+    uncertain: Array,
+    progress: Progress | None,
 ) -> tuple[PreparedRecording, Solution]:
     """Solution with the bias instability that residuals and rates at rest show, if that alone explains them."""
     if solution.status != "converged" or formulas.fixed.all():
@@ -363,12 +371,12 @@ def _with_instability(
     if one_group_explains(solution.sequence_tests, *before, against=gain, wholly=True):
         return data, solution
     other = replace(data, **sizes)
-    found = iterate(other, options, formulas, solution.errors, solution.U, fixed_sigma=uncertain)
+    count = solution.iterations(progress)
+    found = iterate(other, options, formulas, solution.errors, solution.U, count, fixed_sigma=uncertain).counted(count)
     fit = found.chi_square
     if found.status != "converged" or is_misfit(*fit) or contradicting_group(found.sequence_tests, *fit) is not None:
-        return data, solution
-    corrections = (*solution.corrections, *found.corrections)
-    return other, replace(found, corrections=corrections, message=f"Converged after {len(corrections)} iterations.")
+        return data, solution.counted(count)
+    return other, found
 
 
 def _fit(solution: Solution) -> tuple[float, int]:
@@ -398,6 +406,7 @@ def _result(
         U=solution.U,
         covariance=by_source,
         corrections=solution.corrections,
+        refits=solution.refits,
         status=solution.status,
         message=solution.message,
         residuals=_residuals(data, solution),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -11,6 +11,7 @@ import numpy as np
 from srt.closed_form.fixture_accuracy import verticals_disagree
 from srt.closed_form.measurement_covariance import effect
 from srt.estimation.error_sources import by_drift
+from srt.estimation.iterations import Iterations
 from srt.estimation.leave_one_out import by_size
 from srt.estimation.rest_rate_scatter import may_be_unstable
 from srt.estimation.white_residuals import PredictedGroups, WhiteResiduals
@@ -18,6 +19,7 @@ from srt.noise.drift_forms import LINEAR
 
 if TYPE_CHECKING:
     from srt.closed_form.measurement_covariance import Draws
+    from srt.estimation.registry import Progress
     from srt.estimation.srt_measurements import SrtMeasurements
     from srt.noise.drift_forms import Statistics
     from srt.sensor_errors import SensorErrors
@@ -158,6 +160,8 @@ class Solution:
         Measurements of the last iteration.
     corrections : tuple of float
         Largest correction of each iteration (accelerometer biases in g).
+    refits : tuple of int
+        See :class:`srt.estimation.iterations.Iterations`.
     status, message : str
     integrated : tuple of int
         Windows that moved; their attitude was integrated.
@@ -190,6 +194,16 @@ class Solution:
     g_sensitivity: Array
     of_units: UnitsResiduals
     row: int
+    refits: tuple[int, ...] = ()
+
+    def iterations(self, progress: Progress | None) -> Iterations:
+        """Count of the iterations so far, for another solution that follows."""
+        return Iterations(progress, self.corrections, self.refits)
+
+    def counted(self, count: Iterations) -> Solution:
+        """The same solution with all iterations."""
+        message = count.converged if self.status == "converged" else self.message
+        return replace(self, corrections=tuple(count.corrections), refits=tuple(count.refits), message=message)
 
     @property
     def white(self) -> WhiteResiduals:

@@ -5,7 +5,6 @@ The statistics of a difference are those of :mod:`srt.comparison.estimate_differ
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import dataclass, field
 from functools import partial
@@ -30,8 +29,8 @@ from srt.estimation.options import Options
 from srt.estimation.registry import ESTIMATORS, automatic_estimator, find_estimator
 from srt.exceptions import DataError, InputError, SrtError
 from srt.presentation import Presented
-from srt.recording.atomic_file import atomic_write_text
 from srt.result.document import to_document
+from srt.result.json_file import save_json_file
 from srt.result.verdict import DOUBTFUL, USABLE
 from srt.sensor_errors import NAMES, SYMBOLS, UNITS
 from srt.sequences.recognition import label_sequences
@@ -210,7 +209,7 @@ class Comparison(Presented):
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the JSON form, whole or not at all. Raises InputError if the path cannot be written."""
-        atomic_write_text(path, json.dumps(self.as_dict(), indent=1, ensure_ascii=False, allow_nan=False) + "\n")
+        save_json_file(path, self.as_dict())
 
     def _estimate_dict(self, name: str) -> dict[str, Any]:
         calibration, pair = self.calibrations[name], self.differences.get(name)

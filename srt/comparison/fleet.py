@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import csv
 import gc
-import json
+import hashlib
+import io
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -20,8 +21,9 @@ import numpy as np
 from srt.comparison.outliers import EXPECTED_FALSE_FLAGS, MINIMUM_UNITS, FleetOutliers, find_outliers
 from srt.exceptions import DataError, InputError, SrtError
 from srt.model.platform_steps import many_recordings
-from srt.recording.atomic_file import atomic_path
+from srt.recording.atomic_file import atomic_write_text
 from srt.result.diagnostics import Diagnostics
+from srt.result.json_file import save_json_file
 from srt.result.noise_figures import NoiseFigures
 from srt.result.provenance import Alignment, Provenance, StatedSite
 from srt.result.verdict import USABLE
@@ -143,21 +145,26 @@ class Fleet:
                 yield {**about, "parameter": name, "unit_si": UNITS[i], **known, "flagged": mark}
 
     def save_csv(self, path: str | PathLike[str]) -> None:
-        """Write the long table as CSV row by row, completely or not at all; unknown values are empty cells.
+        """Write the long table as CSV, completely or not at all; unknown values are empty cells.
 
         An apostrophe precedes texts that a spreadsheet would compute as a formula. Raises InputError if it cannot be
         written.
         """
-        with atomic_path(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
-            writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
-            writer.writeheader()
-            writer.writerows({key: _cell(value) for key, value in row.items()} for row in self.rows())
+        atomic_write_text(path, self._csv())
 
     def save_json(self, path: str | PathLike[str]) -> None:
-        """Write :meth:`to_dict` as JSON piece by piece, completely or not at all. Raises InputError if it cannot be."""
-        with atomic_path(path) as temporary, temporary.open("w", encoding="utf-8", newline="\n") as file:
-            json.dump(self.to_dict(), file, indent=1, ensure_ascii=False, allow_nan=False)
-            file.write("\n")
+        """Write :meth:`to_dict` as JSON, completely or not at all. Raises InputError if it cannot be written.
+
+        The digest of the CSV goes with it: a table has no place for a mark of its own.
+        """
+        save_json_file(path, self.to_dict() | {"csv_sha256": hashlib.sha256(self._csv().encode()).hexdigest()})
+
+    def _csv(self) -> str:
+        text = io.StringIO()
+        writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows({key: _cell(value) for key, value in row.items()} for row in self.rows())
+        return text.getvalue()
 
     def to_dict(self) -> dict[str, Any]:
         """JSON form: units, parameters and the long table, without NaN."""

@@ -47,8 +47,8 @@ SIGN_CONVENTION: Final = by_sensor(
     "[signs of the measured rotation angles; rotation|direction] of gravity in [the accelerometers against the "
     "gyros|each static pose]",
     "All three [gyros measure rotations with|accelerometers have] the wrong sign[| (at rest, their vector points "
-    "down)]: the unit [uses the opposite sign convention|outputs gravity instead of specific force]; map the "
-    "[gyro|accelerometer] axes as {mapping}.",
+    "down)]: the unit [uses the opposite sign convention|outputs gravity instead of specific force]; convert the log "
+    "again with --map-[gyro|accel] {mapping}.",
     "exit 1",
     axis_permutations,
 )
@@ -57,7 +57,7 @@ AXIS_FLIPPED: Final = by_sensor(
     "One [gyro|accelerometer] axis has the wrong sign",
     "[rotation angles by axis|direction of gravity in each static pose]",
     "[Gyro|Accelerometer] axis {axis} [measures rotations with|has] the wrong sign, which makes the triad left-handed:"
-    " map the [gyro|accelerometer] axes as {mapping}.",
+    " convert the log again with --map-[gyro|accel] {mapping}.",
     "exit 1",
     axis_permutations,
 )
@@ -65,7 +65,7 @@ AXES_SWAPPED: Final = by_sensor(
     "axes_swapped",
     "Two [gyro|accelerometer] axes are swapped",
     "[rotation angles by axis|direction of gravity in each static pose]",
-    "[Gyro|Accelerometer] axes {axes} are swapped: map the [gyro|accelerometer] axes as {mapping}.",
+    "[Gyro|Accelerometer] axes {axes} are swapped: convert the log again with --map-[gyro|accel] {mapping}.",
     "exit 1",
     axis_permutations,
 )
@@ -73,8 +73,8 @@ LEFT_HANDED: Final = Fault(
     "left_handed",
     "Gyros and accelerometers share a left-handed frame",
     "rotation angles and static poses together",
-    "Gyros and accelerometers agree with each other, but their frame is left-handed: map the gyro axes as "
-    "{gyro_mapping} and the accelerometer axes as {accel_mapping}.",
+    "Gyros and accelerometers agree with each other, but their frame is left-handed: convert the log again with "
+    "--map-gyro {gyro_mapping} --map-accel {accel_mapping}.",
     "exit 1",
     axis_permutations,
 )
@@ -82,8 +82,8 @@ FRAME_TURNED: Final = Fault(
     "frame_turned",
     "The axes of the unit are rotated by multiples of 90°",
     "rotation angles and static poses together",
-    "Gyros and accelerometers agree with each other, but not with the axes of the labels: map the axes of both as "
-    "{mapping}, or mount the unit along the axes of the table.",
+    "Gyros and accelerometers agree with each other, but not with the axes of the labels: convert the log again "
+    "with --map-gyro {mapping} --map-accel {mapping}, or mount the unit along the axes of the table.",
     "exit 1",
     axis_permutations,
 )
@@ -91,8 +91,8 @@ FRAMES_DISAGREE: Final = Fault(
     "frames_disagree",
     "Gyro and accelerometer frames disagree",
     "rotation of gravity in the accelerometers against the gyros",
-    "Gyros and accelerometers use different axes: map the gyro axes as {gyro_mapping} and the accelerometer axes as "
-    "{accel_mapping}.",
+    "Gyros and accelerometers use different axes: convert the log again with --map-gyro {gyro_mapping} "
+    "--map-accel {accel_mapping}.",
     "exit 1",
     axis_permutations,
 )

@@ -95,6 +95,7 @@ def build_calibration(
             unseen_errors=unseen_errors(as_found(data, result.unmodelled), observed),
             contradicted=contradicted or None,
             not_shown=_not_shown(data, options, fixed),
+            refits=result.refits or None,
         ),
         verdict=evidence,
         warnings=(*contradicted, *warnings, *_warnings(data, result, observed, turned)),
@@ -310,6 +311,7 @@ def stated_site(recording: Recording) -> StatedSite:
         gravity_m_s2=site.gravity_m_s2,
         gravity_sigma_m_s2=site.gravity_sigma_m_s2,
         latitude_sigma_deg=None if site.latitude_sigma_rad is None else float(np.degrees(site.latitude_sigma_rad)),
+        gravity_sigma_origin=site.gravity_sigma_origin,
     )
 
 

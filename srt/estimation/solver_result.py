@@ -32,6 +32,8 @@ class SolverResult:
         By source of error.
     corrections : tuple of float
         Largest correction of each iteration.
+    refits : tuple of int
+        See :class:`srt.estimation.iterations.Iterations`.
     status, message : str
     residuals : tuple of Residual
     chi_square : float
@@ -72,6 +74,7 @@ class SolverResult:
     chi_square: float
     degrees_of_freedom: int
     sensor_noise_fit: tuple[float, int]
+    refits: tuple[int, ...] = ()
     unmodelled: UnmodelledErrors = NO_ERRORS
     integrated: tuple[int, ...]
     wander: Array

@@ -11,6 +11,7 @@ from srt.exceptions import InputError
 from srt.exporters.export_model import origin
 from srt.exporters.file_format import SINGLE, Exporter
 from srt.model.sensor_model import Triad
+from srt.recording.file_marks import signed
 from srt.result.applier import Applier
 from srt.result.triad_inverse import STEPS
 
@@ -223,7 +224,7 @@ def c99_header(
     if namespace is not None:
         parts.append("#ifdef __cplusplus\n}\n#endif\n")
     parts.append(f"#undef {guard}_TABLE_\n\n#endif /* {guard} */\n")
-    return "\n".join(parts)
+    return signed("\n".join(parts))
 
 
 def _of_kind(words: dict[str, str], kind: str) -> dict[str, str]:

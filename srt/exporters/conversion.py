@@ -17,6 +17,7 @@ from srt.exporters.registry import exporter, exporters
 from srt.model.sensor_model import Triad, accel_triad, gyro_triad, outside_model, to_mars
 from srt.recording.applied import NOTHING, AppliedCorrection, applied_correction
 from srt.recording.atomic_file import atomic_path
+from srt.recording.file_marks import signed
 from srt.result.applier import Applier
 
 if TYPE_CHECKING:
@@ -155,7 +156,7 @@ def export(
         calibration, gyro.turned(C_FB), accel.turned(C_FB), frame, C_FB, settings, _g_sensitivity(calibration, C_FB)
     )
     model = alone if replaced is None else alone.composed(replaced)
-    texts = chosen.write(model)
+    texts = {part: signed(text) for part, text in chosen.write(model).items()}
     fields = chosen.read(texts)
     return ExportedCalibration(
         format=chosen,

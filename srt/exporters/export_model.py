@@ -13,6 +13,7 @@ from srt.exporters.linear_model import LinearModel
 from srt.model.rotations import rotation_vector
 from srt.noise.allan import FLAT, TERMS
 from srt.noise.stated_figures import stated_term, white_noise
+from srt.recording.file_marks import UNSIGNED
 from srt.recording.schema import LARGEST_ELEMENT
 
 if TYPE_CHECKING:
@@ -140,7 +141,10 @@ class ExportModel:
 
 
 def origin(calibration: Calibration) -> list[str]:
-    """ASCII lines on the unit, the test and the software; texts keep only characters that cannot end a comment."""
+    """ASCII lines on the unit, the test and the software, and the mark of the file.
+
+    Texts keep only characters that cannot end a comment.
+    """
     known, source = calibration.temperature, calibration.provenance
     words = {
         "serial": source.serial,
@@ -151,6 +155,7 @@ def origin(calibration: Calibration) -> list[str]:
         "SHA-256": source.data_sha256,
     }
     stated = {key: _UNSAFE.sub("_", str(value or "not stated"))[:200] for key, value in words.items()}
+    stated["digest"] = UNSIGNED
     return [f"{key + ':':<12} {value}" for key, value in stated.items()]
 
 

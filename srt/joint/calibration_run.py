@@ -19,6 +19,7 @@ from srt.estimation.fixed_parameters import (
     reason_on_request,
     seen_by_earth_rate_alone,
 )
+from srt.estimation.iterations import Iterations
 from srt.estimation.observability import observed_limit
 from srt.joint.initial_attitudes import placed
 from srt.joint.iteration import iterate, observable_parameters
@@ -65,7 +66,8 @@ def run(joint: JointModel, solver: JointSolver, progress: Progress | None) -> Ca
         If an option does not apply to joint estimation.
     """
     joint.options.refuse(("step", "down", "measured_vertical", "window_attitude"), "Joint estimation")
-    joint, found = _with_sound_moves(joint, solver, progress)
+    count = Iterations(progress)
+    joint, found = _with_sound_moves(joint, solver, count)
     options = joint.options
     unseen = _not_shown_by_poses(joint)
     requested = np.array([name in unseen or name in options.fixed_names for name in NAMES])
@@ -73,8 +75,8 @@ def run(joint: JointModel, solver: JointSolver, progress: Progress | None) -> Ca
     iteration = IterationState(start, ~requested) if found is None else found
     held: Diagnostics | None = None
     for _ in range(_ROUNDS * (1 + MOST_TERMS)):
-        iteration = iterate(joint, solver, iteration, requested=requested, progress=progress)
-        iteration = _with_still_windows(joint, solver, iteration, requested, progress)
+        iteration = iterate(joint, solver, iteration, requested=requested, count=count)
+        iteration = _with_still_windows(joint, solver, iteration, requested, count)
         uncertain = _fixed_sigma(joint)
         if (found_held := _integrate_moving_windows(joint, solver, iteration, uncertain)) is not None:
             held = found_held
@@ -111,6 +113,9 @@ def run(joint: JointModel, solver: JointSolver, progress: Progress | None) -> Ca
             break
         iteration.free = iteration.free & ~weak
         iteration.state = joint.with_fixed_values(iteration.state, weak)
+    iteration.corrections, iteration.refits = count.corrections, count.refits
+    if iteration.status == "converged":
+        iteration.message = count.converged
     uncertain = _fixed_sigma(joint)
     reasons = unseen | {name: reason_on_request(name, uncertain, joint.data) for name in options.fixed_names}
     return make_calibration(joint, solver, iteration, FixedParameters(reasons, uncertain), held)
@@ -126,7 +131,7 @@ def _with_drift(
     solver: JointSolver,
     iteration: IterationState,
     requested: Mask,
-    progress: Progress | None,
+    count: Iterations,
     accused: Callable[[IterationState], int],
 ) -> IterationState | None:
     """Solution with bias drift if less than half of the windows or moves accused without it are so beside it."""
@@ -135,7 +140,7 @@ def _with_drift(
     before = left = accused(iteration)
     while left and add_drift(joint, solver, found):
         solver.restart()
-        found = iterate(joint, solver, found, requested=requested, progress=progress)
+        found = iterate(joint, solver, found, requested=requested, count=count)
         if found.status != "converged":
             left = before
             break
@@ -148,7 +153,7 @@ def _with_drift(
 
 
 def _with_still_windows(
-    joint: JointModel, solver: JointSolver, iteration: IterationState, requested: Mask, progress: Progress | None
+    joint: JointModel, solver: JointSolver, iteration: IterationState, requested: Mask, count: Iterations
 ) -> IterationState:
     """Solution with a bias drift, if that explains why windows seem to move."""
 
@@ -158,7 +163,7 @@ def _with_still_windows(
 
     if iteration.status != "converged":
         return iteration
-    return _with_drift(joint, solver, iteration, requested, progress, moving) or iteration
+    return _with_drift(joint, solver, iteration, requested, count, moving) or iteration
 
 
 def _integrate_moving_windows(
@@ -222,7 +227,7 @@ def _not_shown_by_poses(joint: JointModel) -> dict[str, str]:
 
 
 def _with_sound_moves(
-    joint: JointModel, solver: JointSolver, progress: Progress | None
+    joint: JointModel, solver: JointSolver, count: Iterations
 ) -> tuple[JointModel, IterationState | None]:
     """Leave out the moves that contradict the other measurements, one after the other.
 
@@ -231,7 +236,7 @@ def _with_sound_moves(
     requested = np.array([name in joint.options.fixed_names for name in NAMES])
     while joint.data.moves:
         start = IterationState(joint.with_fixed_values(joint.start, requested), ~requested)
-        iteration = iterate(joint, solver, start, requested=requested, progress=progress)
+        iteration = iterate(joint, solver, start, requested=requested, count=count)
         if iteration.status != "converged":
             solver.restart()
             break
@@ -247,7 +252,7 @@ def _with_sound_moves(
         def accused(found: IterationState, joint: JointModel = joint) -> int:
             return len(_contradicting_move(joint, solver, found))
 
-        found = _with_drift(joint, solver, iteration, requested, progress, accused)
+        found = _with_drift(joint, solver, iteration, requested, count, accused)
         if found is not None:
             return joint, found
         joint = joint.without_moves(reasons)

@@ -27,7 +27,7 @@ from srt.model.sensor_model import outside_model
 from srt.sensor_errors import N_PARAMETERS, SensorErrors
 
 if TYPE_CHECKING:
-    from srt.estimation.registry import Progress
+    from srt.estimation.iterations import Iterations
     from srt.joint.joint_model import JointModel
     from srt.joint.joint_state import CompensatedData, JointState
     from srt.joint.linear_system import Columns, LinearSystem
@@ -89,7 +89,7 @@ def iterate(
     iteration: IterationState,
     *,
     requested: Mask,
-    progress: Progress | None = None,
+    count: Iterations | None = None,
     converged: tuple[float, float] = (CONVERGED_CORRECTION, CONVERGED_SIGMAS),
     max_step: float = MAX_STEP,
 ) -> IterationState:
@@ -103,7 +103,8 @@ def iterate(
         Initial state and free parameters.
     requested : ndarray of bool, shape (27,)
         Parameters fixed on request.
-    progress : callable, optional
+    count : Iterations, optional
+        Count over all models.
     converged : (float, float)
         Corrections below either limit are negligible: absolute, and in sigmas.
     max_step : float
@@ -111,6 +112,8 @@ def iterate(
     """
     corrections: list[float] = [] if iteration.corrections is None else iteration.corrections
     iteration.corrections = corrections
+    if count is not None:
+        count.begin()
     scatter_updates = 0
     damping = _Damping()
     observability_known = not np.array_equal(iteration.free, ~requested)
@@ -126,7 +129,7 @@ def iterate(
                 # A wide prior is added. Parameters whose sigma remains near that of the prior are fixed at the end.
                 solver.prior = default_prior()
         solver.observability_pending = not observability_known
-        correction = _correct(solver, iteration, point, max_step, damping, progress)
+        correction = _correct(solver, iteration, point, max_step, damping, count)
         if correction is None:
             break
         sigma = iteration.sigma
@@ -228,7 +231,7 @@ def _correct(
     point: Linearisation,
     max_step: float,
     damping: _Damping,
-    progress: Progress | None,
+    count: Iterations | None,
 ) -> Array | None:
     """Solve the linearised model and correct the state; None if there is no valid correction, with the status set."""
     iteration.status = "outside_model"  # the caller overwrites this status after a valid correction
@@ -248,8 +251,8 @@ def _correct(
     delta, correction = share * delta, share * correction
     assert iteration.corrections is not None
     iteration.corrections.append(size)
-    if progress is not None:
-        progress(len(iteration.corrections), size)
+    if count is not None:
+        count(len(iteration.corrections), size)
     iteration.state = apply_correction(point.state, point.columns, delta)
     iteration.point, iteration.covariance = point, solved.covariance
     if solved.whole is not None:

@@ -86,6 +86,7 @@ def make_calibration(
         U=iteration.state.U,
         covariance=analysis.covariance,
         corrections=tuple(iteration.corrections or ()),
+        refits=tuple(iteration.refits),
         status=iteration.status,
         message=iteration.message,
         residuals=analysis.residuals,

@@ -102,6 +102,8 @@ class IterationState:
     covariance : ndarray, shape (27, 27)
     corrections : list of float
         Largest correction of every iteration, accelerometer bias in g.
+    refits : list of int
+        See :class:`srt.estimation.iterations.Iterations`.
     status, message : str
     whole : tuple of Linearisation, Prior or None, BlockSolution
         Last linearisation and prior, and the solution of all columns that follows from them.
@@ -114,6 +116,7 @@ class IterationState:
     point: Linearisation | None = None
     covariance: Array | None = None
     corrections: list[float] | None = None
+    refits: list[int] = field(default_factory=list)
     status: str = "not_converged"
     message: str = ""
     whole: tuple[Linearisation, Prior | None, BlockSolution] | None = None

@@ -16,6 +16,7 @@ import numpy as np
 
 from srt.exceptions import InputError, optional
 from srt.recording.file_guards import clear_errors, load_pyarrow, require_size
+from srt.recording.parquet_pages import decoded_size
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -30,10 +31,10 @@ _NPY_MAGIC = b"\x93NUMPY"
 NUMBERS: Final = "fiu"
 """Kinds of NumPy's types that hold readings; stamps may also be of "mM", durations and dates."""
 
-NPZ_EXPANSION_LIMIT: Final = 100
-"""Largest ratio of the arrays of an NPZ archive to its size; recorded samples compress by 2 to 10."""
+EXPANSION_LIMIT: Final = 100
+"""Largest ratio of all arrays of a file to its size; recorded samples compress by 2 to 10."""
 
-NPZ_SLACK_BYTES: Final = 256 << 20
+EXPANSION_SLACK_BYTES: Final = 256 << 20
 """Size of arrays, bytes, accepted at any ratio: constant columns compress a thousandfold, and it loads in about 1 s."""
 
 _PANDAS_INDEX = "__index_level_0__"  # column in which pandas writes an index without a name
@@ -90,14 +91,19 @@ def _check_member(path: Path, archive: Any, name: str, member: str, file_size: i
     """Check the headers of one array of an archive, and the size of all. Raises InputError."""
     info = archive.zip.getinfo(member)
     require_size(path, f"array {name}", info.file_size, min(info.compress_size, file_size))
-    total = sum(each.file_size for each in archive.zip.infolist())
-    if total > NPZ_EXPANSION_LIMIT * file_size + NPZ_SLACK_BYTES:
-        raise InputError(
-            f"{path}: the arrays are stated to be {total} bytes long, more than {NPZ_EXPANSION_LIMIT} times the "
-            f"{file_size} bytes of the archive: the file is damaged or not a recording; export it again."
-        )
+    _require_expansion(path, sum(each.file_size for each in archive.zip.infolist()))
     with archive.zip.open(info) as stream:
         _require_plain(path, f"array {name}", *_npy_header(stream), info.file_size)
+
+
+def _require_expansion(path: Path, total: int) -> None:
+    """Refuse arrays that are together far larger than their file. Raises InputError."""
+    size = path.stat().st_size
+    if total > EXPANSION_LIMIT * size + EXPANSION_SLACK_BYTES:
+        raise InputError(
+            f"{path}: its arrays are {total} bytes long when decoded, more than {EXPANSION_LIMIT} times the {size} "
+            "bytes of the file: it is damaged or not a recording; export it again."
+        )
 
 
 def _npy_header(stream: Any) -> tuple[tuple[int, ...], np.dtype[Any]]:
@@ -130,6 +136,7 @@ def open_hdf5(path: Path, title: str = "HDF5 file", *, matlab: bool = False) -> 
     try:
         shapes: dict[str, tuple[int, ...]] = {}
         units: dict[str, str] = {}
+        sizes: list[int] = []
 
         def note(name: str, node: Any) -> bool | None:
             text = matlab and node.attrs.get("MATLAB_class") in (b"char", b"cell", b"logical")
@@ -146,7 +153,8 @@ def open_hdf5(path: Path, title: str = "HDF5 file", *, matlab: bool = False) -> 
         def read(name: str) -> NDArray[Any]:
             group, _, last = name.rpartition("/")
             with clear_errors(path, title):
-                _check_dataset(path, h5py, file[group] if group else file, last, size)
+                sizes.append(_check_dataset(path, h5py, file[group] if group else file, last, size))
+                _require_expansion(path, sum(sizes))
                 values = np.asarray(file[name][()])
             return values.T if matlab else values
 
@@ -178,8 +186,8 @@ def _unit_attribute(h5py: Any, attributes: Any) -> str | None:
     return None
 
 
-def _check_dataset(path: Path, h5py: Any, group: Any, name: str, file_size: int) -> None:
-    """Refuse a link or a dataset in another file, and a dataset larger than its file allows."""
+def _check_dataset(path: Path, h5py: Any, group: Any, name: str, file_size: int) -> int:
+    """Bytes of a dataset. Raises InputError for a link, for one in another file, or larger than its file allows."""
     if not isinstance(group.get(name, getlink=True), h5py.HardLink):
         raise InputError(f"{path}: {name} is a link to another place, which is not followed: copy the data there.")
     node = group[name]
@@ -189,9 +197,11 @@ def _check_dataset(path: Path, h5py: Any, group: Any, name: str, file_size: int)
         raise InputError(f"{path}: {name} is kept in another file, which is not opened: copy the data there.")
     stored = min(int(node.id.get_storage_size()), file_size)
     item = int(node.dtype.itemsize)
-    require_size(path, f"dataset {name}", math.prod(int(n) for n in node.shape or ()) * item, stored)
+    total = math.prod(int(n) for n in node.shape or ()) * item
+    require_size(path, f"dataset {name}", total, stored)
     if node.chunks is not None:
         require_size(path, f"a chunk of dataset {name}", math.prod(int(n) for n in node.chunks) * item, file_size)
+    return total
 
 
 def _check_trees(path: Path) -> None:
@@ -237,20 +247,23 @@ def open_parquet(path: Path) -> Iterator[ArrayFile]:
             require_size(path, "the table", 8 * rows, path.stat().st_size)
             types = {each.name: each.type for each in file.schema_arrow}
             names = tuple(file.schema_arrow.names)
-        stamps = {name: "M8" for name, kind in types.items() if pa.types.is_timestamp(kind)}
-        stamps |= {name: "m8" for name, kind in types.items() if pa.types.is_duration(kind)}
-        numbers = [name for name, kind in types.items() if pa.types.is_floating(kind) or pa.types.is_integer(kind)]
+            stamps = {name: "M8" for name, kind in types.items() if pa.types.is_timestamp(kind)}
+            stamps |= {name: "m8" for name, kind in types.items() if pa.types.is_duration(kind)}
+            numbers = [name for name, kind in types.items() if pa.types.is_floating(kind) or pa.types.is_integer(kind)]
+            _check_decoded(path, rows, (*numbers, *stamps))
         index = _PANDAS_INDEX if _PANDAS_INDEX in stamps and "time" not in types else None
 
         def read(shown: str) -> NDArray[Any]:
             name = index if index is not None and shown == "time" else shown
+            if name not in (*numbers, *stamps):
+                raise InputError(f"{path}: column {name} is of type {types[name]}, but numbers are expected.")
             with clear_errors(path, "Parquet file"):
                 column = file.read(columns=[name]).column(0)
+                if len(column) != rows:
+                    raise ValueError(f"column {name} has {len(column)} rows of {rows}")
                 if name in stamps:
                     ticks: NDArray[Any] = column.cast(pa.int64()).to_numpy()
                     return ticks.astype(f"{stamps[name]}[{types[name].unit}]")
-                if name not in numbers:
-                    raise InputError(f"{path}: column {name} is of type {column.type}, but numbers are expected.")
                 values: NDArray[Any] = column.to_numpy()  # an absent value becomes nan
             return values
 
@@ -258,3 +271,15 @@ def open_parquet(path: Path) -> Iterator[ArrayFile]:
         # A name that comes twice stays twice, for the message that refuses it.
         twice = [name for i, name in enumerate(names) if name in names[:i]]
         yield ArrayFile(path, shapes, read, others=(*(name for name in types if name not in (*shapes, index)), *twice))
+
+
+def _check_decoded(path: Path, rows: int, columns: tuple[str, ...]) -> None:
+    """Refuse columns whose values, as runs of one value, or whose pages are far larger than their file.
+
+    Raises InputError; ValueError or LookupError for a file that contradicts itself.
+    """
+    _require_expansion(path, 8 * rows * len(columns))
+    size = decoded_size(path, columns)
+    if size.rows != rows:
+        raise ValueError(f"its groups have {size.rows} rows of {rows}")
+    _require_expansion(path, size.page_bytes)

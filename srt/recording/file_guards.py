@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 from contextlib import contextmanager
 from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from srt.exceptions import InputError, MissingExtraError, SrtError, clipped
@@ -12,7 +13,6 @@ from srt.exceptions import InputError, MissingExtraError, SrtError, clipped
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from os import PathLike
-    from pathlib import Path
 
 MAX_BYTES: Final = 64 << 20
 """Largest document, bytes: a calibration takes a few kilobytes for each sequence, so thousands of sequences."""
@@ -37,6 +37,8 @@ def read_bounded(path: str | PathLike[str], limit: int = MAX_BYTES) -> bytes:
     Raises OSError for a file that cannot be read, or is longer; its ``strerror`` is a clause that says why.
     """
     data = bytearray()
+    if Path(path).is_dir():
+        raise IsADirectoryError(errno.EISDIR, "it is a folder, and a file is expected")
     with open(path, "rb", buffering=0) as file:  # noqa: PTH123 - any path-like is welcome
         while part := file.read(_PART):
             data += part

@@ -22,6 +22,7 @@ from srt.recording.protocol import load_protocol
 from srt.recording.recording import Fixture, ImuNoise, Recording, Site
 from srt.recording.samples import read_samples
 from srt.recording.schema import (
+    ASSUMED,
     COUNTS,
     POSE_KEYS,
     SECTIONS,
@@ -73,7 +74,7 @@ def load_recording(path: str | os.PathLike[str]) -> Recording:
     about = read_metadata(str(toml), document)
     if "samples" not in main:
         raise InputError(f'{toml}: recording.samples is missing: name the samples file, as samples = "samples.csv".')
-    samples_path = _inside(toml, main["samples"])
+    samples_path = samples_inside(toml, main["samples"])
     try:
         return to_recording(
             _samples(toml, samples_path, main),
@@ -205,8 +206,8 @@ def _conversion_advice(path: Path, what: str) -> str:
     return f"convert the {what} ({title}): srt convert {path} -o DIR"
 
 
-def _inside(toml: Path, name: str) -> Path:
-    """Path of the samples, which must lie in the recording's folder; symbolic links are resolved."""
+def samples_inside(toml: Path, name: str) -> Path:
+    """Path of the samples, which must lie in the recording's folder; symbolic links are resolved. Raises InputError."""
     path = toml.parent / name
     try:
         # A bag may be a folder with links as files.
@@ -240,6 +241,8 @@ def _read_site(file: str, document: Mapping[str, Any]) -> Site:
             )
         gravity = normal_gravity_m_s2(given["latitude_rad"], site["height_m"])
         given = {"gravity_m_s2": gravity, "gravity_sigma_m_s2": _NORMAL_GRAVITY_SIGMA_M_S2, **given}
+    if "gravity_sigma_m_s2" not in site:
+        given["gravity_sigma_origin"] = ASSUMED
     return Site(**given)
 
 

@@ -29,6 +29,11 @@ REBASE_BEYOND_S: Final = 1e6
 
 _SI: Final = {"rate": {"gyro": "rad/s", "accel": "m/s²"}, "increment": {"gyro": "rad", "accel": "m/s"}}
 
+_LONGEST_LIST: Final = 300  # characters of the names of columns in a message
+_COUNTER: Final = 2**32
+"""Number of values of the counter of many loggers."""
+_MOST_LOST: Final = 1000.0
+"""Intervals that a counter may jump over as it overflows; stamps in disorder jump anywhere."""
 _PLAUSIBLE_EPOCH_S = (9e8, 7e9)  # stamps, s, that a note shows as a date since 1970: the years 1998 to 2191
 
 
@@ -65,6 +70,8 @@ class ImportedSamples:
         Sentences on assumptions, dropped samples and changes.
     applied : AppliedCorrection or None
         Correction that the system that wrote the log had applied; None: not known.
+    unread : tuple of str
+        Names of columns that are not read.
     """
 
     gyro: Array
@@ -78,6 +85,7 @@ class ImportedSamples:
     units: dict[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     applied: AppliedCorrection | None = None
+    unread: tuple[str, ...] = ()
 
 
 def samples_in_si(
@@ -121,6 +129,8 @@ def samples_in_si(
     if time is not None and time.dtype.kind in "mM":
         time, unit = _ticks(time, options)
         stated = replace(stated, time=unit)
+    if time is not None and options.sample_rate_hz and (options.time_unit or stated.time) not in UNITS[TIME]:
+        time, notes = None, (*notes, stamps_without_unit())
     require_units(
         options, {"gyro": stated.gyro, "accel": stated.accel} | ({} if time is None else {"time": stated.time})
     )
@@ -178,7 +188,7 @@ def seconds_of(stamps: NDArray[Any], unit: str, notes: list[str]) -> Array:
     # Division by a power of ten rounds once; the reciprocal of a power of ten is no double.
     divisor = round(1.0 / factor)
     if stamps.dtype.kind in "iu":
-        stamps = stamps.astype(np.int64)  # differences of shorter or unsigned integers may overflow
+        stamps = _counted_on(stamps.astype(np.int64), notes)  # differences of unsigned integers may overflow
     if stamps.size and REBASE_BEYOND_S < abs(float(stamps[0])) * factor < np.inf:
         first = stamps[0]
         start = float(first) * factor
@@ -189,6 +199,27 @@ def seconds_of(stamps: NDArray[Any], unit: str, notes: list[str]) -> Array:
         notes.append(f"Time is counted from the first stamp, {first} {unit}{epoch}.")
         stamps = stamps - first
     return np.asarray(stamps / divisor, dtype=np.float64)
+
+
+def _counted_on(stamps: NDArray[Any], notes: list[str]) -> NDArray[Any]:
+    """Stamps, shape (n,), of a counter of 32 bits without its overflows, with a note; others as they are.
+
+    An overflow is told from stamps in disorder by its size: but for some samples, that of the whole counter.
+    """
+    steps = np.diff(stamps)
+    back = steps < 0
+    if not back.any() or stamps.min() < 0 or stamps.max() >= _COUNTER:
+        return stamps
+    if np.any(steps[back] + _COUNTER > _MOST_LOST * max(float(np.median(steps)), 1.0)):
+        return stamps
+    times = f"{int(back.sum())} times" if back.sum() > 1 else "once"
+    notes.append(f"The 32-bit counter of the time stamps overflowed {times}, and is counted on.")
+    return np.asarray(stamps + _COUNTER * np.concatenate(([0], np.cumsum(back))))
+
+
+def stamps_without_unit() -> str:
+    """Note on stamps that a stated rate replaces."""
+    return f"The time stamps are not used: their unit is not stated, and {option('sample_rate_hz')} is."
 
 
 def join_streams(gyro_time: Array, accel_time: Array, accel: Array, notes: list[str]) -> tuple[slice | Indices, Array]:
@@ -301,9 +332,13 @@ def to_recording(
     time, rate = imported.time, imported.sample_rate_hz
     if time is None:
         if rate is None:
+            way = "name the column of time"
+            if imported.unread:
+                found = clipped(", ".join(map(clipped, imported.unread)), _LONGEST_LIST)
+                way += f", as {option('columns')} '{TIME}={clipped(imported.unread[0])}' (columns not read: {found})"
             raise NotStatedError(
                 f"There are no time stamps: give the rate with {option('sample_rate_hz')} (sample_rate_hz in "
-                "recording.toml), or name the column of time.",
+                f"recording.toml), or {way}.",
                 missing=["sample_rate_hz"],
             )
         time = np.arange(1, len(imported.gyro) + 1) / rate

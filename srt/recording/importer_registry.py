@@ -143,6 +143,10 @@ def find_importer(path: Path, name: str = AUTO) -> Importer:
     for candidate in known:
         if suffix in candidate.suffixes:
             return candidate
+    if path.is_dir():
+        raise InputError(
+            f"{path} is a folder, and not one of a format that is a folder (srt convert --list): name the log in it."
+        )
     raise InputError(f"The format of {path} was not recognised: name it with {option('format')}, as one of {_names()}.")
 
 

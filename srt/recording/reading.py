@@ -7,29 +7,33 @@ The keywords are the keys of ``recording.toml`` and the fields of
 from __future__ import annotations
 
 import hashlib
+import math
 import os
 import re
 from collections.abc import Mapping
 from dataclasses import fields, replace
+from decimal import Decimal
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from srt.arguments import real_array, require_type
+from srt.constants import STANDARD_GRAVITY_M_S2
 from srt.exceptions import InputError, NotStatedError, did_you_mean
 from srt.recording.folder import TOML_NAME, load_recording, read_document, read_metadata, sha256_of
 from srt.recording.import_options import CHANNELS, TRIADS, ImportOptions
 from srt.recording.imported_samples import StatedUnits, in_imu_axes, samples_in_si, to_recording
 from srt.recording.importer_registry import AUTO, import_file
-from srt.recording.recording import Recording
+from srt.recording.recording import GRAVITY_SIGMA_M_S2, Recording
 from srt.recording.samples import TIME
-from srt.recording.schema import SECTIONS
+from srt.recording.schema import ASSUMED, SECTIONS
 from srt.recording.writing import sections_of
 
 if TYPE_CHECKING:
     from srt.recording.imported_samples import ImportedSamples
     from srt.recording.importer_registry import Importer
+    from srt.recording.recording import Site
 
 SECTION_KEYS: Final = {section: tuple(key.name for key in SECTIONS[section]) for section in ("site", "fixture", "imu")}
 """Keys of the sections of ``recording.toml`` that can be given as keywords."""
@@ -38,6 +42,11 @@ IDENTIFICATION_KEYS: Final = ("serial", "date", "temperature_c", "applied")
 STATED_KEYS: Final = (*SAMPLES_KEYS, *IDENTIFICATION_KEYS, *(key for keys in SECTION_KEYS.values() for key in keys))
 """Keywords of :func:`read` other than ``format`` and ``like``."""
 READING_KEYS: Final = frozenset((*STATED_KEYS, "format", "like"))
+
+_GRAVITY: Final = ("gravity_m_s2", "height_m", "gravity_sigma_m_s2", "gravity_sigma_origin")
+ANYWHERE_SIGMA_M_S2: Final = 0.02
+"""Standard deviation of gravity between places, m/s²: it goes from 9.780 at the equator to 9.832 at the poles at sea
+level, 0.015 if uniformly distributed, and falls by 0.003 for each kilometre of height."""
 
 _SI_UNITS: Final = {"rate": StatedUnits("rad/s", "m/s^2", "s"), "increment": StatedUnits("rad", "m/s", "s")}
 """Units of arrays by kind, unless others are stated: those of this package."""
@@ -157,7 +166,7 @@ def surroundings(given: Mapping[str, Any], like: str | os.PathLike[str] | Record
             "or name a recording of the same place with --like.",
             missing=[key for key in ("latitude_deg", "height_m") if key not in site],
         )
-    name = str(like) if isinstance(like, str | os.PathLike) else "What was said of the recording"
+    name = str(like) if isinstance(like, str | os.PathLike) else "As stated"
     about = read_metadata(name, document)
     return about | {"sequences": like.sequences} if isinstance(like, Recording) else about
 
@@ -181,7 +190,7 @@ def restated(
         other = sections_of(like if isinstance(like, Recording) else load_recording(like))
         document |= other
     _state(document, given)
-    about = read_metadata("What was said of the recording", document)
+    about = read_metadata("As stated", document)
     rest = {key: given[key] for key in ("serial", "date", "sample_rate_hz", "applied") if key in given}
     return replace(recording, **{name: about[name] for name in ("site", "fixture", "noise")}, **rest)
 
@@ -189,14 +198,44 @@ def restated(
 def _state(document: dict[str, Any], given: Mapping[str, Any]) -> None:
     """Enter what is stated in the sections of ``recording.toml``."""
     for section, keys in SECTION_KEYS.items():
-        said = {key: given[key] for key in keys if given.get(key) is not None}
+        # Numbers of numpy are numbers, too.
+        said = {k: v.item() if isinstance(v, np.generic) else v for k in keys if (v := given.get(k)) is not None}
         before = document.get(section, {})
         # A section that is no table is refused by name when the document is read.
         if not said or not isinstance(before, dict):
             continue
-        # Gravity that is given replaces all values from the other recording.
-        drop = {"gravity_m_s2", "height_m", "gravity_sigma_m_s2"} if {"gravity_m_s2", "height_m"} & set(said) else set()
+        # Gravity that is given replaces all values from the other recording, and a sigma its origin.
+        drop = set(_GRAVITY) if {"gravity_m_s2", "height_m"} & set(said) else set()
+        drop |= {"gravity_sigma_origin"} if "gravity_sigma_m_s2" in said else set()
+        gravity = said.get("gravity_m_s2")
+        if isinstance(gravity, int | float) and math.isfinite(gravity) and "gravity_sigma_m_s2" not in said:
+            said |= {"gravity_sigma_m_s2": sigma_of_digits(gravity), "gravity_sigma_origin": ASSUMED}
         document[section] = {key: value for key, value in before.items() if key not in drop} | said
+
+
+def sigma_of_digits(gravity_m_s2: float) -> float:
+    """1-sigma, m/s², of a gravity that is stated without one.
+
+    Half a unit of the last digit either way, uniformly distributed: 0.29 units. Standard gravity is the value of no
+    place: it stands for gravity anywhere.
+    """
+    if gravity_m_s2 == STANDARD_GRAVITY_M_S2:
+        return ANYWHERE_SIGMA_M_S2
+    last = Decimal(str(gravity_m_s2)).as_tuple().exponent
+    assert isinstance(last, int)
+    return max(10.0**last / math.sqrt(12.0), GRAVITY_SIGMA_M_S2)
+
+
+def gravity_warning(site: Site) -> str | None:
+    """Sentence on a gravity that is the standard value and that nobody stated a sigma of; None for any other."""
+    if site.gravity_m_s2 != STANDARD_GRAVITY_M_S2 or site.gravity_sigma_origin is None:
+        return None
+    return (
+        f"Gravity is {STANDARD_GRAVITY_M_S2} m/s², the standard value, which is that of no place: its sigma is taken "
+        f"as {site.gravity_sigma_m_s2:g} m/s², {1e6 * site.gravity_sigma_m_s2 / site.gravity_m_s2:.0f} ppm of every "
+        "accelerometer scale factor. Give --latitude-deg and --height-m, or the gravity of the site, or "
+        "--gravity-sigma-m-s2 if it is right."
+    )
 
 
 def _from_arrays(source: Any, given: Mapping[str, Any], like: str | os.PathLike[str] | Recording | None) -> Recording:

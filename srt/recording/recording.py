@@ -63,6 +63,10 @@ WINDOW_TOLERANCE: Final = 1e-6
 _NUMBERS = frozenset({"sample_rate_hz", "clock_sigma_ppm"})  # keys of [recording] whose fields are numbers
 
 
+GRAVITY_SIGMA_M_S2: Final = 5e-6
+"""Standard deviation of a gravity that is given, m/s²: 0.5 mGal, as measured or transferred by gravimeter."""
+
+
 @dataclass(frozen=True, slots=True)
 class Site:
     """Site of the recording: gravity and latitude.
@@ -77,6 +81,8 @@ class Site:
         None: unknown; the gyro-bias sigma then includes the whole Earth rate.
     latitude_sigma_rad : float or None
         Standard deviation of the latitude, rad; None: not stated, and the latitude counts as exact.
+    gravity_sigma_origin : "assumed" or None
+        "assumed": nobody stated the standard deviation of gravity.
 
     Raises
     ------
@@ -86,9 +92,10 @@ class Site:
     """
 
     gravity_m_s2: float
-    gravity_sigma_m_s2: float = 5e-6
+    gravity_sigma_m_s2: float = GRAVITY_SIGMA_M_S2
     latitude_rad: float | None = None
     latitude_sigma_rad: float | None = None
+    gravity_sigma_origin: str | None = None
 
     def __post_init__(self) -> None:
         low, high = GRAVITY_RANGE_M_S2

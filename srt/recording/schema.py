@@ -174,12 +174,16 @@ RECORDING_KEYS: Final = (
     number("temperature_c", "°C", low=-273.15, high=1000.0),
 )
 
+ASSUMED: Final = "assumed"
+"""Origin of a standard deviation that nobody stated."""
+
 SITE_KEYS: Final = (
     number("latitude_deg", "degrees", "latitude_rad", factor=DEG, low=-90.0, high=90.0),
     number("gravity_m_s2", "m/s²", "gravity_m_s2", low=9.5, high=10.1),
     number("height_m", "m", low=-1000.0, high=10000.0),
     number("gravity_sigma_m_s2", "m/s²", "gravity_sigma_m_s2", above=0.0, high=1.0),
     number("latitude_sigma_deg", "degrees", "latitude_sigma_rad", factor=DEG, low=0.0, high=180.0),
+    text("gravity_sigma_origin", "gravity_sigma_origin", (ASSUMED,)),
 )
 
 FIXTURE_KEYS: Final = (
@@ -310,7 +314,7 @@ def check_fields(what: str, source: object, keys: Iterable[Key]) -> None:
             continue
         try:
             # 12 digits: 90° is in the range after any conversion.
-            key.read(float(f"{value / key.factor:.12g}"))
+            key.read(value if isinstance(value, str) else float(f"{value / key.factor:.12g}"))
         except (TypeError, ValueError, OverflowError):
             shown = f"{value:g}" if isinstance(value, int | float) else repr(value)
             raise InputError(

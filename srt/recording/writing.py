@@ -14,7 +14,8 @@ from typing import Any
 
 from srt.arguments import require_path, require_type
 from srt.exceptions import InputError, did_you_mean
-from srt.recording.atomic_file import atomic_write_text, remove_leftovers, unwritable
+from srt.recording.atomic_file import remove_leftovers, unwritable
+from srt.recording.file_marks import write_marked_text
 from srt.recording.folder import TOML_NAME, read_document
 from srt.recording.recording import Recording
 from srt.recording.samples import SAMPLES_FORMATS, Samples, write_samples
@@ -62,7 +63,7 @@ def write_recording(
         write_samples(folder / name, samples)
         try:
             # Until this renaming, the folder has the old recording; from then on, the new one.
-            atomic_write_text(folder / TOML_NAME, _emit(recording, name, folder))
+            write_marked_text(folder / TOML_NAME, _emit(recording, name, folder))
         except BaseException:
             with suppress(OSError):
                 (folder / name).unlink(missing_ok=True)
@@ -103,7 +104,7 @@ def _rename_samples(folder: Path, name: str, usual: str, toml_text: str) -> None
     try:
         link.hardlink_to(folder / name)
         link.replace(folder / usual)
-        atomic_write_text(folder / TOML_NAME, toml_text)
+        write_marked_text(folder / TOML_NAME, toml_text)
     except (OSError, NotImplementedError, InputError):  # some file systems have no links
         superseded = usual
     for path in (link, folder / superseded):

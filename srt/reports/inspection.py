@@ -294,8 +294,9 @@ class RotationSummary:
     angle_deg: float
 
     def __str__(self) -> str:
-        axis = self.axis or f"({' '.join(f'{v:.2f}' for v in self.direction)})"
-        return f"{axis} {self.angle_deg:+.0f}°"
+        if self.axis is not None:
+            return f"{self.axis} {self.angle_deg:+.0f}°"
+        return f"{self.angle_deg:+.0f}° about ({' '.join(f'{v:.2f}' for v in self.direction)})"
 
 
 @dataclass(frozen=True, slots=True)

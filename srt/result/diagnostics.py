@@ -252,6 +252,8 @@ class Diagnostics:
         moves contradict.
     not_shown : tuple of str, or None
         Parameters that a recording of this kind should show, and that this one does not.
+    refits : tuple of int, or None
+        Numbers of the iterations, from 1, at which the corrections grow because another model is fitted.
     live : tuple of LiveEstimate, or None
     recognition : RecognisedSequences or None
     faults : tuple of Fault, or None
@@ -277,6 +279,7 @@ class Diagnostics:
     unseen_errors: tuple[UnseenError, ...] | None = None
     contradicted: tuple[str, ...] | None = None
     not_shown: tuple[str, ...] | None = None
+    refits: tuple[int, ...] | None = None
     live: tuple[LiveEstimate, ...] | None = None
     recognition: RecognisedSequences | None = None
     faults: tuple[Fault, ...] | None = None

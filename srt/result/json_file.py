@@ -112,7 +112,7 @@ def load_json_file(
         raise InputError(f"The {noun} {path} is {error}") from None
     try:
         result = from_document(document)
-        changed = _DIGEST in document and document[_DIGEST] != _digest(document)
+        changed = unchanged_document(document) is False
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     except (AttributeError, KeyError, TypeError, ValueError, OverflowError) as error:
@@ -136,6 +136,16 @@ def require_format(document: object, noun: str, name: str, version: int) -> None
         raise InputError(f'this is no {noun} (its "format" is not "{name}").')
     if document.get("version") != version:
         raise InputError(f"its version is {document.get('version')!r}, but this software reads version {version}.")
+
+
+def unchanged_document(document: Any) -> bool | None:
+    """True if a document matches its digest, False if it does not, None if it has none."""
+    if not isinstance(document, dict) or _DIGEST not in document:
+        return None
+    try:
+        return bool(document[_DIGEST] == _digest(document))
+    except (ValueError, RecursionError):  # numbers that no document of this program holds
+        return False
 
 
 def _digest(document: Mapping[str, Any]) -> str:

@@ -17,6 +17,7 @@ class StatedSite:
     gravity_m_s2: float | None = None
     gravity_sigma_m_s2: float | None = None
     latitude_sigma_deg: float | None = None
+    gravity_sigma_origin: str | None = None  # "assumed": nobody stated gravity_sigma_m_s2
     nulls: tuple[str, ...] = field(
         default=("latitude_deg", "gravity_m_s2", "gravity_sigma_m_s2", "latitude_sigma_deg"), compare=False
     )

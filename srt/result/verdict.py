@@ -128,7 +128,7 @@ def verdict_on(calibration: Judged) -> Verdict:
     worse = _worse_fixture(evidence.added_noise or {})
     added = " ".join(_added(evidence, p, calibration.noise.sigma_inflation or 1.0))
     unseen = [*(fault.sentence for fault in wrong), *(calibration.diagnostics.contradicted or ())]
-    found = [f"A fault was found that residuals need not show: {unseen[0]}"] if unseen else []
+    found = [f"A fault was found that the residuals may not show: {unseen[0]}"] if unseen else []
     lacking = list(_lacking(calibration.diagnostics.not_shown or ()))
     word = DOUBTFUL if added or found else PARTIAL if lacking else SOUND
     return Verdict(word, " ".join([*found, *lacking, agreement, *modelled(calibration), *worse, added]).rstrip())

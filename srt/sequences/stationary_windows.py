@@ -360,10 +360,10 @@ def find_windows(recording: Recording) -> Indices:
     windows = [w for w in found if w[1] - w[0] >= shortest / dt - 0.5]
     if len(windows) < 2:
         gaps = recording.gaps.size
-        cut = f" The recording has {gaps} gaps, and each ends a window: log without gaps." if gaps else ""
+        cut = f" A gap ends a window, and the recording has {gaps}: log without gaps." if gaps else ""
         raise DataError(
-            f"Only {len(windows)} stationary windows of at least {shortest:g} s were found in the recording; "
-            "stillness, turn, stillness is needed: let the unit rest between turns, or label the windows." + cut
+            f"{'Only one' if windows else 'No'} stationary window of at least {shortest:g} s was found, and at least "
+            f"two are needed, with a turn between them: let the unit rest between turns, or label the windows.{cut}"
         )
     out = np.array(windows, dtype=np.intp)
     out.flags.writeable = False

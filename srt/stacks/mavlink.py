@@ -25,6 +25,7 @@ _SIGNED: Final = 0x01
 
 _GYRO: Final = ("xgyro", "ygyro", "zgyro")
 _ACCEL: Final = ("xacc", "yacc", "zacc")
+_FIELD: Final = ("xmag", "ymag", "zmag")
 _MILLI_G: Final = 1e-3 * STANDARD_GRAVITY_M_S2
 _ZERO: Final = (0.0,) * 6
 _SCALED: Final = Counts((*(1e-3,) * 3, *(_MILLI_G,) * 3), _ZERO)
@@ -39,6 +40,7 @@ _INSTANCE: Final = {"SCALED_IMU": 0, "SCALED_IMU2": 1, "SCALED_IMU3": 2}
 """Number of the IMU, from 0, by messages without a field for it."""
 _UPDATED: Final = 0b111111
 """Bits of fields_updated for the six readings."""
+_MAGNETOMETER_UPDATED: Final = 0b111 << 6
 _TEMPERATURE_UPDATED: Final = 1 << 12
 
 
@@ -66,7 +68,7 @@ class MavlinkCorrector:
         self._counts = dict(_SAMPLES) if raw is None else {**_SAMPLES, "RAW_IMU": raw}
         self._sequence: dict[tuple[int, int], int] = {}
 
-    def correct(self, packet: bytes) -> bytes:
+    def correct(self, packet: bytes) -> list[bytes]:
         """Correct the messages of a packet.
 
         Parameters
@@ -76,7 +78,7 @@ class MavlinkCorrector:
 
         Returns
         -------
-        bytes
+        list of bytes
             Messages to send on; empty if none is whole.
         """
         messages = self._link.parse_buffer(bytearray(packet)) or []
@@ -84,7 +86,7 @@ class MavlinkCorrector:
         if self._link.buf_len() > 0:
             self._corrector.event(MALFORMED, "a packet ends within a message")
             self._link = self._decoder()
-        return b"".join(self._message(message) for message in messages)
+        return [answer for answer in map(self._message, messages) if answer]
 
     def _decoder(self) -> Any:
         link = self._dialect.MAVLink(None)
@@ -133,7 +135,7 @@ class MavlinkCorrector:
                 "here: let the receiver accept unsigned HIGHRES_IMU, or sign after the correction",
             )
         kind = self._highres_imu(version_1=version_1)
-        known = message.to_dict() if highres else _stamp(message, temperature)
+        known = message.to_dict() if highres else _others(message, temperature)
         known |= dict(zip((*_GYRO, *_ACCEL), corrected, strict=False)) | {"id": instance}
         out = kind(*(known.get(field, 0.0) for field in kind.fieldnames))
         # The sender stays that of the message.
@@ -165,11 +167,17 @@ class MavlinkCorrector:
             self._corrector.event(LOST, f"{missing} messages of system {system} are missing", missing)
 
 
-def _stamp(message: Any, temperature: float | None) -> dict[str, Any]:
-    """Fields of HIGHRES_IMU, beside the readings, that SCALED_IMU and RAW_IMU state."""
+def _others(message: Any, temperature: float | None) -> dict[str, Any]:
+    """Fields of HIGHRES_IMU, beside the readings, that SCALED_IMU and RAW_IMU state.
+
+    The magnetometer of SCALED_IMU is in mgauss, that of HIGHRES_IMU in gauss; RAW_IMU states no unit for it. No
+    field at all stands for no magnetometer.
+    """
     microseconds = message.time_usec if hasattr(message, "time_usec") else 1000 * message.time_boot_ms
+    field = {} if message.get_type() == "RAW_IMU" else {name: 1e-3 * getattr(message, name) for name in _FIELD}
     updated = _UPDATED | (0 if temperature is None else _TEMPERATURE_UPDATED)
-    return {"time_usec": microseconds, "temperature": temperature or 0.0, "fields_updated": updated}
+    updated |= _MAGNETOMETER_UPDATED if any(field.values()) else 0
+    return {**field, "time_usec": microseconds, "temperature": temperature or 0.0, "fields_updated": updated}
 
 
 def _sender(packet: bytes) -> tuple[int, int, int]:

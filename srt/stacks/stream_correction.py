@@ -16,13 +16,14 @@ from srt.sequences.plausibility import size_cause
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
-    from srt.recording.import_options import Triple
     from srt.result.calibration import Calibration
     from srt.result.provenance import Temperature
     from srt.result.triad_inverse import Vector
 
 CORRECTED: Final = "corrected"
 MALFORMED: Final = "malformed"
+MISTAKEN: Final = "answered wrongly"
+CHANGED: Final = "after which the number of columns is another"
 LOST: Final = "lost"
 CLIPPED: Final = "at the end of the range"
 OTHER_TEMPERATURE: Final = "outside the temperature of the test"
@@ -30,6 +31,7 @@ IMPLAUSIBLE: Final = "of implausible size"
 NOT_ADVANCING: Final = "with a time that does not advance"
 NOT_SENT: Final = "not sent"
 UNSIGNED: Final = "signed, sent without a signature"
+OVERRIDDEN: Final = "lines of names whose unit is overridden"
 PASSED_ON: Final = "without an IMU, passed on"
 
 _CLIPPED_FROM: Final = 0.999
@@ -58,8 +60,6 @@ class StreamOptions:
     Raises InputError: values that are not positive.
     """
 
-    gyro_unit: Triple = (1.0, 1.0, 1.0)  # SI units per unit of the stream, by axis
-    accel_unit: Triple = (1.0, 1.0, 1.0)
     dt: float | None = None  # duration of increments, s; None for rates
     gyro_range: float | None = None  # rad/s
     accel_range: float | None = None  # m/s²
@@ -75,7 +75,7 @@ class StreamOptions:
 
 
 class StreamCorrector:
-    """Correct samples and count events.
+    """Correct samples, in SI units, and count events.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ class StreamCorrector:
     """
 
     __slots__ = (
-        "_applier", "_options", "_ranges", "_squares", "_tell", "_temperature", "_units", "counts", "interval_s",
+        "_applier", "_options", "_ranges", "_squares", "_tell", "_temperature", "counts", "interval_s",
     )  # fmt: skip
 
     def __init__(
@@ -101,7 +101,6 @@ class StreamCorrector:
         self._applier = Applier(calibration, frame=frame, block=1)
         self._options = options
         self._tell = tell
-        self._units = (*options.gyro_unit, *options.accel_unit)
         self._temperature = _tested(calibration.temperature, options.temperature_margin_c)
         seconds = 1.0 if options.dt is None else options.dt
         ranges = [
@@ -112,26 +111,30 @@ class StreamCorrector:
         self.counts: Counter[str] = Counter({CORRECTED: 0})
         self.interval_s = options.dt
 
+    @property
+    def increments(self) -> bool:
+        """True for samples of increments, False for rates."""
+        return self._options.dt is not None
+
     def correct(self, values: tuple[float, ...], temperature: float | None = None) -> tuple[float, ...]:
         """Correct one sample.
 
         Parameters
         ----------
         values : tuple of 6 floats
-            Gyro x, y, z and accelerometer x, y, z in the units of the stream.
+            Gyro x, y, z and accelerometer x, y, z.
         temperature : float, °C, optional
 
         Returns
         -------
         tuple of 6 floats
-            In the units of the stream; followed by their six 1-sigma where the options ask for them.
+            Followed by their six 1-sigma where the options ask for them.
 
         Raises InputError: values that are not finite.
         """
         gx, gy, gz, ax, ay, az = values
-        a, b, c, d, e, f = self._units
-        gyro: Vector = (gx * a, gy * b, gz * c)
-        accel: Vector = (ax * d, ay * e, az * f)
+        gyro: Vector = (gx, gy, gz)
+        accel: Vector = (ax, ay, az)
         (p, q, r), (u, v, w) = self._applier.apply_sample(gyro, accel, dt=self._options.dt)
         largest_rate, largest_force = self._ranges
         if max(map(abs, gyro)) >= largest_rate or max(map(abs, accel)) >= largest_force:
@@ -149,7 +152,7 @@ class StreamCorrector:
                     f"a sample has {temperature:.1f} °C, and the calibration holds {low:.1f} to {high:.1f} °C",
                 )
         self.counts[CORRECTED] += 1
-        corrected = (p / a, q / b, r / c, u / d, v / e, w / f)
+        corrected = (p, q, r, u, v, w)
         return corrected + self._sigma(gyro, accel) if self._options.covariance else corrected
 
     def event(self, kind: str, sentence: str, count: int = 1) -> None:
@@ -185,8 +188,7 @@ class StreamCorrector:
 
     def _sigma(self, gyro: Vector, accel: Vector) -> tuple[float, ...]:
         covariance = self._applier.sample_covariance(gyro, accel, dt=self._options.dt)
-        sigma = np.sqrt(np.diag(covariance)) / np.abs(self._units)
-        return tuple(sigma.tolist())
+        return tuple(np.sqrt(np.diag(covariance)).tolist())
 
 
 def _tested(temperature: Temperature | None, margin: float) -> tuple[float, float] | None:

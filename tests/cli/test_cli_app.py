@@ -1,8 +1,10 @@
 """Command line: imports, help, exit codes, tables, and random command lines."""
 
+import io
 import json
 import math
 import os
+import re
 import subprocess
 import sys
 from typing import get_args
@@ -18,6 +20,7 @@ from srt.cli.app import COMMANDS
 from srt.cli.calibrate import CHOICES
 from srt.cli.output_paths import SAMPLES_FORMATS as FORMATS
 from srt.cli.path_type import NamedPath
+from srt.cli.progress import bar
 from srt.recording.samples import SAMPLES_FORMATS
 from srt.reports.tables import decimals_for, fixed
 
@@ -301,6 +304,43 @@ def test_a_request_of_completion_without_its_words_is_a_sentence(monkeypatch, ca
     out, err = capfd.readouterr()
     assert (code, out) in ((1, ""), (2, ""))
     assert err.count("\n") == (1 if code == 2 else 0)
+
+
+@pytest.mark.parametrize(
+    ("words", "offered"),
+    [
+        ("calibrate --estimator c", "closed-form"), ("compare x --estimator gr", "graph"),
+        ("export x --to k", "kalibr"), ("simulate free-", "free-mems"), ("robustness qui", "quick"),
+        ("calibrate x --protocol tab", "table-1"),
+    ],
+)  # fmt: skip
+def test_a_shell_completes_what_is_shipped_or_installed(monkeypatch, shell, words, offered):
+    monkeypatch.setenv("_SRT_COMPLETE", "bash_complete")
+    monkeypatch.setenv("COMP_WORDS", f"srt {words}")
+    monkeypatch.setenv("COMP_CWORD", str(len(words.split())))
+    found = shell(code=0).out.splitlines()
+    assert f"plain,{offered}" in found
+    assert ("file," in "".join(found)) == (words.split()[0] in ("simulate", "robustness") or "protocol" in words)
+
+
+@pytest.mark.parametrize("command", ["robustness", "inspect", "calibrate"])
+def test_every_command_shows_all_its_options(command, shell):
+    assert "--quiet" in shell(command, "--help-all").out
+
+
+def test_an_estimator_may_be_named_in_capitals(shell, tmp_path):
+    assert "There is no recording" in shell("calibrate", tmp_path / "x", "--estimator", "EKF", code=2).err
+    assert "no estimator 'EKG'" in shell("calibrate", tmp_path, "--estimator", "EKG", code=2).err
+
+
+def test_the_time_beside_a_bar_is_that_which_is_left(monkeypatch):
+    rich = pytest.importorskip("rich.console")
+    written = io.StringIO()
+    console = rich.Console(file=written, force_terminal=True, width=80)
+    monkeypatch.setattr("srt.cli.progress._console", lambda: console)
+    with bar("units", 4) as move:
+        move(1, 4, "units")
+    assert re.search(r"\d+/4\S* +\S*-?:[-\d]+:[-\d]+\S* left", written.getvalue())
 
 
 def test_no_standard_error_stops_no_command(monkeypatch, tmp_path, shell):

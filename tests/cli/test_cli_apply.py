@@ -6,10 +6,12 @@ import tomllib
 
 import numpy as np
 import pytest
-from small_units import U, calibrated, recorded
+from small_units import VECTOR, U, calibrated, recorded, simulated
 
 import srt
 from srt.exporters.c_header import c99_header
+from srt.model.sensor_model import accel_triad
+from srt.sensor_errors import GROUP_SLICES, SensorErrors
 
 COMPLETE = {
     "fixture": srt.Fixture(),
@@ -48,7 +50,7 @@ def test_pulses_that_the_correction_hides_are_stated(unit, tmp_path, kind, shell
     pulse, dt = np.radians(0.5 / 3600.0), 0.01
     angle = np.random.default_rng(6).integers(-4, 5, size=(300, 3)) * pulse
     recorded(tmp_path / "rec", kind=kind, gyro=angle if kind == "increment" else angle / dt)
-    shell("apply", unit, tmp_path / "rec", "-o", tmp_path / "out", "-q")
+    shell("apply", unit, tmp_path / "rec", "-o", tmp_path / "out", "-q", "--force")  # no gyro bias: of another unit
     noise = srt.load_recording(tmp_path / "out").noise
     assert noise.gyro_quantization == pytest.approx(pulse, rel=1e-9)
     assert noise.accel_quantization is None
@@ -147,6 +149,37 @@ def test_another_serial_needs_force_and_an_absent_one_does_not(line, unit, tmp_p
     other = recorded(tmp_path / "other", serial="SN-8")
     assert {"SN-7", "SN-8"} <= set(re.findall(r"SN-\d", require_force(line(unit, other), tmp_path, shell, refused)))
     shell("apply", unit, recorded(tmp_path / "unnamed", serial=None), "-o", tmp_path / "out2", "-q")
+
+
+def test_the_rests_tell_another_unit(recording, calibration, tmp_path, shell, refused):
+    calibration.save(tmp_path / "unit.json")
+    out = shell("apply", tmp_path / "unit.json", recording, "-o", tmp_path / "own").out
+    number = r"(\d\S*)"
+    text = " ".join(out.split())
+    differences = rf"force from gravity {number} and {number} m/s², rate from the Earth's {number} and {number} °/h"
+    force, left, *_ = map(float, re.search(differences, text).groups())
+    raw = np.linalg.norm(srt.load_recording(recording).accel, axis=1)  # most samples are at rest
+    assert force == pytest.approx(np.median(np.abs(raw - 9.80665)), rel=0.5)
+    assert left < 0.1 * force
+    other = simulated(tmp_path / "other", seed=5, recording='format = "npz"')
+    err = refused("apply", tmp_path / "unit.json", other, "-o", tmp_path / "out")
+    assert (
+        f"{other}: {tmp_path / 'unit.json'} makes it worse (median differences at rest, before and after (windows: 34)"
+        in err
+    )
+    assert not (tmp_path / "out").exists()
+    shell("apply", tmp_path / "unit.json", other, "-o", tmp_path / "out", "--force")
+
+
+def test_a_log_of_one_attitude_is_compared_and_one_without_a_rest_is_not(unit, tmp_path, shell):
+    rng, n = np.random.default_rng(3), 600
+    rest = {"time": 0.01 * np.arange(1, n + 1), "gyro": rng.normal(VECTOR[GROUP_SLICES["gyro_bias"]], 1e-5, (n, 3))}
+    force = accel_triad(SensorErrors(VECTOR)).read(np.array([[0.0, 0.0, -9.80665]]))
+    recorded(tmp_path / "rest", accel=rng.normal(force, 1e-4, (n, 3)), **rest)
+    assert "(windows: 1)" in shell("apply", unit, tmp_path / "rest", "-o", tmp_path / "a").out
+    few = {name: values[:7] for name, values in rest.items()} | {"accel": np.tile(force, (7, 1))}
+    recorded(tmp_path / "short", **few)
+    assert "Check: no stationary window was found" in shell("apply", unit, tmp_path / "short", "-o", tmp_path / "b").out
 
 
 @pytest.mark.parametrize(

@@ -76,10 +76,7 @@ def test_table_holds_estimates_and_differences_as_the_library_finds_them(recordi
     assert re.search(r"least-squares +converged +sound +\d+\.\d\d +1\.00 +- +\d+ +27 .* reference", out)
     assert re.search(r"closed-form +converged .* agrees", out)
     assert "least-squares and closed-form agree: largest difference" in out
-    # Progress went elsewhere, each line with the estimator's name.
-    assert re.fullmatch(
-        r"(unit-7, (closed-form|least-squares): iteration \d+, largest correction \d\.\de-\d\d\n)+", err
-    )
+    assert err == ""
 
 
 def test_the_verdict_comes_first_and_the_tables_fit_a_terminal(recording, calibrations, shell):

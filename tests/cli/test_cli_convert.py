@@ -103,8 +103,30 @@ def test_like_another_recording(log, tmp_path, shell):
         assert loaded.serial is None
         assert loaded.site.latitude_rad == pytest.approx(0.5, rel=1e-15)  # through degrees and back
     assert (first.site.gravity_m_s2, first.site.gravity_sigma_m_s2) == (9.8, 1e-4)
-    # Gravity that is said has its own default of uncertainty.
-    assert (second.site.gravity_m_s2, second.site.gravity_sigma_m_s2) == (9.81, 5e-6)
+    # Gravity that is said has its own uncertainty.
+    assert (second.site.gravity_m_s2, second.site.gravity_sigma_m_s2) == (9.81, pytest.approx(0.01 / 12**0.5))
+
+
+@pytest.mark.parametrize(
+    ("typed", "sigma"),
+    [("9.81", 0.01 / 12**0.5), ("9.8100", 1e-4 / 12**0.5), ("9.80620", 5e-6), ("10", 1 / 12**0.5), ("9.80665", 0.02)],
+)
+def test_a_gravity_without_a_sigma_has_that_of_its_digits(log, tmp_path, shell, typed, sigma):
+    said = shell("convert", log, "-o", tmp_path / "rec", "-q", *SI, "--gravity-m-s2", typed, "--force").err
+    site = srt.load_recording(tmp_path / "rec").site
+    assert site.gravity_m_s2 == float(typed)
+    assert (site.gravity_sigma_m_s2, site.gravity_sigma_origin) == (pytest.approx(sigma), "assumed")
+    assert ("the standard value, which is that of no place" in said) == (typed == "9.80665")
+    assert not said or "its sigma is taken as 0.02 m/s², 2039 ppm" in said
+    # A sigma that is stated is no assumption any more.
+    stated = srt.read(tmp_path / "rec", gravity_sigma_m_s2=1e-5).site
+    assert (stated.gravity_sigma_m_s2, stated.gravity_sigma_origin) == (1e-5, None)
+
+
+def test_a_stated_sigma_of_gravity_stays(log, tmp_path, shell):
+    given = ["--gravity-m-s2", "9.80665", "--gravity-sigma-m-s2", "1e-5"]
+    assert not shell("convert", log, "-o", tmp_path / "rec", "-q", *SI, *given, "--force").err
+    assert srt.load_recording(tmp_path / "rec").site == srt.Site(9.80665, 1e-5)
 
 
 def test_units_in_the_spellings_of_files(log, tmp_path, refused, shell):
@@ -282,3 +304,72 @@ def test_ferraris_set(tmp_path, shell):
     ]
     shell("convert", *arguments)
     assert_same(srt.load_recording(tmp_path / "rec"), recorded_sets.ferraris(FOLDER))
+
+
+def written(path, head, *columns, form="%.18g"):
+    np.savetxt(path, np.column_stack(columns), header=head, delimiter=",", comments="", fmt=form)
+    return path
+
+
+def test_a_column_of_time_with_another_name_is_named_in_the_option(tmp_path, shell, refused):
+    log = written(tmp_path / "log.csv", HEADER.replace("time", "Zeit"), TIME, GYRO, ACCEL)
+    sentence = refused(tmp_path / "new", log, *SI[:4], *SITE)
+    assert "give the rate with --sample-rate-hz" in sentence
+    assert "or name the column of time, as --columns 'time=Zeit' (columns not read: Zeit)." in sentence
+    shell("convert", log, "-o", tmp_path / "new", "--columns", "time=Zeit", *SI, *SITE)
+    np.testing.assert_array_equal(srt.load_recording(tmp_path / "new").time, TIME)
+
+
+@pytest.mark.parametrize("kind", ["csv", "npz", "pair"])
+def test_a_stated_rate_replaces_stamps_without_a_unit(tmp_path, kind, shell):
+    log = [written(tmp_path / "log.csv", HEADER.replace("time", "Zeit"), TIME, GYRO, ACCEL)]
+    if kind == "npz":
+        log = [tmp_path / "log.npz"]
+        np.savez(log[0], Zeit=TIME, gyro=GYRO, accel=ACCEL)
+    columns = ["--columns", "time=Zeit"]
+    if kind == "pair":
+        log = [written(tmp_path / f"{name}.csv", "t,x,y,z", TIME, x) for name, x in (("acc", ACCEL), ("gyr", GYRO))]
+        columns = []
+    out = shell("convert", *log, "-o", tmp_path / "new", *columns, *SI[:4], *SITE, "--sample-rate-hz", 50).out
+    assert "not used: their unit is not stated, and --sample-rate-hz is." in " ".join(out.split())
+    found = srt.load_recording(tmp_path / "new")
+    np.testing.assert_allclose(found.time, np.arange(1, N + 1) / 50.0, rtol=1e-15)
+    np.testing.assert_array_equal(found.gyro, GYRO)
+
+
+@pytest.mark.parametrize("kind", ["csv", "npz"])
+def test_a_counter_of_32_bits_is_counted_on(tmp_path, kind, shell, refused):
+    """Stamps in disorder are refused: they do not jump by the whole counter."""
+    ticks = np.arange(N) * 15625 + 2**32 - 10**6
+    log = written(tmp_path / "log.csv", HEADER, ticks % 2**32, GYRO, ACCEL)
+    if kind == "npz":
+        log = tmp_path / "log.npz"
+        np.savez(log, time=(ticks % 2**32).astype(np.uint32), gyro=GYRO, accel=ACCEL)
+    units = [*SI[:4], "--time-unit", "us", *SITE]
+    out = shell("convert", log, "-o", tmp_path / "new", *units).out
+    assert "The 32-bit counter of the time stamps overflowed once, and is counted on." in " ".join(out.split())
+    np.testing.assert_allclose(np.diff(srt.load_recording(tmp_path / "new").time), 1.0 / 64.0, rtol=1e-9)
+    restarted = np.where(np.arange(N) < 100, ticks - 2**31, (ticks - ticks[100]))
+    other = written(tmp_path / "other.csv", HEADER, restarted, GYRO, ACCEL)
+    assert "goes back" in refused(tmp_path / "none", other, *units)
+
+
+def test_a_folder_and_a_file_named_twice_are_called_so(log, tmp_path, unit, refused, shell):
+    (tmp_path / "logs").mkdir()
+    assert "logs is a folder" in refused(tmp_path / "new", tmp_path / "logs", *SI, *SITE)
+    assert "log.csv is named twice" in refused(tmp_path / "new", log, log, *SI, *SITE)
+    for words in (("certificate", tmp_path / "logs"), ("certificate", unit, "--limits", tmp_path / "logs")):
+        assert "it is a folder, and a file is expected" in shell(*words, code=2).err
+
+
+def test_swapped_axes_are_corrected_by_the_option_that_is_named(recording, tmp_path, shell):
+    loaded = srt.read(recording)
+    accel = loaded.accel[:, [1, 0, 2]]
+    log = written(tmp_path / "log.csv", HEADER, loaded.time, loaded.gyro, accel)
+    given = [*SI, "--gravity-m-s2", loaded.site.gravity_m_s2, "--latitude-deg", 45, "--heading-deg", 0]
+    shell("convert", log, "-o", tmp_path / "swapped", *given)
+    sentence = shell("inspect", tmp_path / "swapped", "-q", code=1).err
+    assert "convert the log again with --map-accel y,x,z." in sentence
+    option = sentence.rpartition(" with ")[2].rstrip(".\n").split()
+    shell("convert", log, "-o", tmp_path / "right", *given, *option)
+    assert "No fault found." in shell("inspect", tmp_path / "right").out

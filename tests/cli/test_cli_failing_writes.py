@@ -1,4 +1,7 @@
-"""Writes of every command: whichever call fails, each file is the old or the new one, and nothing else remains."""
+"""Writes of every command: whichever call fails, each file is the old or the new one, and nothing else remains.
+
+A file of other origin, or one that was changed, is kept unless ``--overwrite`` is given.
+"""
 
 import errno
 import os
@@ -42,7 +45,7 @@ recording = { sample_rate_hz = 50.0 }
 
 ROWS = {
     "simulate": "simulate {lab}/3.toml -o {out}/unit",
-    "simulate over": "simulate {lab}/3.toml -o {out}/unit --overwrite --samples-format csv",
+    "simulate over": "simulate {lab}/3.toml -o {out}/unit --samples-format csv",
     "simulate parquet": "simulate {lab}/3.toml -o {out}/unit --samples-format parquet",
     "simulate h5": "simulate {lab}/3.toml -o {out}/unit --samples-format h5",
     "convert": "convert {lab}/3/samples.csv -o {out}/unit --samples-format npz --gyro-unit rad/s --accel-unit m/s^2"
@@ -62,7 +65,7 @@ ROWS = {
     "calibrate log": "calibrate {lab}/3/samples.csv -o {out}/log --to c-header --gyro-unit rad/s --accel-unit m/s^2"
     " --time-unit s --latitude-deg 45 --height-m 0",
     "compare with": "compare {lab}/3.json {lab}/3 --with {lab}/3-pyins.json -o {out}/c.json",
-    "fleet": "calibrate {lab}/3 {lab}/4 {lab}/5 -o {out}/fleet",
+    "fleet": "calibrate {lab}/[345] -o {out}/fleet",
     "replay": "robustness {lab}/campaign.toml --replay 0:1 -o {out}/trial",
     "robustness": "robustness {lab}/campaign.toml -o {out}/campaign --markdown {out}/campaign.md --workers 1",
     "calibrate plot": "calibrate {lab}/3 -o {out}/3.json --plot {out}/3.png",
@@ -76,6 +79,19 @@ SLOW = {"compare", "fleet", "replay", "robustness", "calibrate plot", "inspect p
         "calibrate log", "demo", "watch", "noise", "noise into", "budget", "inspect", "plan"}  # fmt: skip
 """Rows of more than half a second."""
 WITHOUT_OUTPUT = {"list"}
+WRITES_RECORDINGS = {"simulate", "convert", "apply", "replay"}
+UNNAMED = {
+    "certificate": ["certificate.pdf"],
+    "fleet": ["fleet/3.json", "fleet/fleet.csv", "fleet/fleet.json"],
+    "demo": ["demo/calibration.json", "demo/calibration.png", "demo/recording/recording.toml"],
+    "robustness": ["campaign/report.html", "campaign/campaign.toml", "campaign/results.parquet"],
+    "export": ["imu-imu.yaml"],
+    "replay": ["trial/recording.toml"],
+    "simulate": ["unit/recording.toml"],
+    "convert": ["unit/recording.toml"],
+    "apply": ["corrected/recording.toml"],
+}
+"""Files that a row writes beside those that its command line names."""
 JOURNAL = {"campaign/journal.jsonl"}
 """Appended to: complete but for its last line."""
 
@@ -145,7 +161,7 @@ class Row:
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(tempfile, "tempdir", str(self.place / "tmp"))
             layer = FailingCalls(patch, self.place, failing, number)
-            code = main([*arguments(self.row, self.lab, self.place / "out"), "-q"])
+            code = main([*arguments(self.row, self.lab, self.place / "out"), "-q", "--overwrite"])
         found = content(self.place / "out")
         if code == 0:  # without links, the new samples keep the other name
             found = {name.replace("-2.", "."): data.replace(b"samples-2.", b"samples.") for name, data in found.items()}
@@ -192,6 +208,67 @@ def test_a_failing_call_leaves_old_or_new(row, lab, tmp_path, capfd):
     assert len(made.calls) > 3
     for failing in rng.choice(made.points(rng), 2, replace=False).tolist():
         made.check(failing, errno.ENOSPC)
+
+
+def outputs(row, out):
+    """Files that a row writes: named on the command line, or not."""
+    named = re.findall(r"{out}/(\S+\.\w+)", ROWS[row])
+    return [out / name for name in (*named, *UNNAMED.get(row, UNNAMED.get(row.split()[0], ())))]
+
+
+def snapshot(folder):
+    return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file() and path.name != ".lock"}
+
+
+@pytest.mark.parametrize("row", ROWS)
+def test_a_file_of_other_origin_is_kept(row, lab, tmp_path, capfd):
+    for number in range(len(outputs(row, tmp_path))):
+        out = tmp_path / str(number)
+        path = outputs(row, out)[number]
+        path.parent.mkdir(parents=True)
+        path.write_bytes(b'{"by": "hand"}')
+        assert main([*arguments(row, lab, out), "-q"]) == 2
+        said = capfd.readouterr().err
+        assert said.startswith("srt: ")
+        assert any(words in said for words in ("add --overwrite", "name another folder")), said
+        assert snapshot(out) == {path: b'{"by": "hand"}'}
+
+
+@pytest.mark.parametrize("row", [row for row in ROWS if row.split()[0] not in WRITES_RECORDINGS])
+def test_nothing_is_written_into_a_recording(row, lab, capfd):
+    before = snapshot(lab)
+    assert main([*arguments(row, lab, lab / "3"), "-q"]) == 2
+    assert "is the folder of a recording" in capfd.readouterr().err
+    assert snapshot(lab) == before
+
+
+@pytest.mark.parametrize(
+    "row",
+    [
+        pytest.param(row, marks=[pytest.mark.slow] * (row in SLOW))
+        for row in ROWS
+        if row.split()[0] not in WRITES_RECORDINGS and row != "noise into"
+    ],
+)
+def test_an_own_file_is_replaced_until_it_is_changed(row, lab, tmp_path, capfd):
+    line = [*arguments(row, lab, tmp_path), "-q"]
+    code = main(line)
+    capfd.readouterr()
+    assert main(line) == code
+    said = capfd.readouterr().err
+    written = [path for path in outputs(row, tmp_path) if path.name not in ("campaign.toml", "results.parquet")]
+    for path in written:
+        assert f"{path}" in said or path.name == "recording.toml"
+        assert path.exists()
+    assert "will be replaced" in said
+    for path in written:
+        if path.suffix in (".png", ".pdf", ".svg", ".html"):
+            continue
+        whole = path.read_bytes()
+        path.write_bytes(whole.replace(b"1", b"2", 1))
+        assert main(line) == 2
+        assert "add --overwrite" in capfd.readouterr().err
+        path.write_bytes(whole)
 
 
 @pytest.mark.slow

@@ -216,7 +216,7 @@ def test_six_recordings_are_a_fleet_and_five_are_not(lot, quick, shell):
     paths = [str(lot / name) for name in UNITS[:6]]
     out = shell("calibrate", *paths).out
     assert "Fleet of 6 units" in out
-    assert "a z beyond 26.7 is outlying" in " ".join(out.split())
+    assert "A value is outlying if z exceeds 26.7." in " ".join(out.split())
     assert "Nothing was written: -o FOLDER keeps" in out
 
 

@@ -66,6 +66,38 @@ def test_a_growing_recording_is_followed_and_its_result_is_that_of_calibrate(fin
     assert (tmp_path / "w.json").read_bytes() == (tmp_path / "c.json").read_bytes()
 
 
+def test_samples_in_a_subfolder_with_lines_that_are_no_text(finished, tmp_path, shell):
+    """A comment in another encoding, and a damaged sample: the result is that of the file without them."""
+    folder, whole = tmp_path / "rec", tmp_path / "whole"
+    lines = (finished / "good" / "samples.csv").read_bytes().splitlines(keepends=True)
+    damaged = [*lines[:1000], b"# 20 \xb0C\n", *lines[1000:5000], b"\xff" + lines[5000], *lines[5001:]]
+    for place, content in ((folder, damaged), (whole, [*lines[:5000], *lines[5001:]])):
+        (place / "data").mkdir(parents=True)
+        text = (finished / "good" / "recording.toml").read_text()
+        (place / "recording.toml").write_text(text.replace('"samples.csv"', '"data/samples.csv"'))
+        (place / "data" / "samples.csv").write_bytes(b"".join(content))
+    err = shell("watch", folder, "--idle", "0", "-q", "-o", tmp_path / "w.json").err
+    assert f"{folder / 'data' / 'samples.csv'}: lines that are no text in UTF-8 are left out (line 1001, 5002): " in err
+    shell("calibrate", whole, "-q", "-o", tmp_path / "c.json")
+    assert (tmp_path / "w.json").read_bytes() == (tmp_path / "c.json").read_bytes()
+
+
+@pytest.mark.parametrize("replaced", [True, False])
+def test_a_samples_file_that_begins_anew_begins_the_test_anew(finished, tmp_path, shell, monkeypatch, replaced):
+    """A logger that starts again, in a new file or in the same one: the rest of the old one is not read on."""
+    folder = tmp_path / "rec"
+    shutil.copytree(finished / "skipped", folder)
+    samples, new = folder / "samples.csv", (finished / "good" / "samples.csv").read_bytes()
+    todo = [lambda: samples.rename(folder / "old")] * replaced + [lambda: samples.write_bytes(new)]
+    # Between the looks, in place of the pause.
+    monkeypatch.setattr(time, "sleep", lambda _: todo.pop(0)() if todo else None)
+    err = shell("watch", folder, "--idle", "0.5", "-q", "-o", tmp_path / "w.json").err
+    assert "Sequence 3, skipped" in err.partition("was cut or replaced: the test begins anew")[0]
+    assert "skipped" not in err.partition("was cut or replaced: the test begins anew")[2]
+    shell("calibrate", finished / "good", "-q", "-o", tmp_path / "c.json")
+    assert (tmp_path / "w.json").read_bytes() == (tmp_path / "c.json").read_bytes()
+
+
 @pytest.mark.parametrize(
     ("name", "sentence"),
     [

@@ -4,7 +4,7 @@ They were written without knowledge of the checks, like the variants of ``inject
 """
 
 from dataclasses import replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -144,7 +144,7 @@ def columns_one_further(case: Case, severity: float, rng: np.random.Generator) -
 # --- site ------------------------------------------------------------------------------------------------------------
 
 
-def _sited(case: Case, **changes: float) -> Recording:
+def _sited(case: Case, **changes: Any) -> Recording:
     return replace(case.recording, site=replace(case.recording.site, **changes))
 
 

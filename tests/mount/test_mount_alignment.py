@@ -372,7 +372,7 @@ class TestRefusals:
 
     def test_one_stand_without_labels(self):
         recording = recorded(labelled=False)
-        with pytest.raises(DataError, match="Only 1 stationary windows"):
+        with pytest.raises(DataError, match="Only one stationary window of at least"):
             mount_from_recording(kept(recording, slice(0, 150)), calibrated())
 
     def test_a_unit_that_moved_between_two_level_stands(self):

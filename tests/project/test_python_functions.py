@@ -10,6 +10,7 @@ import pytest
 import sims
 import srt
 from srt.cli import main
+from srt.result.json_file import json_text
 
 SCENARIO = {
     "seed": 5,
@@ -129,16 +130,14 @@ def test_keyword_arguments_replace_values_of_the_recording(recording, folder):
 
 def test_inspection_and_comparison_are_those_of_the_commands(recording, folder, tmp_path, shell):
     shell("inspect", folder, "--deep", "--json", tmp_path / "i.json", "-q")
-    assert json.dumps(srt.inspect(folder, deep=True).as_dict()) == json.dumps(
-        json.loads((tmp_path / "i.json").read_text())
-    )
+    assert json_text(srt.inspect(folder, deep=True).as_dict()) == (tmp_path / "i.json").read_text()
     names = ["closed-form", "least-squares"]
     said = [text for name in names for text in ("--estimator", name)]
     shell("compare", folder, *said, "-o", tmp_path / "c.json", "-q")
     written, found = json.loads((tmp_path / "c.json").read_text()), srt.compare(folder, names).as_dict()
     for row in (*written["estimators"], *found["estimators"]):
         row.pop("seconds")
-    assert json.loads(json.dumps(found)) == written
+    assert json.loads(json.dumps(found)) == {key: value for key, value in written.items() if key != "digest"}
 
 
 def test_plan_is_that_of_the_command(tmp_path, shell):
@@ -154,7 +153,7 @@ def test_plan_is_that_of_the_command(tmp_path, shell):
     from srt.planning.plan_document import plan_document
 
     for found in (srt.plan(sims.load_plan_file(file)), srt.plan(named)):
-        assert json.loads(json.dumps(plan_document(found))) == json.loads((tmp_path / "p.json").read_text())
+        assert json_text(plan_document(found)) == (tmp_path / "p.json").read_text()
     assert repr(found).startswith("Plan: ")
     assert list(srt.to_frame(found).loc["gyro_scale_x", ["target", "unit"]]) == [pytest.approx(50.0), "ppm"]
 

@@ -7,6 +7,7 @@ import zipfile
 
 import numpy as np
 import pytest
+from foreign_files import samples, write_phyphox
 
 import srt
 from srt.exceptions import InputError
@@ -73,6 +74,17 @@ def test_an_update_rate_that_is_no_number(tmp_path, rate):
     names = "\t".join(["PacketCounter", *(f"{part}_{a}" for part in ("Acc", "Gyr") for a in "XYZ")])
     (tmp_path / "MT_0.txt").write_text(f"// Update Rate: {rate}Hz\n{names}\n{rows}")
     assert import_file(tmp_path / "MT_0.txt")[1].sample_rate_hz is None
+
+
+def test_a_table_of_phyphox_that_does_not_decompress(tmp_path, shell):
+    path = tmp_path / "log.zip"
+    write_phyphox(path, *samples(200))
+    data = bytearray(path.read_bytes())
+    with zipfile.ZipFile(path) as archive:
+        start = archive.getinfo("Gyroscope.csv").header_offset + 30 + len("Gyroscope.csv")
+    data[start : start + 40] = bytes(40)
+    path.write_bytes(data)
+    assert "is not a readable phyphox export (" in shell("convert", path, "-o", tmp_path / "out", code=2).err
 
 
 def write_circle(path):

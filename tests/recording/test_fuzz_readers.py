@@ -17,7 +17,7 @@ from srt.recording.importers import child_process
 sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
 fuzz = importlib.import_module("fuzz")
 
-NAMES = (*fuzz.READERS, *fuzz.RECORDINGS)
+NAMES = fuzz.NAMES
 
 LONGEST_MESSAGE = 1500
 

@@ -261,7 +261,7 @@ def test_columns_given_by_name_number_and_stem(tmp_path):
         ("gyro=rat,accel_y=s", r"no column rat_x \(did you mean rot_x\?\), rat_y .*, s \(found: t0, .*\): name one"),
         (
             "gyro=rot,accel_y=q",
-            r"recognised as time, accel_x, accel_z \(found: t0, rot_x, rot_y, rot_z, p, q, r\): give --columns "
+            r"recognised as time, accel_x, accel_z \(columns found: t0, rot_x, rot_y, rot_z, p, q, r\): give --columns "
             "'time=NAME,accel_x=NAME,accel_z=NAME' with a name found, or its number from 1, for each NAME",
         ),
     ):

@@ -113,6 +113,19 @@ class TestPromises:
                 file.create_dataset(name, shape=(1 << 40,), chunks=(1 << 10,), dtype="f8")
         assert "8796093022208 bytes" in self.refused(path, as_recording)
 
+    def test_hdf5_of_one_dataset_under_all_names(self, tmp_path, as_recording):
+        """It may be read once; as all columns together it is more than a file of that size can mean."""
+        h5py = pytest.importorskip("h5py")
+        path, rows = tmp_path / "samples.h5", 6 << 20
+        with h5py.File(path, "w") as file:
+            first, *others = COLUMNS
+            file.create_dataset(first, data=np.zeros(rows), chunks=(1 << 20,), compression="gzip", compression_opts=1)
+            for name in others:
+                file[name] = file[first]
+        # A search of the file meets each dataset once.
+        said = "its arrays are 3" if as_recording else "no column was recognised as time"
+        assert said in self.refused(path, as_recording)
+
     @pytest.mark.parametrize("way", ["external link", "soft link", "virtual", "external storage"])
     def test_hdf5_that_leads_elsewhere(self, tmp_path, as_recording, way):
         h5py = pytest.importorskip("h5py")
@@ -150,6 +163,49 @@ class TestPromises:
         rows = 1 << 22
         parquet.write_table(pa.table({"time": np.zeros(rows)}), path, row_group_size=rows, data_page_size=1 << 30)
         assert f"{8 * rows} bytes" in self.refused(path, as_recording)
+
+    def test_parquet_of_runs_in_all_columns(self, tmp_path, as_recording):
+        """Each column alone may be read; all together are more than a file of that size can mean."""
+        path, rows = tmp_path / "samples.parquet", 6 << 20
+        write_parquet(path, dict.fromkeys(COLUMNS, np.zeros(rows, "i1")), "x" * (1 << 16), row_group_size=rows)
+        assert f"{8 * rows * 7} bytes" in self.refused(path, as_recording)
+
+    def test_parquet_page_that_swells(self, tmp_path, as_recording):
+        """A page of ten values whose header states a gigabyte, for which the library would reserve memory."""
+        path = tmp_path / "samples.parquet"
+        write_parquet(path, {"time": np.arange(10.0)}, use_dictionary=False, compression="zstd")
+        data = path.read_bytes()
+        assert data[4:7] == b"\x15\x00\x15"  # kind of the page, and the type of the next field, its size
+        assert data[8] < 128 < data[7]  # that takes two bytes, or else the next line cuts more
+        path.write_bytes(data[:7] + varint(2 << 30) + data[9:])
+        assert f"{1 << 30} bytes" in self.refused(path, as_recording)
+
+    def test_parquet_page_with_an_endless_list(self, tmp_path, as_recording):
+        path = tmp_path / "samples.parquet"
+        write_parquet(path, {"time": np.arange(10.0)}, use_dictionary=False)
+        data = path.read_bytes()
+        # A list of booleans in the place of the page's kind, its number of elements in ten bytes.
+        path.write_bytes(data[:4] + b"\x19\xf1" + b"\xff" * 8 + b"\x7f" + data[5:])
+        assert "a list is longer than the file" in self.refused(path, as_recording)
+
+    @pytest.mark.parametrize(("places", "said"), [(1, "its groups have 300 rows of 301"), (99, "has 300 rows of 301")])
+    def test_parquet_that_states_another_number_of_rows(self, tmp_path, as_recording, places, said):
+        path = tmp_path / "samples.parquet"
+        write_parquet(path, {name: np.arange(300.0) for name in COLUMNS}, use_dictionary=False)
+        pages, mark, foot = path.read_bytes().rpartition(b"\x15\x04\x19")  # first bytes of the metadata: version 2
+        path.write_bytes(pages + mark + foot.replace(varint(2 * 300), varint(2 * 301), places))
+        assert said in self.refused(path, as_recording)
+
+
+def varint(code):
+    """Integer of Thrift's compact protocol; the code of a positive one is twice its value."""
+    return bytes([code & 127 | 128]) + varint(code >> 7) if code > 127 else bytes([code])
+
+
+def write_parquet(path, columns, padding="", **options):
+    pa = pytest.importorskip("pyarrow")
+    table = pa.table(columns).replace_schema_metadata({"padding": padding})
+    pytest.importorskip("pyarrow.parquet").write_table(table, path, **options)
 
 
 # MATLAB files.

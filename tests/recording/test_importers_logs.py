@@ -295,3 +295,12 @@ def test_text_that_is_no_number_is_named(tmp_path):
     (tmp_path / "a.log").write_text(text.replace(repr(rows[3][4]), "oops"))
     with pytest.raises(InputError, match="column GyrZ of IMU holds 'oops', which is no number there"):
         read(tmp_path / "a.log")
+
+
+def test_a_log_of_ardupilot_with_bytes_that_are_no_message_says_so(tmp_path):
+    ff.write_dataflash(tmp_path / "a.bin", IMU_MESSAGES)
+    data = (tmp_path / "a.bin").read_bytes()
+    at = data.index(b"\xa3\x95", len(data) // 2)  # first bytes of a message
+    (tmp_path / "b.bin").write_bytes(data[:at] + b"\xff\xff" + data[at + 2 :])
+    assert note(read(tmp_path / "b.bin"), "of its bytes hold no messages; the others were read.")
+    assert not note(read(tmp_path / "a.bin"), "The log is damaged")

@@ -188,15 +188,17 @@ def test_time_units(tmp_path, unit, factor):
 
 
 def test_gravity_given_or_normal(tmp_path):
-    assert load_recording(write_folder(tmp_path, SI)).site == Site(9.8, 5e-6, None)
+    given = load_recording(write_folder(tmp_path, SI)).site
+    assert given == Site(9.8, 5e-6, None, gravity_sigma_origin="assumed")
     site = load_recording(write_folder(tmp_path, SI, site="latitude_deg = 45\nheight_m = 100")).site
-    assert site == Site(normal_gravity_m_s2(math.pi / 4, 100.0), 5e-4, math.pi / 4)
+    gravity = normal_gravity_m_s2(math.pi / 4, 100.0)
+    assert site == Site(gravity, 5e-4, math.pi / 4, gravity_sigma_origin="assumed")
     # WGS 84 at 45°: 9.806199 m/s² at height 0, less 3.086e-6 per metre
     assert site.gravity_m_s2 == pytest.approx(9.806199 - 3.086e-4, abs=2e-6)
     site = load_recording(
         write_folder(tmp_path, SI, site="latitude_deg = 45\nheight_m = 0\ngravity_sigma_m_s2 = 1e-4")
     ).site
-    assert site.gravity_sigma_m_s2 == 1e-4
+    assert (site.gravity_sigma_m_s2, site.gravity_sigma_origin) == (1e-4, None)
 
 
 def test_absent_keys_are_unknown(tmp_path):

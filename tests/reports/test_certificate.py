@@ -94,6 +94,14 @@ def test_limitations_follow_the_test(saved):
     assert "no reference" in said
 
 
+def test_a_sigma_that_nobody_stated_is_called_assumed(saved):
+    for origin, shown in ((None, "0.0029 m/s²"), ("assumed", "0.0029 m/s² (assumed)")):
+        site = StatedSite(gravity_m_s2=9.81, gravity_sigma_m_s2=0.01 / 12**0.5, gravity_sigma_origin=origin)
+        made = make_certificate(saved(calibration(site=site)))
+        assert made.references.rows[0][2].text == shown
+        assert ("gravity 9.81 ± 0.0029 m/s² (assumed)" in str(made.description)) == (origin is not None)
+
+
 @pytest.mark.parametrize(
     "hostile",
     [

@@ -50,6 +50,9 @@ CASES = {
     "held": lambda: calibration_figure(held(calibration(), "gyro_scale_x", "accel_bias_z")),
     "all of a unit held": lambda: calibration_figure(held(calibration(), *(n for n in NAMES if "gyro_bias" in n))),
     "many turns": lambda: calibration_figure(calibration(turns=120)),
+    "long title": lambda: calibration_figure(
+        replace(calibration(), status="not_converged"), truth=srt.SensorErrors(), title=f"serial {'M' * 90}"
+    ),
     "no residuals": lambda: calibration_figure(calibration(turns=0)),
     "one correction of nothing": lambda: calibration_figure(replace(calibration(), corrections=(0.0,))),
     "no correction": lambda: calibration_figure(replace(calibration(), corrections=())),

@@ -129,7 +129,7 @@ def test_a_fault_that_residuals_need_not_show_is_doubtful(name):
         return
     assert found.word == DOUBTFUL
     assert found.reason.startswith(
-        "A fault was found that residuals need not show: A channel is stuck. The residuals agree"
+        "A fault was found that the residuals may not show: A channel is stuck. The residuals agree"
     )
 
 

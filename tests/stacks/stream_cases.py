@@ -26,3 +26,13 @@ TIME = 0.01 * np.arange(1, N + 1)
 
 def corrector(told, **options):
     return StreamCorrector(CALIBRATION, "mars", StreamOptions(**options), told.append)
+
+
+def csv(values=Y, stamps=TIME):
+    """Lines of time and readings."""
+    return [",".join(map(repr, (t, *row))) for t, row in zip(stamps.tolist(), values.tolist(), strict=True)]
+
+
+def numbers(lines):
+    """Cells of lines, shape (n, m)."""
+    return np.array([[float(cell) for cell in line.split(",")] for line in lines])

@@ -40,7 +40,7 @@ def corrected_packet(told, message, *, raw=None, version_1=False, key=None):
         sender.signing.secret_key, sender.signing.sign_outgoing = key, True
     kind, *values = message
     packed = getattr(common, f"MAVLink_{kind}_message")(*values).pack(sender, force_mavlink1=version_1)
-    packet = MavlinkCorrector(corrector(told), raw).correct(bytes(packed))
+    packet = b"".join(MavlinkCorrector(corrector(told), raw).correct(bytes(packed)))
     return packet, common.MAVLink(None).decode(bytearray(packet)) if packet else None
 
 
@@ -73,6 +73,14 @@ def test_a_corrected_message_keeps_imu_sender_and_version(told, case, version_1)
     assert (out.get_srcSystem(), out.get_srcComponent(), out.get_seq()) == (7, 3, 9)
     if version_1:
         assert packet[1] == 62  # bytes of the message without its extension
+
+
+@pytest.mark.parametrize("kind", ["scaled_imu", "scaled_imu2", "scaled_imu3"])
+def test_the_magnetometer_of_scaled_messages_goes_on(told, kind):
+    _, out = corrected_packet(told, (kind, 500, *SIX, 210, -20, 430, 0))
+    # mgauss in, gauss out, as floats of 32 bits
+    np.testing.assert_allclose([out.xmag, out.ymag, out.zmag], [0.21, -0.02, 0.43], rtol=2.0**-24)
+    assert out.fields_updated == 63 | 0b111 << 6
 
 
 def test_a_signed_message_goes_out_unsigned_and_this_is_told(told):

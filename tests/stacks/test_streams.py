@@ -2,18 +2,18 @@
 
 import io
 import json
-import socket
 import subprocess
 import sys
-import time
+import tracemalloc
 
 import numpy as np
 import pytest
-from stream_cases import CALIBRATION, RNG, TIME, TRUE, N, Y, corrector
+from stream_cases import CALIBRATION, RNG, TIME, TRUE, N, Y, corrector, csv, numbers
 
 import srt
 from srt.cli.stream import parse_address
-from srt.stacks.text_lines import LineCorrector
+from srt.stacks.stream_correction import Counts
+from srt.stacks.text_lines import LineCorrector, bounded_lines
 
 HEADER = "time,gyro_x,gyro_y,gyro_z,accel_x,accel_y,accel_z"
 
@@ -21,14 +21,6 @@ HEADER = "time,gyro_x,gyro_y,gyro_z,accel_x,accel_y,accel_z"
 @pytest.fixture
 def told():
     return []
-
-
-def csv(values=Y, stamps=TIME):
-    return [",".join(map(repr, (t, *row))) for t, row in zip(stamps.tolist(), values.tolist(), strict=True)]
-
-
-def numbers(lines):
-    return np.array([[float(cell) for cell in line.split(",")] for line in lines])
 
 
 def test_lines_are_corrected_as_arrays_are(told):
@@ -64,7 +56,7 @@ def test_json_lines_and_covariance(told):
 
 def test_units_and_increments(told):
     dt = 0.01
-    lines = LineCorrector(corrector(told, gyro_unit=(float(np.radians(1.0)),) * 3, dt=dt))
+    lines = LineCorrector(corrector(told, dt=dt), units={"gyro": "deg"})
     y = np.column_stack([np.degrees(Y[:, :3]) * dt, Y[:, 3:] * dt])
     found = numbers([lines.correct(line) for line in csv(y)])[:, 1:]
     # Conversion there and back: four roundings of values below 0.5.
@@ -97,9 +89,92 @@ def test_damage_is_counted_and_the_stream_goes_on(told):
     assert len(told) == 1
 
 
+def test_units_of_the_names_are_those_of_the_lines(told):
+    """As convert reads them: time in ms, deg/s and g; the answers are in the same units."""
+    lines = LineCorrector(corrector(told))
+    names = "time [ms],gyro_x [deg/s],gyro_y [deg/s],gyro_z [deg/s],accel_x [g],accel_y [g],accel_z [g]"
+    y = np.column_stack([np.degrees(Y[:, :3]), Y[:, 3:] / 9.80665])
+    for _ in range(2):  # names may come again, as in each datagram
+        assert lines.correct(names) == names
+        found = numbers([lines.correct(line) for line in csv(y, 1e3 * TIME)])[:, 1:]
+        # Conversion there and back: four roundings of values below 200.
+        np.testing.assert_allclose(found[:, :3], np.degrees(TRUE[:, :3]), rtol=0, atol=1e-13)
+        np.testing.assert_allclose(found[:, 3:], TRUE[:, 3:] / 9.80665, rtol=0, atol=1e-14)
+    assert lines._corrector.interval_s == pytest.approx(0.01, rel=1e-9)
+    assert json.loads(lines.correct('{"gyro": [0, 0, 0], "accel": [0, 0, 9.8]}'))["accel"][2] > 9.0  # SI
+    assert [sentence for sentence in told if "time goes" not in sentence] == []
+
+
+@pytest.mark.parametrize(
+    ("names", "options", "said"),
+    [
+        ("gyro_x_raw,gyro_y_raw,gyro_z_raw,accel_x,accel_y,accel_z", {}, "state counts for gyro: give --gyro-lsb"),
+        ("dtheta_x,dtheta_y,dtheta_z,dv_x,dv_y,dv_z", {}, "state increments: give --increments-s SECONDS"),
+        ("gyro_x [rad],gyro_y [rad],gyro_z [rad],accel_x,accel_y,accel_z", {}, "does not fit samples of kind rate"),
+        ("gyro_x [deg/s],gyro_y,gyro_z,accel_x,accel_y,accel_z", {}, "different units (deg/s, none): name the columns"),
+        ("t,rate 1,rate 2,rate 3,accel_x,accel_y,accel_z", {}, "(found: t, rate 1, rate 2, rate 3, accel_x, accel_y, "),
+        ("gyro_x [deg/s],gyro_y [deg/s],gyro_z [deg/s],a_x,a_y,a_z", {"counts": Counts((1.0,) * 6, (0.0,) * 6)},
+         "state deg/s for gyro, but --gyro-lsb is given: leave it out"),
+    ],
+)  # fmt: skip
+def test_lines_below_names_that_are_not_understood_are_refused(told, names, options, said):
+    """Their columns may be in any order and unit; names that are understood end this."""
+    lines = LineCorrector(corrector(told), **options)
+    row = ",".join(["0"] * (names.count(",") + 1))
+    assert [lines.correct(line) for line in (names, row, row)] == ["", "", ""]
+    assert said in told[0]
+    assert "accel_z, or send lines" in told[0] or "name the columns" not in told[0]  # the sentence is whole
+    assert lines._corrector.counts["malformed"] == 3
+    assert lines.correct(HEADER)
+    assert lines.correct("0.01,0,0,0,0,0,9.8")
+
+
+def test_a_given_unit_overrides_that_of_the_names(told):
+    lines = LineCorrector(corrector(told), units={"gyro": "rad/s"})
+    lines.correct("time,gyro_x [deg/s],gyro_y [deg/s],gyro_z [deg/s],accel_x,accel_y,accel_z")
+    np.testing.assert_array_equal(numbers([lines.correct(csv()[0])])[0, 1:], TRUE[0])
+    assert told == ["the names state deg/s for gyro; read as rad/s, as given"]
+
+
+@pytest.mark.parametrize(
+    ("first", "lost", "counted"),
+    [
+        ("0.0,0,0,0,0,9", 0, {"answered wrongly": 1, "malformed": 1}),
+        ("0.0,0,0,0,0,0,9.8,24", 2, {"answered wrongly": 1, "malformed": 3}),
+        ("time,gyro_x,gyro_y,gyro_z,accel_x,acc", 0, {"malformed": 2}),
+    ],
+)
+def test_a_damaged_first_line_does_not_lose_those_that_follow(told, first, lost, counted):
+    lines = LineCorrector(corrector(told))
+    lines.correct(first)
+    found = [lines.correct(line) for line in [*csv()[:3], "0.5,1,2,3,4,5", *csv()[3:]]]
+    np.testing.assert_array_equal(numbers(line for line in found if line), np.column_stack([TIME, TRUE])[lost:])
+    assert lines._corrector.counts == {"corrected": N - lost, **counted}
+    assert any(sentence.startswith("line 1 ") for sentence in told)
+
+
+def test_another_number_of_columns_is_believed_if_three_lines_in_succession_have_it(told):
+    lines = LineCorrector(corrector(told))
+    short = "0.0,0,0,0,0,9"
+    found = [bool(lines.correct(line)) for line in [short, short, *csv()[:2], short, *csv()[2:6], short]]
+    assert found == [True, True, False, False, True, False, False, True, True, False]
+    assert "the lines have 7 columns from line 8 on, and had 6 before" in told
+
+
 @pytest.mark.parametrize(
     "line",
     [
+        '{"gyro": "123", "accel": [0, 0, 9]}',
+        '{"gyro": [true, false, 0], "accel": [0, 0, 9]}',
+        '{"gyro": [0, 0, "1"], "accel": [0, 0, 9]}',
+        '{"gyro": [0, 0, 0], "accel": [0, 0, 9], "temperature": NaN}',
+        '{"gyro": [0, 0, 0], "accel": [0, 0, 9], "other": NaN}',
+        '{"gyro": [0, 0, 0], "accel": [0, 0, 9], "other": 1e999}',
+        '{"accel": [0, 0, 9]}',
+        "[0, 0, 0, 0, 0, 9.8]",
+        "1_0.5,0,0,0,0,0,9.8",
+        "0,0,0,0,0,1_0.5,9.8",
+        "0,0,0,0,0,0,9.8,nan",
         '{"gyro": ' + "[" * 3000,
         '{"gyro": [1' + "0" * 400 + ', 0, 0], "accel": [0, 0, 9]}',
         '{"gyro": "abc", "accel": "def"}',
@@ -114,6 +189,7 @@ def test_hostile_lines_are_malformed(told, line):
     assert lines.correct("0,0,0,0,0,0,9.8")
     assert lines.correct(line) == ""
     assert lines._corrector.counts["malformed"] == 1
+    assert told[0].startswith("line 2 is no sample (")
 
 
 def test_lost_samples_clipping_and_temperature_are_told(told):
@@ -164,141 +240,26 @@ def test_the_command_answers_each_line(tmp_path):
         assert child.wait() == 0
 
 
-def free_port():
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
-        link.bind(("127.0.0.1", 0))
-        return link.getsockname()[1]
-
-
-class Link:
-    """The command between two sockets."""
-
-    def __init__(self, folder, *options):
-        CALIBRATION.save(folder / "unit.json")
-        self.inside = free_port()
-        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self.socket.bind(("127.0.0.1", 0))
-        self.socket.settimeout(30.0)
-        addresses = "--from", f"udp:127.0.0.1:{self.inside}", "--to", f"udp:127.0.0.1:{self.socket.getsockname()[1]}"
-        command = [sys.executable, "-m", "srt.cli", "apply", str(folder / "unit.json"), *addresses, *options]
-        self.child = subprocess.Popen([*command, "--timeout-s", "1.5"], stderr=subprocess.PIPE, text=True)
-
-    def send(self, packet):
-        self.socket.sendto(packet, ("127.0.0.1", self.inside))
-
-    def wait(self, packet):
-        """Send until the command answers: it takes a second to start."""
-        self.socket.settimeout(0.2)
-        for _ in range(150):
-            self.send(packet)
-            try:
-                answer = self.socket.recv(65536)
-            except OSError:
-                continue
-            time.sleep(0.3)
-            self.socket.setblocking(False)
-            try:
-                while True:
-                    self.socket.recv(65536)
-            except BlockingIOError:
-                self.socket.settimeout(30.0)
-                return answer
-        raise AssertionError("no answer")
-
-    def end(self):
-        with self.child.stderr as stream:
-            errors = stream.read()
-        assert self.child.wait() == 0
-        self.socket.close()
-        return errors
-
-
-def test_lines_through_udp(tmp_path):
-    link = Link(tmp_path)
-    link.wait(b"0,0,0,0,0,0,9.8\n")
-    link.send(("\n".join(csv()[:3]) + "\n").encode())
-    found = numbers(link.socket.recv(65536).decode().splitlines())
-    np.testing.assert_array_equal(found[:, 1:], TRUE[:3])
-    link.send(b"garbage\n\n")
-    assert link.socket.recv(65536) == b"\n\n"
-    link.send(csv()[3].encode())
-    np.testing.assert_array_equal(numbers([link.socket.recv(65536).decode()])[0, 1:], TRUE[3])
-    assert "1 malformed" in link.end()
-
-
-def readings(message):
-    """Rates and specific forces of a HIGHRES_IMU message."""
-    return np.array([message.xgyro, message.ygyro, message.zgyro, message.xacc, message.yacc, message.zacc])
-
-
-def assert_corrected(found, gyro, accel):
-    """Compare with the calibration; fields are floats of 32 bits: half a unit in the last place, and rounding."""
-    np.testing.assert_allclose(found, np.hstack(CALIBRATION.apply(gyro, accel)), rtol=2.0**-24 + 1e-13)
-
-
-def test_mavlink_through_udp(tmp_path):
-    common = pytest.importorskip("pymavlink.dialects.v20.common")
-    sender = common.MAVLink(None, srcSystem=7, srcComponent=3)
-    reader = common.MAVLink(None)
-    link = Link(tmp_path, "--gyro-lsb", "1/131 deg/s", "--gyro-offset", "12", "--accel-lsb", "1/4096 g")
-
-    def packed(message):
-        data = bytes(message.pack(sender))
-        sender.seq = (sender.seq + 1) % 256
-        return data
-
-    def highres(y):
-        return common.MAVLink_highres_imu_message(
-            123456, *y[3:], *y[:3], 0.1, 0.2, 0.3, 1000.0, 1.0, 2.0, 25.0, 0x103F, 2
+def test_a_stream_without_a_sample_fails(tmp_path, monkeypatch, shell):
+    CALIBRATION.save(tmp_path / "unit.json")
+    for text in ("Zeit,Drehrate X,Drehrate Y,Drehrate Z,accel_x,accel_y,accel_z\n0,0,0,0,0,0,9.8\n", ""):
+        monkeypatch.setattr(sys, "stdin", io.StringIO(text))
+        errors = shell("apply", tmp_path / "unit.json", "-", code=1).err
+        assert errors.endswith(
+            "srt: No sample of the stream was corrected: send lines of CSV or JSON, or MAVLink by --from.\n"
         )
 
-    def answer():
-        (message,) = reader.parse_buffer(link.socket.recv(65536))
-        return message, readings(message)
 
-    link.wait(packed(highres(Y[0])))
-    sender.seq = 100
-    link.send(packed(highres(Y[1])))
-    message, values = answer()
-    y32 = Y[1].astype(np.float32).astype(float)
-    assert_corrected(values, y32[:3], y32[3:])
-    assert (message.get_srcSystem(), message.get_srcComponent(), message.id, message.time_usec) == (7, 3, 2, 123456)
-    assert message.xmag == pytest.approx(0.1, rel=1e-6)
-
-    counts = np.array([100, -2000, 3, 4096, -17, 31])
-    scaled = common.MAVLink_scaled_imu_message(500, *counts[3:].tolist(), *counts[:3].tolist(), 0, 0, 0, 4000)
-    link.send(packed(scaled))
-    message, values = answer()
-    assert_corrected(values, counts[:3] * 1e-3, counts[3:] * 9.80665e-3)
-    assert (message.get_type(), message.time_usec, message.temperature) == ("HIGHRES_IMU", 500_000, 40.0)
-
-    raw = common.MAVLink_raw_imu_message(600, *counts[3:].tolist(), *counts[:3].tolist(), 0, 0, 0)
-    link.send(packed(raw))
-    message, values = answer()
-    assert_corrected(values, (counts[:3] - 12) * np.radians(1.0 / 131.0), counts[3:] * 9.80665 / 4096.0)
-
-    beat = common.MAVLink_heartbeat_message(2, 3, 0, 0, 4, 3)
-    link.send(packed(beat))
-    assert reader.parse_buffer(link.socket.recv(65536))[0].get_type() == "HEARTBEAT"
-    damaged = bytearray(packed(highres(Y[2])))
-    damaged[20] ^= 0xFF
-    link.send(bytes(damaged))
-    link.send(packed(highres(Y[2]))[:30])
-    link.send(packed(highres(np.r_[np.nan, Y[2, 1:]])))
-    sender.seq = (sender.seq + 5) % 256
-    link.send(packed(highres(Y[3])))
-    _, values = answer()
-    y32 = Y[3].astype(np.float32).astype(float)
-    assert_corrected(values, y32[:3], y32[3:])
-    errors = link.end()
-    assert "3 malformed" in errors
-    # Two packets were damaged beyond their numbers, and five numbers skipped; the one of NaN was whole.
-    assert re_count(errors, "lost") >= 7
-    assert "40.0 °C" in errors
-
-
-def re_count(text, kind):
-    return int(text.rsplit(f" {kind}", 1)[0].rsplit(" ", 1)[1])
+def test_a_line_without_end_does_not_fill_the_memory():
+    """32 MB of digits without a line break; the line after them is corrected."""
+    lines, text = LineCorrector(corrector([])), io.StringIO("9" * (32 << 20) + "\n0.01,0,0,0,0,0,9.8")
+    tracemalloc.start()
+    answers = [lines.correct(line) for line in bounded_lines(text)]
+    assert tracemalloc.get_traced_memory()[1] < 1 << 20
+    tracemalloc.stop()
+    assert answers[0] == ""
+    assert answers[1].startswith("0.01,")
+    assert lines._corrector.counts["malformed"] == 1
 
 
 def test_the_command_corrects_lines_of_counts(tmp_path, monkeypatch, shell):

@@ -47,6 +47,10 @@ class FollowedTest:
         self.order = sequence_order(order)
         self.targets = dict(targets or {})
         self.estimator = estimator
+        self.begin()
+
+    def begin(self) -> None:
+        """Begin anew, without the samples so far."""
         self.state: RunState | None = None
         self.history: list[SequenceAccuracy] = []
         self.advice = ""

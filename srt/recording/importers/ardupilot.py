@@ -97,8 +97,10 @@ class _LogMessages:
 
 def read_log(path: Path, options: ImportOptions) -> ImportedSamples:
     """Read the IMU of a log, in this process. Raises InputError."""
-    log = _LogMessages(path, *_tables(path))
-    notes = ["ArduPilot has applied its own calibration: a calibration of this log finds the remaining errors."]
+    tables, parameters, lost = _tables(path)
+    log = _LogMessages(path, tables, parameters)
+    notes = [f"The log is damaged: {lost} of its bytes hold no messages; the others were read."] if lost else []
+    notes += ["ArduPilot has applied its own calibration: a calibration of this log finds the remaining errors."]
     absent = (
         f"in messages {options.topic or 'IMU, or GYR with ACC'} (found: "
         f"{', '.join(sorted(log.tables)) or 'none of them'}): log the IMU (LOG_BITMASK), or the raw IMU (GYR, ACC)."
@@ -112,7 +114,8 @@ def read_log(path: Path, options: ImportOptions) -> ImportedSamples:
     return to_imported(stream, options, notes, applied=applied)
 
 
-def _tables(path: Path) -> tuple[dict[str, dict[str, NDArray[Any]]], dict[str, list[float]]]:
+def _tables(path: Path) -> tuple[dict[str, dict[str, NDArray[Any]]], dict[str, list[float]], int]:
+    """Tables of the messages, parameters, and the number of bytes of a binary log that belong to no message."""
     names = [message + variant for message in _COLUMNS for variant in _VARIANTS]
     take = _from_text if _is_text(path) else _from_binary
     reader = _indexed(path, binary=take is _from_binary)
@@ -123,7 +126,10 @@ def _tables(path: Path) -> tuple[dict[str, dict[str, NDArray[Any]]], dict[str, l
         for name, value in zip(table["Name"].tolist(), table["Value"].tolist(), strict=True):
             text = name.decode("latin-1") if isinstance(name, bytes) else name
             parameters.setdefault(text.strip(" \0"), []).append(float(value))
-    return {name: table for name, table in tables.items() if table}, parameters
+    lost = 0
+    if take is _from_binary:
+        lost = reader.data_len - sum(len(reader.offsets[kind]) * each.len for kind, each in reader.formats.items())
+    return {name: table for name, table in tables.items() if table}, parameters, lost
 
 
 def _from_binary(path: Path, reader: Any, name: str, *, texts: bool = False) -> dict[str, NDArray[Any]]:

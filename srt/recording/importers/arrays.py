@@ -9,7 +9,7 @@ from srt.recording.array_files import HDF5_MAGIC, NUMBERS, ArrayFile, open_hdf5,
 from srt.recording.import_options import TRIADS, ImportOptions, option
 from srt.recording.imported_samples import ImportedSamples, StatedUnits, of_channels, samples_in_si
 from srt.recording.importer_registry import Importer, starts_with
-from srt.recording.importers.channels import assign, listed, with_temperature
+from srt.recording.importers.channels import assign, listed, unread, with_temperature
 from srt.recording.samples import TEMPERATURE, TIME
 
 if TYPE_CHECKING:
@@ -79,6 +79,7 @@ def samples_from_arrays(
         kind=None if options.kind is not None else found.kind,
         sample_rate_hz=None if TIME in table else sample_rate_hz,
         notes=with_temperature(tuple(remarks), table, units.get(TEMPERATURE)),
+        unread=unread(names, found.columns),
     )
 
 

@@ -296,10 +296,15 @@ def _require_all(path: Path, names: Sequence[str], width: int, columns: Mapping[
     channels = [*([] if TIME in columns else [TIME]), *missing]
     line = ",".join(f"{channel}=NAME" for channel in channels)
     raise InputError(
-        f"{path}: no column was recognised as {', '.join(channels)} (found: {_all_listed(names)}): give "
+        f"{path}: no column was recognised as {', '.join(channels)} (columns found: {_all_listed(names)}): give "
         f"{option('columns')} '{line}' with a name found, or its number from 1, for each NAME"
         f"{f' (leave {TIME} out if there are no stamps)' if TIME in channels else ''}."
     )
+
+
+def unread(names: Sequence[str], columns: Mapping[str, int]) -> tuple[str, ...]:
+    """Names of the columns that are not read."""
+    return tuple(name for i, name in enumerate(names) if i not in columns.values())
 
 
 def _fits(channel: str, unit: str | None) -> bool:

@@ -19,9 +19,17 @@ from srt.recording.imported_samples import (
     of_channels,
     samples_in_si,
     seconds_of,
+    stamps_without_unit,
 )
 from srt.recording.importer_registry import Importer, head
-from srt.recording.importers.channels import ColumnAssignment, assign, listed, meaning_of, with_temperature
+from srt.recording.importers.channels import (
+    ColumnAssignment,
+    assign,
+    listed,
+    meaning_of,
+    unread,
+    with_temperature,
+)
 from srt.recording.samples import TIME
 from srt.recording.text_tables import TableLayout, cells_of, is_date, is_number, read_table
 
@@ -163,6 +171,7 @@ def read_csv_table(
         kind=kind,
         sample_rate_hz=None if TIME in table else sample_rate_hz,
         notes=(*(found.notes if stated is not None else with_temperature(found.notes, table)), *commas),
+        unread=unread(layout.header, found.columns),
     )
 
 
@@ -187,6 +196,11 @@ def read_pair(path: Path, options: ImportOptions) -> ImportedSamples:
         meanings = filter(None, map(meaning_of, layout.header))
         units.append(next((each.unit for each in meanings if each.channel == TIME and each.unit), None))
     (gyro, accel), unit = tables, options.time_unit or units[0]
+    if unit is None and options.sample_rate_hz is not None and np.array_equal(gyro[TIME], accel[TIME]):
+        notes.append(stamps_without_unit())
+        return samples_in_si(
+            options, gyro=_triad(gyro), accel=_triad(accel), time=None, stated=StatedUnits(), notes=tuple(notes)
+        )
     if unit is None or (options.time_unit is None and units[0] != units[1]):
         raise InputError(
             f"{gyro_path} and {accel_path} do not state in what unit their times are: state it with "
@@ -228,9 +242,9 @@ def _usable(
     Raises InputError if it is not.
     """
     cell = layout.cells[found.columns[TIME]].strip()
-    doubtful = TIME not in options.columns and options.time_unit is None and stated.time is None and not is_date(cell)
+    doubtful = options.time_unit is None and stated.time is None and not is_date(cell)
     if options.sample_rate_hz is not None and doubtful:
-        note = f"The time stamps are not used: their unit is not stated, and {option('sample_rate_hz')} is."
+        note = stamps_without_unit()
     elif cell and not _ROUNDED.fullmatch(cell):
         return found
     else:

@@ -67,20 +67,23 @@ def _names(path: Path) -> set[str]:
 def _sniff(path: Path, *, phyphox: bool = False) -> bool:
     """True for tables with the names of an app; phyphox also needs its head, as Sensor Logger has the same names."""
     (gyro,) = _PHYPHOX.gyro
+    names: set[str] = set()
     try:
         if not path.is_dir() and head(path, 4) != b"PK\x03\x04":
             return False
-        names = _names(path)
-        if not phyphox:
-            return not names.isdisjoint(_SENSOR_LOGGER.gyro)
-        if not {gyro, *_PHYPHOX.accel} <= names:
-            return False
-        if path.is_dir():
-            return b"Time (s)" in head(path / gyro)
-        with zipfile.ZipFile(path) as archive, archive.open(gyro) as table:
-            return b"Time (s)" in table.read(200)
-    except (OSError, ValueError, NotImplementedError, zipfile.BadZipFile):
-        return False
+        with clear_errors(path, _PHYPHOX.title):
+            names = _names(path)
+            if not phyphox:
+                return not names.isdisjoint(_SENSOR_LOGGER.gyro)
+            if not {gyro, *_PHYPHOX.accel} <= names:
+                return False
+            if path.is_dir():
+                return b"Time (s)" in head(path / gyro)
+            with zipfile.ZipFile(path) as archive, archive.open(gyro) as table:
+                return b"Time (s)" in table.read(200)
+    except (OSError, InputError):
+        # A damaged table: the names decide, and the reader tells the damage.
+        return phyphox and {gyro, *_PHYPHOX.accel} <= names and names.isdisjoint(_SENSOR_LOGGER.accel)
 
 
 def _read(app: _App, path: Path, options: ImportOptions) -> ImportedSamples:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import re
 import zlib
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial, reduce
 from operator import xor
@@ -84,17 +85,19 @@ _VECTORNAV: Final = _Messages(
 
 
 def _read(messages: _Messages, path: Path, options: ImportOptions) -> ImportedSamples:
-    rows, damaged = [], 0
+    rows, begun = [], 0
+    name = messages.title.rpartition(" ")[2]
     with path.open(encoding="latin-1") as file:
-        for match in filter(None, map(messages.pattern.search, file)):
-            try:
-                rows.append(_row(messages, match))
-            except (ValueError, IndexError):
-                damaged += 1
+        for line in file:
+            begun += line.count(name)
+            for match in messages.pattern.finditer(line):
+                with suppress(ValueError, IndexError):
+                    rows.append(_row(messages, match))
     if not rows:
         raise InputError(f"{path} holds no whole message {messages.title}: name another file or format.")
     table = np.array(rows)
-    notes = (f"{damaged} damaged messages (checksum or fields) were left out.",) if damaged else ()
+    damaged = begun - len(rows)
+    notes = (f"{damaged} damaged messages (end, checksum or fields) were left out.",) if damaged > 0 else ()
     values: Array = table[:, :6] * messages.signs
     timed = table.shape[1] == 8
     return samples_in_si(

@@ -22,18 +22,20 @@ from srt.reports.certificate.unit_description import (
 )
 from srt.reports.parameters import (
     GROUP_STARTS,
+    Units,
     fixed_by_reason,
     parameter_cells,
     rms_over_sigma,
     sigma_text,
     symbols,
+    units_for,
     unsolved,
     value_text,
 )
 from srt.reports.tables import Cell, Table, decimals_for, fixed, plain, table, wrap
 from srt.reports.text.calibration import measured_count, source_label, time_base
 from srt.result.verdict import DOUBTFUL, USABLE, probability_text
-from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, GROUP_SLICES, INDEX, NAMES, SYMBOLS, collapse_names
+from srt.sensor_errors import GROUP_SLICES, INDEX, NAMES, SYMBOLS, collapse_names
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -145,13 +147,14 @@ def parameter_table(
     met = None if limits is None else limits.met(calibration)
     passed = DOUBTFUL if calibration.judgement.word == DOUBTFUL else "passed"
     rows: list[list[Cell | str]] = []
+    units = units_for(calibration.errors.vector)
     for i, (symbol, _, value, sigma, unit) in enumerate(parameter_cells(calibration)):
-        expanded = sigma_text(i, coverage_factor * float(calibration.sigma[i]))
+        expanded = sigma_text(i, coverage_factor * float(calibration.sigma[i]), units)
         rows.append([symbol, NAMES[i].replace("_", " "), value, sigma, expanded, unit])
         if limits is not None and met is not None:
             result = "" if not limits.given[i] else passed if met[i] else "failed"
             shown = "failed (not measured)" if result == "failed" and sigma.mark == "held" else result
-            rows[i] += [Cell(shown, mark=result), _limit(limits, i)]
+            rows[i] += [Cell(shown, mark=result), _limit(limits, i, units)]
     head = ["symbol", "parameter", "value", "sigma", f"U (k = {coverage_factor:g})", "unit"]
     head += [] if limits is None else ["result", "limit"]
     note = coverage_note(coverage_factor)
@@ -185,15 +188,16 @@ def change_table(source: CalibrationFile, change: ParameterChanges) -> Table:
     """Table of the change of every parameter to its value in ``source``, over its combined sigma."""
     new, old = (s.calibration.errors.vector.tolist() for s in (source, change.old))
     rows: list[list[Cell | str]] = []
+    units = units_for(source.calibration.errors.vector, change.old.calibration.errors.vector)
     for i, name in enumerate(NAMES):
         sigma, ratio = float(change.sigma[i]), float(change.ratio[i])
-        title, unit = name.replace("_", " "), DISPLAY_UNITS[i]
+        title, unit = name.replace("_", " "), units.names[i]
         if math.isnan(sigma):
             rows.append([SYMBOLS[i], title, *"----", unit, "-", Cell("not measured in both", mark="held")])
             continue
-        values = [Cell(value_text(i, value, sigma), value) for value in (old[i], new[i], new[i] - old[i])]
+        values = [Cell(value_text(i, value, sigma, units), value) for value in (old[i], new[i], new[i] - old[i])]
         flag = Cell("changed", mark="changed") if change.flagged[i] else ""
-        sizes = *values, Cell(sigma_text(i, sigma), sigma)
+        sizes = *values, Cell(sigma_text(i, sigma, units), sigma)
         rows.append([SYMBOLS[i], title, *sizes, unit, Cell(_signed(ratio), ratio), flag])
     head = ("symbol", "parameter", "before", "now", "change", "sigma", "unit", "change / sigma", "")
     compared = int(np.sum(~np.isnan(change.sigma)))
@@ -319,9 +323,9 @@ def _change_notes(source: CalibrationFile, change: ParameterChanges) -> Iterator
     )
 
 
-def _limit(limits: AcceptanceLimits, i: int) -> str:
+def _limit(limits: AcceptanceLimits, i: int, units: Units) -> str:
     sizes = ((limits.value[i], "|value| ≤ {}"), (limits.sigma[i], "sigma ≤ {}"))
-    return ", ".join(words.format(f"{size * DISPLAY_FACTORS[i]:.6g}") for size, words in sizes if not math.isnan(size))
+    return ", ".join(words.format(f"{size * units.factors[i]:.6g}") for size, words in sizes if not math.isnan(size))
 
 
 def _signed(value: float) -> str:
@@ -356,15 +360,15 @@ def budget_table(calibration: Calibration, factor: float) -> Table | None:
     sources = {name: size for name, size in calibration.contributions.items() if np.any(size[observed] > 0.0)}
     if not sources or not parts:
         return None
-    sigma = calibration.sigma
+    sigma, units = calibration.sigma, units_for(calibration.errors.vector)
     rows = []
     for name, part in parts.items():
-        scale = DISPLAY_FACTORS[part[0]]
+        scale = units.factors[part[0]]
         total = float(np.sqrt(np.mean(sigma[part] ** 2))) * scale
         decimals = decimals_for(total)
         sizes = [float(np.sqrt(np.mean(size[part] ** 2))) * scale for size in sources.values()]
         texts = [fixed(size, decimals) for size in (*sizes, total, factor * total)]
-        rows.append([name.replace("_", " "), DISPLAY_UNITS[part[0]], *texts])
+        rows.append([name.replace("_", " "), units.names[part[0]], *texts])
     head = ("group", "unit", *map(source_label, sources), "combined", f"U (k = {factor:g})")
     note = (
         "Each entry is the standard uncertainty by one source, root mean square over the group. The combined one is "

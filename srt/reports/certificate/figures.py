@@ -98,8 +98,8 @@ def _parameters(certificate: Certificate, figure: Figure | SubFigure) -> None:
         widths = [len(members[unit]) + 1.8 for unit in units]
         grid = part.subplots(2, 2, sharex="col", width_ratios=widths, height_ratios=(1.25, 1.0))
         for column, unit in enumerate(units):
-            draw_values(grid[0, column], calibration, None, members[unit], unit)
-            draw_errors(grid[1, column], calibration, None, members[unit], unit)
+            draw_values(grid[0, column], calibration, None, members[unit])
+            draw_errors(grid[1, column], calibration, None, members[unit])
             grid[1, column].set_title("±1 sigma", fontsize=_TEXT, color=INK, loc="left")
             for axes in grid[:, column]:
                 _set_label_sizes(axes)

@@ -130,8 +130,9 @@ def references_table(calibration: Calibration, laboratory: Laboratory) -> Table:
     effect = calibration.contributions.get("clock")
     clock = None if effect is None else 1e6 * float(effect[GROUP_SLICES["gyro_scale"]].max())
     tilt = alignment.alignment_sigma_mrad
+    origin = "" if site.gravity_sigma_origin is None else f" ({site.gravity_sigma_origin})"
     known = {
-        "gravity": (_number(site.gravity_m_s2, "m/s²", 9), _number(site.gravity_sigma_m_s2, "m/s²", 2)),
+        "gravity": (_number(site.gravity_m_s2, "m/s²", 9), _number(site.gravity_sigma_m_s2, "m/s²", 2) + origin),
         "latitude": (_number(site.latitude_deg, "°", 7), NOT_STATED),
         "heading": (_number(alignment.heading_deg, "°", 6), _number(tilt, "mrad", 3)),
         "time_base": ("clock of the recording", _number(clock, "ppm", 2)),

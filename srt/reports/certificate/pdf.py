@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from srt.exceptions import optional
+from srt.recording.file_marks import PROGRAM
 from srt.reports.certificate.figures import certificate_figures, figure_svg
 from srt.reports.certificate.unit_description import FORMULAS
 from srt.reports.figures.style import FAINT, GREY, INK
@@ -122,6 +123,7 @@ class _Document(FPDF):
         for style, file in _FONTS.items():
             self.add_font("DejaVu", style, Path(get_data_path(), "fonts", "ttf", file))
         self.set_title(title)
+        self.set_creator(PROGRAM)
         self.heading_text = title
         self.set_creation_date(_UNDATED)
         self.set_margins(_MARGIN, _MARGIN)

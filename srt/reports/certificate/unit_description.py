@@ -78,7 +78,8 @@ def _site(calibration: Calibration) -> str:
     parts = ["latitude not stated" if site.latitude_deg is None else f"latitude {site.latitude_deg:.6g}°"]
     if site.gravity_m_s2 is not None:
         sigma = "" if site.gravity_sigma_m_s2 is None else f" ± {site.gravity_sigma_m_s2:.2g}"
-        parts.append(f"gravity {site.gravity_m_s2:.9g}{sigma} m/s²")
+        origin = "" if site.gravity_sigma_origin is None else f" ({site.gravity_sigma_origin})"
+        parts.append(f"gravity {site.gravity_m_s2:.9g}{sigma} m/s²{origin}")
     return ", ".join(parts)
 
 

@@ -36,10 +36,11 @@ from srt.reports.figures.style import (
     style,
     symbol,
 )
-from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, GROUP_SLICES, SYMBOLS
+from srt.reports.parameters import units_for
+from srt.sensor_errors import DISPLAY_UNITS, GROUP_SLICES, SYMBOLS
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from srt.result.calibration import Calibration, Residual
     from srt.sensor_errors import SensorErrors
@@ -63,6 +64,7 @@ _KINDS: Final = (
 _OTHER: Final = ("", "other", GREY, "D")
 """Word in the name of a component, label, colour and marker of its kind; the first that fits."""
 _APART: Final = 0.2  # distance of the marks of two kinds at one sequence, in sequences
+_HEADING: Final = 90  # characters of the heading beside the legend
 _FOOT_WIDTH: Final = 172  # characters in a line of the explanation at the foot
 _LAST: Final = (
     "Bottom left: each iteration re-processes the samples with the corrected errors, until the corrections are "
@@ -76,10 +78,10 @@ _READING: Final = {
 }
 """Explanation at the foot, with and without a truth."""
 _TITLES = {
-    "ppm": "scale factor and asymmetry, ppm",
-    "µrad": "orthogonality and misalignment, µrad",
-    "µg": "accel. bias, µg",
-    "°/h": "gyro bias, °/h",
+    "ppm": "scale factor and asymmetry",
+    "µrad": "orthogonality and misalignment",
+    "µg": "accel. bias",
+    "°/h": "gyro bias",
 }
 
 
@@ -106,9 +108,9 @@ def calibration_figure(
         width_ratios=[1.15 * len(m) + 2.2 for m in members],
         height_ratios=(1.0, 1.0),
     )
-    for column, (unit, which) in enumerate(zip(units, members, strict=True)):
-        draw_values(grid[0, column], calibration, truth, which, unit)
-        draw_errors(grid[1, column], calibration, truth, which, unit)
+    for column, which in enumerate(members):
+        draw_values(grid[0, column], calibration, truth, which)
+        draw_errors(grid[1, column], calibration, truth, which)
     grid[0, 0].set_ylabel("estimate", fontsize=MEDIUM)
     grid[1, 0].set_ylabel("estimate − truth, ±1σ" if truth is not None else "±1σ", fontsize=MEDIUM)
     convergence, residuals = course.subplots(1, 2, width_ratios=(1.0, 2.6))
@@ -123,41 +125,40 @@ def calibration_figure(
     return figure
 
 
-def _scaled(which: Indices, vector: Array) -> Array:
-    return np.asarray(vector[which] * np.array(DISPLAY_FACTORS)[which])
+def _scaled(calibration: Calibration, which: Indices, *vectors: Array) -> tuple[str, Iterator[Array]]:
+    """Unit of some parameters, and vectors of all parameters as those in it."""
+    units = units_for(calibration.errors.vector)
+    factors = np.array(units.factors)[which]
+    return units.names[int(which[0])], (vector[which] * factors for vector in vectors)
 
 
-def draw_values(axes: Axes, calibration: Calibration, truth: SensorErrors | None, which: Indices, unit: str) -> None:
+def draw_values(axes: Axes, calibration: Calibration, truth: SensorErrors | None, which: Indices) -> None:
     """Draw the values of some parameters with their sigmas."""
     style(axes)
     at = np.arange(len(which))
     seen = calibration.observed[which]
-    values = _scaled(which, calibration.errors.vector)
-    sigma = _scaled(which, calibration.sigma)
+    shown = calibration.errors.vector, calibration.sigma, (truth or calibration.errors).vector
+    unit, (values, sigma, true) = _scaled(calibration, which, *shown)
     axes.axhline(0.0, color=GREY, linewidth=0.8)
     if truth is not None:
-        axes.plot(
-            at, _scaled(which, truth.vector), "D", markersize=9.0, markerfacecolor="none", markeredgecolor=VERMILION
-        )
+        axes.plot(at, true, "D", markersize=9.0, markerfacecolor="none", markeredgecolor=VERMILION)
     axes.errorbar(at[seen], values[seen], sigma[seen], fmt="o", color=BLUE, markersize=4.5, capsize=3.0)
     axes.plot(at[~seen], values[~seen], "x", color=GREY, markersize=6.0)
-    axes.set_title(_TITLES.get(unit, unit), fontsize=MEDIUM, color=INK, loc="left")
+    axes.set_title(f"{_TITLES[DISPLAY_UNITS[which[0]]]}, {unit}", fontsize=MEDIUM, color=INK, loc="left")
     axes.margins(y=0.1)
     axes.yaxis.set_major_locator(MaxNLocator(5))
     _separate_groups(axes, which)
 
 
-def draw_errors(axes: Axes, calibration: Calibration, truth: SensorErrors | None, which: Indices, unit: str) -> None:
+def draw_errors(axes: Axes, calibration: Calibration, truth: SensorErrors | None, which: Indices) -> None:
     """Draw the 1-sigma bars of some parameters, at estimate minus truth where that is known."""
     style(axes)
     at = np.arange(len(which))
     seen = calibration.observed[which]
-    sigma = _scaled(which, calibration.sigma)[seen]
-    error = np.zeros(len(which))
-    if truth is not None:
-        error = _scaled(which, calibration.errors.vector - truth.vector)
+    difference = calibration.errors.vector - (truth or calibration.errors).vector
+    unit, (error, sigma) = _scaled(calibration, which, difference, calibration.sigma)
     axes.axhline(0.0, color=VERMILION if truth is not None else GREY, linewidth=0.8)
-    axes.errorbar(at[seen], error[seen], sigma, fmt="o" if truth is not None else "none", color=BLUE,
+    axes.errorbar(at[seen], error[seen], sigma[seen], fmt="o" if truth is not None else "none", color=BLUE,
                   ecolor=BLUE, markersize=4.5, capsize=3.0)  # fmt: skip
     axes.set_title(unit, fontsize=MEDIUM, color=INK, loc="left")
     axes.set_xticks(at, [symbol(SYMBOLS[i]) for i in which], fontsize=MEDIUM)
@@ -174,8 +175,11 @@ def _separate_groups(axes: Axes, which: Indices) -> None:
 
 
 def _header(figure: SubFigure, calibration: Calibration, truth: SensorErrors | None, title: str | None) -> None:
-    text = f"{calibration.estimator}, {calibration.status.replace('_', ' ')}"
-    figure.text(0.008, 0.5, f"{title}: {text}" if title else text, fontsize=LARGE, color=INK, va="center")
+    word, status = calibration.judgement.word, calibration.status
+    verdict = word if status == "converged" else f"{word} ({status.replace('_', ' ')})"
+    text = f"{verdict}, {calibration.estimator}"
+    heading = f"{clipped(title, _HEADING - len(text))}: {text}" if title else text
+    figure.text(0.008, 0.5, heading, fontsize=LARGE, color=INK, va="center")
     handles = [Line2D([], [], color=BLUE, marker="o", markersize=4.5, label="estimate, ±1σ")]
     if truth is not None:
         hollow = {"marker": "D", "markersize": 8.0, "markeredgecolor": VERMILION, "markerfacecolor": "none"}
@@ -196,7 +200,10 @@ def draw_convergence(axes: Axes, calibration: Calibration) -> None:
         axes.semilogy(number[shown], steps[shown], "o-", color=BLUE, markersize=5.0)
         axes.yaxis.set_major_locator(LogLocator(numticks=7))
         axes.yaxis.set_minor_locator(NullLocator())
-    axes.set_xlabel("iteration", fontsize=MEDIUM)
+    refits = calibration.diagnostics.refits or ()
+    for number_of_first in refits:
+        axes.axvline(number_of_first - 0.5, color=GREY, linewidth=0.8, linestyle=(0, (4, 4)))
+    axes.set_xlabel("iteration" + (" (dashed: another model is fitted)" if refits else ""), fontsize=MEDIUM)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
     axes.margins(x=0.08, y=0.12)
 

@@ -13,6 +13,7 @@ from srt.arguments import require_path
 from srt.estimation.registry import ESTIMATORS
 from srt.exceptions import InputError, optional
 from srt.recording.atomic_file import atomic_write_bytes
+from srt.recording.file_marks import PROGRAM
 
 with optional("matplotlib", "plot", "A plot"):
     from matplotlib.axes import Axes
@@ -97,10 +98,12 @@ def save_figure(figure: Figure, path: str | PathLike[str]) -> None:
     if suffix not in _SUFFIXES:
         raise InputError(f"The figure cannot be written as {path}: name a file that ends in {' or '.join(_SUFFIXES)}.")
     # Without a date, the same result makes the same file.
-    undated: dict[str, Any] = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
+    metadata: dict[str, Any] = {
+        ".svg": {"Date": None, "Creator": PROGRAM}, ".pdf": {"CreationDate": None, "Creator": PROGRAM},
+    }  # fmt: skip
     # In memory first: matplotlib leaves the file of a PDF open that cannot be written.
     if suffix == ".png":  # the same file in one drawing; savefig draws once more for the layout alone
-        FigureCanvasAgg(figure).print_png(drawn)  # type: ignore[no-untyped-call]
+        FigureCanvasAgg(figure).print_png(drawn, metadata={"Software": PROGRAM})  # type: ignore[no-untyped-call]
     else:
-        figure.savefig(drawn, format=suffix.lstrip("."), metadata=undated.get(suffix))
+        figure.savefig(drawn, format=suffix.lstrip("."), metadata=metadata.get(suffix))
     atomic_write_bytes(path, drawn.getvalue())

@@ -7,19 +7,22 @@ from typing import TYPE_CHECKING, Final
 
 from srt.constants import DEG_PER_H
 from srt.reports.parameters import (
+    FINE,
     GROUP_STARTS,
+    Units,
     decimals_of,
     fixed_by_reason,
     parameter_cells,
     rms_over_sigma,
     sigma_text,
+    units_for,
     unsolved,
     value_text,
 )
 from srt.reports.tables import Cell, Table, continued_tables, decimals_for, fixed, table, text_table, wrap
 from srt.reports.text.leave_one_out import verdict_text
 from srt.result.verdict import p_value_text
-from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, INDEX, N_PARAMETERS, NAMES, SYMBOLS, collapse_names
+from srt.sensor_errors import DISPLAY_UNITS, INDEX, N_PARAMETERS, NAMES, SYMBOLS, collapse_names
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -84,7 +87,7 @@ def report(
 
 def parameter_table(calibration: Calibration, truth: SensorErrors | None = None) -> Table:
     """Table of the 27 values; the truth adds columns of it, of the error, and of the error over sigma."""
-    rows = parameter_cells(calibration)
+    rows, units = parameter_cells(calibration), units_for(calibration.errors.vector)
     if truth is None:
         return table(("symbol", "parameter", "value", "sigma", "unit"), rows, "llrrl", breaks=GROUP_STARTS)
     compared: list[list[Cell | str]] = []
@@ -92,8 +95,8 @@ def parameter_table(calibration: Calibration, truth: SensorErrors | None = None)
         true, sigma = float(truth.vector[i]), float(calibration.sigma[i])
         error = float(calibration.errors.vector[i]) - true
         over = math.nan if NAMES[i] in calibration.held or sigma == 0.0 else error / sigma
-        shown = fixed(error * DISPLAY_FACTORS[i], decimals_of(i, sigma))
-        compared.append([*row, value_text(i, true, sigma), shown, fixed(over, 2)])
+        shown = fixed(error * units.factors[i], decimals_of(i, sigma, units))
+        compared.append([*row, value_text(i, true, sigma, units), shown, fixed(over, 2)])
     heads = ("", "parameter", "value", "sigma", "unit", "truth", "error", "error/\nsigma")
     return table(heads, compared, "llrrlrrr", breaks=GROUP_STARTS)
 
@@ -120,16 +123,16 @@ def contribution_table(calibration: Calibration) -> str:
     """Table of the largest sources of error of every observed parameter; empty without sources."""
     if not calibration.contributions:
         return ""
-    rows = []
+    rows, units = [], units_for(calibration.errors.vector)
     for i in _observed(calibration):
-        factor = DISPLAY_FACTORS[i]
+        factor = units.factors[i]
         decimals = decimals_for(float(calibration.sigma[i]) * factor)
         sizes = {source: float(sigmas[i]) * factor for source, sigmas in calibration.contributions.items()}
         largest = sorted(sizes, key=lambda source: -sizes[source])[:_LARGEST]
         shown = [(source_label(source), fixed(sizes[source], decimals)) for source in largest]
         shown = [(label, size) for label, size in shown if float(size) > 0.0]
         shown += [("", "")] * (_LARGEST - len(shown))
-        rows.append([SYMBOLS[i], DISPLAY_UNITS[i], *(cell for pair in shown for cell in pair)])
+        rows.append([SYMBOLS[i], units.names[i], *(cell for pair in shown for cell in pair)])
     if not rows:
         return ""
     headers = ["", "unit", "largest", "sigma", "second", "sigma", "third", "sigma"]
@@ -143,14 +146,16 @@ def budget_table(calibration: Calibration) -> str:
     if not sources:
         return ""
     text = ["Sources of sigma, 1-sigma each; their squares add up"]
-    text.append(sources_table(sources, calibration.sigma, observed))
+    text.append(sources_table(sources, calibration.sigma, observed, units_for(calibration.errors.vector)))
     silent = [source_label(source) for source in calibration.contributions if source not in sources]
     if silent:
         text += wrap(f"No contribution from: {', '.join(silent)}.")
     return "\n".join(text)
 
 
-def sources_table(sources: Mapping[str, Array], total: Array | None, parameters: Sequence[int]) -> str:
+def sources_table(
+    sources: Mapping[str, Array], total: Array | None, parameters: Sequence[int], units: Units = FINE
+) -> str:
     """Table of sigmas by source, shape (27,), SI, as columns; columns that do not fit continue below.
 
     The total is shown before the sources, and determines the number of decimals; without it, the largest source does.
@@ -159,10 +164,10 @@ def sources_table(sources: Mapping[str, Array], total: Array | None, parameters:
     left: list[list[str]] = []
     columns: list[list[str]] = [[] for _ in sources]
     for i in parameters:
-        factor = DISPLAY_FACTORS[i]
+        factor = units.factors[i]
         size = max(float(sizes[i]) for sizes in sources.values()) if total is None else float(total[i])
         decimals = decimals_for(size * factor)
-        left.append([SYMBOLS[i], DISPLAY_UNITS[i]] + ([] if total is None else [fixed(size * factor, decimals)]))
+        left.append([SYMBOLS[i], units.names[i]] + ([] if total is None else [fixed(size * factor, decimals)]))
         for column, sizes in zip(columns, sources.values(), strict=True):
             column.append(fixed(float(sizes[i]) * factor, decimals))
     first = ["", "unit"] + ([] if total is None else ["sigma"])
@@ -247,7 +252,9 @@ def _heading(calibration: Calibration, title: str) -> Iterable[str]:
     status = "" if calibration.status == "converged" else f"Status {calibration.status.replace('_', ' ')}: "
     yield from wrap(f"{status}{message}")
     if steps:
-        yield from wrap(f"Largest correction of each iteration: {steps}.")
+        refits = ", ".join(map(str, calibration.diagnostics.refits or ()))
+        grown = f" They grow in iteration {refits}, the first with another model." if refits else ""
+        yield from wrap(f"Largest correction of each iteration: {steps}.{grown}")
     temperature = calibration.temperature
     if temperature is not None:
         yield f"Temperature {temperature.mean_c:.1f} °C, range {temperature.range_c:.1f} °C."
@@ -276,7 +283,7 @@ def _asymmetry(calibration: Calibration) -> Iterable[str]:
 
 
 def _without(name: str, estimate: Estimate) -> str:
-    """Value and sigma of a parameter in display units."""
+    """Value and sigma of an asymmetry."""
     i, sigma = INDEX[name], estimate.sigma
     return f"{SYMBOLS[i]} {value_text(i, estimate.value, sigma)} ± {sigma_text(i, sigma)} {DISPLAY_UNITS[i]}"
 

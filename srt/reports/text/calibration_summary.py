@@ -8,16 +8,18 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from scipy.special import ndtri
 
-from srt.reports.parameters import group_heads, group_sigmas
-from srt.reports.tables import WIDTH, text_table, wrap
+from srt.constants import DEG_PER_H, DEG_PER_SQRT_H, MICRO_G
+from srt.reports.parameters import group_heads, group_sigmas, units_for
+from srt.reports.tables import WIDTH, decimals_for, fixed, text_table, wrap
 from srt.reports.text.calibration import heading, held_summary, parameter_table, report, time_base
 from srt.result.verdict import FAILED, SOUND, probability_text
 from srt.sensor_errors import NAMES
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from srt.result.calibration import Calibration
+    from srt.result.noise_figures import NoiseFigures
     from srt.sensor_errors import SensorErrors
 
 PROBABILITY: Final = 0.95
@@ -27,13 +29,17 @@ _MOST_LINES: Final = 42
 _MOST_BEFORE_TABLE: Final = 10  # lines before the table of the parameters
 _NOTE_LINES: Final = 2  # lines of one note; --details shows it whole
 _MORE: Final = " ..."  # mark of a text that is cut; --details shows all of it
+_ESTIMATE, _SCATTER = "estimated here:", "scatter of the biases here:"
 _STATED_NOISE: Final = {
-    "gyro_noise": "gyro_noise_deg_per_sqrt_h",
-    "accel_noise": "accel_noise_ug_per_sqrt_hz",
-    "gyro_bias_instability": "gyro_bias_instability_deg_per_h",
-    "accel_bias_instability": "accel_bias_instability_ug",
+    "gyro_noise": ("gyro_noise_deg_per_sqrt_h", "gyro_noise_rad_per_sqrt_s", DEG_PER_SQRT_H, _ESTIMATE),
+    "accel_noise": ("accel_noise_ug_per_sqrt_hz", "accel_noise_m_s2_sqrt_s", MICRO_G, _ESTIMATE),
+    "gyro_bias_instability": ("gyro_bias_instability_deg_per_h", "gyro_bias_wander_rad_s", DEG_PER_H, _SCATTER),
+    "accel_bias_instability": ("accel_bias_instability_ug", "accel_bias_wander_m_s2", MICRO_G, _SCATTER),
 }
-"""Keys of [imu] in recording.toml that replace an estimate from the stationary windows."""
+"""Keys of [imu] in recording.toml that replace an estimate: field of the estimate, unit in SI, and what it is.
+
+The biases of the sequences scatter by more than the bias instability, as windows and test take long."""
+_QUANTIZATION: Final = {"gyro_quantization", "accel_quantization"}
 
 
 def calibration_summary(
@@ -87,9 +93,13 @@ def live_table(calibration: Calibration) -> str:
     reports = calibration.diagnostics.live
     if not reports:
         return ""
-    rows = [[report.sequence, probability_text(report.probability), *group_sigmas(report.sigma)] for report in reports]
+    units = units_for(calibration.errors.vector)
+    rows = [
+        [report.sequence, probability_text(report.probability), *group_sigmas(report.sigma, units)]
+        for report in reports
+    ]
     met = next((report.sequence for report in reports if report.targets_met), None)
-    heads = ["seq.", "p", *group_heads()]
+    heads = ["seq.", "p", *group_heads(units)]
     lines = [
         *wrap("Largest 1-sigma of each group after each sequence; p of its innovations given all sequences before"),
         text_table(heads, rows, "l" + "r" * (len(heads) - 1), gap=1),
@@ -140,20 +150,29 @@ def _notes(calibration: Calibration) -> Iterator[str]:
 
 def _advice(calibration: Calibration, source: str) -> Iterator[str]:
     """Next steps for the user."""
-    estimated = [key for name, key in _STATED_NOISE.items() if name in (calibration.noise.estimated or ())]
-    if any(key.startswith(("gyro_noise", "accel_noise")) for key in estimated) or (
-        estimated and calibration.judgement.word != SOUND
-    ):
-        yield (
-            f"To do: state {', '.join(estimated)} in [imu] of recording.toml; values that are not stated are "
-            "estimated from the stationary windows."
-        )
+    estimated = [name for name in _STATED_NOISE if name in (calibration.noise.estimated or ())]
+    if {"gyro_noise", "accel_noise"} & {*estimated} or (estimated and calibration.judgement.word != SOUND):
+        yield from _noise_to_state(calibration.noise, estimated)
     if source and (calibration.judgement.word != SOUND or calibration.warnings):
         yield f"To do: look for faults of the recording with 'srt inspect {source} --deep'."
     if moves := calibration.diagnostics.unused_moves:
         low, high = calibration.diagnostics.sigma_with_moves or (0.0, 0.0)
         gain = f"gives {low:.2f}-{high:.2f} of these sigmas" if high else "uses them"
         yield f"To do: {moves} recorded moves are not used by the closed form: '--estimator least-squares' {gain}."
+
+
+def _noise_to_state(noise: NoiseFigures, estimated: Sequence[str]) -> Iterator[str]:
+    """Lines to paste into recording.toml: keys without a value, and the estimates as comments.
+
+    An estimate is no statement: in place of the data sheet's value, the same readings would count twice.
+    """
+    absent = {*_STATED_NOISE, *_QUANTIZATION} <= {*(noise.estimated or ())}
+    where = "[imu]  # To do: add this to" if absent else "# To do: add this below [imu] of"
+    yield f"{where} recording.toml, with values of the data sheet"
+    for key, figure, unit, what in map(_STATED_NOISE.__getitem__, estimated):
+        found = getattr(noise, figure)
+        size = 0.0 if found is None else float(np.max(found)) / unit
+        yield f"{key + ' =':<36}{f'# {what} {fixed(size, decimals_for(size))}' * (size > 0.0)}".rstrip()
 
 
 def _shortened(lines: list[str], most: int) -> list[str]:

@@ -6,9 +6,9 @@ import math
 from typing import TYPE_CHECKING
 
 from srt.comparison.estimate_difference import FALSE_ALARM
-from srt.reports.parameters import GROUP_STARTS, sigma_text, value_text
+from srt.reports.parameters import GROUP_STARTS, Units, sigma_text, units_for, value_text
 from srt.reports.tables import fixed, table, text_table, wrap
-from srt.sensor_errors import DISPLAY_UNITS, NAMES
+from srt.sensor_errors import NAMES
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -88,12 +88,13 @@ def parameter_table(comparison: Comparison, *, details: bool) -> str:
     shown = comparison.calibrations
     if comparison.reference is not None and not details:
         shown = {comparison.reference: shown[comparison.reference]}
-    rows = []
+    rows, units = [], _units(comparison)
     for i, name in enumerate(NAMES):
-        row = [name, DISPLAY_UNITS[i]]
+        row = [name, units.names[i]]
         for calibration in shown.values():
             value, sigma = float(calibration.errors.vector[i]), float(calibration.sigma[i])
-            row.append(f"{value_text(i, value, sigma)}{' fixed' if math.isnan(sigma) else f'±{sigma_text(i, sigma)}'}")
+            known = " fixed" if math.isnan(sigma) else f"±{sigma_text(i, sigma, units)}"
+            row.append(f"{value_text(i, value, sigma, units)}{known}")
         for pair in comparison.differences.values():
             value = float(pair.normalised[i])
             row.append("-" if math.isnan(value) else f"{round(value, 1) + 0.0:+.1f}{'*' if pair.differing[i] else ' '}")
@@ -103,16 +104,20 @@ def parameter_table(comparison: Comparison, *, details: bool) -> str:
     return table(headers, rows, alignment, breaks=GROUP_STARTS).text()
 
 
+def _units(comparison: Comparison) -> Units:
+    return units_for(*(calibration.errors.vector for calibration in comparison.calibrations.values()))
+
+
 def truth_table(comparison: Comparison) -> str:
     """Table of the truth and of every error over its sigma; empty without a truth."""
     if comparison.truth is None or not comparison.calibrations:
         return ""
     ratios = {name: comparison.error_over_sigma(name) for name in comparison.calibrations}
     best = comparison.calibrations[comparison.reference or next(iter(ratios))]
-    rows = []
+    rows, units = [], _units(comparison)
     for i, name in enumerate(NAMES):
-        true = value_text(i, comparison.truth[name], float(best.sigma[i]))
-        rows.append([name, DISPLAY_UNITS[i], true, *(fixed(float(ratio[i]), 2) for ratio in ratios.values())])
+        true = value_text(i, comparison.truth[name], float(best.sigma[i]), units)
+        rows.append([name, units.names[i], true, *(fixed(float(ratio[i]), 2) for ratio in ratios.values())])
     shown = table(["parameter", "unit", "truth", *ratios], rows, "llr" + "r" * len(ratios), breaks=GROUP_STARTS)
     return f"Errors over sigma\n{shown.text()}"
 

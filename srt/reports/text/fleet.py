@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from srt.comparison.outliers import EXPECTED_FALSE_FLAGS, MINIMUM_UNITS
-from srt.reports.parameters import group_heads, value_text
+from srt.reports.parameters import Units, group_heads, units_for, value_text
 from srt.reports.tables import decimals_for, fixed, text_table, wrap
 from srt.result.verdict import probability_text
-from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, GROUP_SLICES, GROUPS, N_PARAMETERS, NAMES, SYMBOLS
+from srt.sensor_errors import GROUP_SLICES, GROUPS, N_PARAMETERS, NAMES, SYMBOLS
 
 if TYPE_CHECKING:
     from srt.comparison.fleet import Fleet, FleetUnit
@@ -61,19 +61,19 @@ def size_table(fleet: Fleet) -> str:
     ]
     if not rows:
         return ""
-    heads = group_heads()
+    heads = group_heads(_units(fleet))
     text = text_table(["unit", *heads], rows, "l" + "r" * len(heads), gap=1)
     return f"Largest error of each parameter group (* a parameter of the group is outlying)\n{text}"
 
 
 def outlying_table(fleet: Fleet) -> str:
     """Table of the outlying values with median and scatter of the other units; empty if there is none."""
-    judged = fleet.outliers
+    judged, units = fleet.outliers, _units(fleet)
     rows = []
     for number, unit in enumerate(fleet.units):
         for i in fleet.flagged(number):
             assert unit.calibration is not None
-            factor = DISPLAY_FACTORS[i]
+            factor = units.factors[i]
             sizes = [
                 unit.calibration.errors.vector[i],
                 unit.calibration.sigma[i],
@@ -82,7 +82,7 @@ def outlying_table(fleet: Fleet) -> str:
             ]
             scale = np.hypot(sizes[1], sizes[3]) * factor
             shown = [fixed(float(size) * factor, decimals_for(scale)) for size in sizes]
-            rows.append([unit.name, NAMES[i], *shown, DISPLAY_UNITS[i], f"{judged.z[number, i]:+.3g}"])
+            rows.append([unit.name, NAMES[i], *shown, units.names[i], f"{judged.z[number, i]:+.3g}"])
     if not rows:
         return ""
     headers = ["unit", "parameter", "value", "sigma", "others'\nmedian", "others'\nscatter", "unit", "z"]
@@ -99,11 +99,11 @@ def outlier_test_text(fleet: Fleet) -> str:
             f"{'is' if sound == 1 else 'are'} {sound}: no unit is tested."
         )
     low, high = f"{limit.min():.3g}", f"{limit.max():.3g}"
-    reach = low if low == high else f"{low} to {high}, depending on the number of units with the parameter"
+    reach = low if low == high else f"its limit, {low} to {high} by the number of units that have the parameter"
     few = int(np.sum(np.isnan(fleet.outliers.limit)))
     return (
-        f"Each unit is compared with all others; a z beyond {reach} is outlying. In a fleet of {sound} units without "
-        f"outliers, the probability of any flag is at most {100.0 * EXPECTED_FALSE_FLAGS:.0f} %."
+        f"Each unit is compared with all others. A value is outlying if z exceeds {reach}. In a fleet of {sound} "
+        f"units without outliers, the probability of any flag is at most {100.0 * EXPECTED_FALSE_FLAGS:.0f} %."
         + (f" {few} parameters are not tested: fewer than {MINIMUM_UNITS} units have them." if few else "")
     )
 
@@ -125,8 +125,16 @@ def _largest(fleet: Fleet, number: int, unit: FleetUnit, group: str) -> str:
         return "fixed"
     values = unit.calibration.errors.vector[where]
     i = int(where[np.argmax(np.abs(values))])
-    text = value_text(i, float(unit.calibration.errors.vector[i]), float(unit.calibration.sigma[i]), _DIGITS)
+    value, sigma = float(unit.calibration.errors.vector[i]), float(unit.calibration.sigma[i])
+    text = value_text(i, value, sigma, _units(fleet), _DIGITS)
     return text + ("*" if fleet.outliers.flagged[number, where].any() else "")
+
+
+def _units(fleet: Fleet) -> Units:
+    """Units for the values of all units that are sound; of all, where none is."""
+    found = [unit for unit in fleet.units if unit.calibration is not None]
+    shown = [unit for unit in found if unit.sound] or found
+    return units_for(*(unit.calibration.errors.vector for unit in shown if unit.calibration is not None))
 
 
 def _failures(fleet: Fleet) -> str:

@@ -174,7 +174,7 @@ def _turns(inspection: Inspection) -> Iterable[str]:
         return
     named = any(turn.sequence for turn in turns)
     labelled = any(turn.labelled for turn in turns)
-    headers, alignment = ["from, s", "to, s", "axis and angle", "most\n°/s"], "rrlr"
+    headers, alignment = ["from, s", "to, s", "rotation", "fastest\n°/s"], "rrlr"
     if named:
         headers, alignment = [*headers, "seq.", "sure"], alignment + "lr"
     if labelled:
@@ -198,7 +198,7 @@ def _leg_lines(turn: ManoeuvreSummary) -> list[str]:
     """Lines of the rotations that a manoeuvre consists of."""
     lines = [""]
     whole = turn.parts == (turn.net,)
-    for text in (f"in all {leg}" if whole else str(leg) for leg in turn.parts):
+    for text in (f"net {leg}" if whole else str(leg) for leg in turn.parts):
         if lines[-1] and len(lines[-1]) + 2 + len(text) > _LEGS_WIDTH:
             lines[-1] += ","
             lines.append("")

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from srt.reports.parameters import sigma_text, symbols
+from srt.reports.parameters import Units, sigma_text, symbols, units_for
 from srt.reports.tables import fixed, text_table, wrap
 from srt.result.verdict import p_value_text, probability_text
-from srt.sensor_errors import DISPLAY_UNITS, INDEX, SYMBOLS
+from srt.sensor_errors import INDEX, SYMBOLS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -35,7 +35,7 @@ def verdict_text(calibration: Calibration, *, parameters: bool = False) -> str:
     if verdict.sequences:
         parts.append(sequence_table(calibration, verdict, full=parameters))
     if parameters and verdict.parameters:
-        parts.append(observability_table(verdict, _word(calibration)))
+        parts.append(observability_table(verdict, units_for(calibration.errors.vector), _word(calibration)))
     return "\n\n".join(parts)
 
 
@@ -103,7 +103,7 @@ def _notes(rows: Sequence[LeaveOneOut], word: str, *, innovations: bool) -> list
     return out
 
 
-def observability_table(verdict: Consistency, word: str = "sequence") -> str:
+def observability_table(verdict: Consistency, units: Units, word: str = "sequence") -> str:
     """Table of observability: information, variance inflation and largest correlation of every parameter."""
     rows: list[list[str] | None] = []
     for row in verdict.parameters:
@@ -114,8 +114,8 @@ def observability_table(verdict: Consistency, word: str = "sequence") -> str:
         rows.append(
             [
                 SYMBOLS[i],
-                sigma_text(i, row.sigma),
-                DISPLAY_UNITS[i],
+                sigma_text(i, row.sigma, units),
+                units.names[i],
                 f"{row.witnesses:.1f}" if row.witnesses is not None else "-",
                 shown + (f", +{more}" if more > 0 else ""),
                 f"{row.variance_inflation:.1f}",

@@ -52,4 +52,8 @@ _TEXT = 66  # largest length of a text, characters: the table fits within 80
 def _values(part: object, keys: tuple[Key, ...]) -> list[str]:
     """Keys of a section with their values in the units of the file."""
     known = ((key, getattr(part, key.attribute)) for key in keys if key.attribute is not None)
-    return [f"{key.name} {in_file_unit(value, key.factor):.6g}" for key, value in known if value is not None]
+    return [
+        f"{key.name} {value if isinstance(value, str) else f'{in_file_unit(value, key.factor):.6g}'}"
+        for key, value in known
+        if value is not None
+    ]

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from srt.reports.parameters import sigma_text, value_text
+from srt.reports.parameters import Units, sigma_text, units_for, value_text
 from srt.reports.tables import continued_tables, decimals_for, fixed, text_table, wrap
 from srt.result.verdict import probability_text
-from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, GROUP_SLICES, INDEX, SYMBOLS
+from srt.sensor_errors import GROUP_SLICES, INDEX, SYMBOLS
 
 if TYPE_CHECKING:
     from srt.result.calibration import Calibration
@@ -22,10 +22,11 @@ def repeatability_text(calibration: Calibration) -> str:
     table = calibration.diagnostics.repeatability
     if table is None:
         return ""
-    parts = [f"Recordings\n{_recordings(table)}", f"Values by recording\n{_values(table)}"]
+    units = units_for(calibration.errors.vector)
+    parts = [f"Recordings\n{_recordings(table)}", f"Values by recording\n{_values(table, units)}"]
     if table.degrees_of_freedom:
-        parts.append(f"Repeatability\n{_scatter(table)}")
-        parts.append("\n".join(part for line in _groups(table) for part in wrap(line)))
+        parts.append(f"Repeatability\n{_scatter(table, units)}")
+        parts.append("\n".join(part for line in _groups(table, units) for part in wrap(line)))
     return "\n\n".join(parts)
 
 
@@ -44,22 +45,24 @@ def _recordings(table: Repeatability) -> str:
     return text_table(["name", "estimator", "status", "date", "°C"], rows, "llllr")
 
 
-def _values(table: Repeatability) -> str:
+def _values(table: Repeatability, units: Units) -> str:
     """Tables of value and sigma by recording, as many recordings side by side as the width permits."""
-    left = [[SYMBOLS[INDEX[row.name]], DISPLAY_UNITS[INDEX[row.name]]] for row in table.parameters]
+    left = [[SYMBOLS[INDEX[row.name]], units.names[INDEX[row.name]]] for row in table.parameters]
     groups = []
     for n, recording in enumerate(table.recordings):
         cells = []
         for row in table.parameters:
             i, value, sigma = INDEX[row.name], row.values[n], row.sigmas[n]
             cells.append(
-                ("held", "") if value is None or sigma is None else (value_text(i, value, sigma), sigma_text(i, sigma))
+                ("held", "")
+                if value is None or sigma is None
+                else (value_text(i, value, sigma, units), sigma_text(i, sigma, units))
             )
         groups.append([(recording.name, [value for value, _ in cells]), ("sigma", [sigma for _, sigma in cells])])
     return "\n\n".join(continued_tables(["", "unit"], left, groups, "ll"))
 
 
-def _scatter(table: Repeatability) -> str:
+def _scatter(table: Repeatability, units: Units) -> str:
     rows: list[list[str] | None] = []
     for row in table.parameters:
         freedom = row.degrees_of_freedom
@@ -67,15 +70,15 @@ def _scatter(table: Repeatability) -> str:
         if away is None or row.spread is None:
             continue
         i = INDEX[row.name]
-        factor, sigma = DISPLAY_FACTORS[i], min(s for s in row.sigmas if s is not None)
+        factor, sigma = units.factors[i], min(s for s in row.sigmas if s is not None)
         decimals = decimals_for(sigma * factor)
         rows.append(
             [
                 SYMBOLS[i],
-                DISPLAY_UNITS[i],
-                value_text(i, row.weighted_mean, sigma),
+                units.names[i],
+                value_text(i, row.weighted_mean, sigma, units),
                 fixed(row.spread * factor, decimals),
-                sigma_text(i, sigma),
+                sigma_text(i, sigma, units),
                 f"{row.chi_square:.1f} / {freedom}",
                 probability_text(row.probability),
                 f"{away.sigmas:+.1f} {away.recording}",
@@ -94,14 +97,14 @@ def _scatter(table: Repeatability) -> str:
     )
 
 
-def _groups(table: Repeatability) -> list[str]:
+def _groups(table: Repeatability, units: Units) -> list[str]:
     """Sentences on the variation between recordings beyond noise."""
     found = []
     for row in table.groups:
         if row.between_sigma > 0.0:
             i = GROUP_SLICES[row.group].start
-            size = row.between_sigma * DISPLAY_FACTORS[i]
-            words = f"{row.group.replace('_', ' ')} {fixed(size, decimals_for(size))} {DISPLAY_UNITS[i]}"
+            size = row.between_sigma * units.factors[i]
+            words = f"{row.group.replace('_', ' ')} {fixed(size, decimals_for(size))} {units.names[i]}"
             found.append(f"{words} (p = {probability_text(row.probability)})")
     whole = (
         f"All parameters together: chi-square {table.chi_square:.4g} for {table.degrees_of_freedom} degrees of "
