@@ -32,3 +32,8 @@ def rounded(keys: Array, *, axis: int | None = -1, scale: Array | float | None =
 def ranked(keys: Array, *, axis: int = -1, scale: Array | float | None = None) -> Indices:
     """Positions by falling key, NaN last; keys that are equal once `rounded` keep their order."""
     return np.argsort(-rounded(keys, axis=axis, scale=scale), axis=axis, kind="stable")
+
+
+def significant(value: float) -> float:
+    """Value to six significant digits: a key for max, min and sorted, which keep the order of equals."""
+    return float(f"{value:.6g}")

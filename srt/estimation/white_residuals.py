@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from scipy.linalg.lapack import dtrtri
 
+from srt.conditioning import scaled_root
 from srt.noise.drift_forms import Statistics
 
 if TYPE_CHECKING:
@@ -66,9 +67,7 @@ class WhiteResiduals:
         numpy.linalg.LinAlgError
             If a covariance is not positive definite, as far outside the model.
         """
-        with np.errstate(all="ignore"):
-            scale = 1.0 / np.sqrt(np.einsum("...ii->...i", R))
-            L = np.linalg.cholesky(R * (scale[..., :, None] * scale[..., None, :]))
+        L, scale = scaled_root(R)
         # Rows of the lower triangles are columns of upper ones, as LAPACK stores them.
         inverse = np.array([dtrtri(L[u].T)[0].T for u in np.ndindex(L.shape[:-2]) if L.size]).reshape(L.shape)
         whitener = inverse * scale[..., None, :]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from srt.ranking import ranked, rounded
+from srt.ranking import ranked, rounded, significant
 
 
 @pytest.mark.parametrize("error", [-1e-12, 0.0, 1e-12])
@@ -28,3 +28,8 @@ def test_differences_that_are_rounding_errors_are_equal_on_a_given_scale():
 @pytest.mark.parametrize("keys", [[], [0.0, 0.0], [np.inf, np.inf], [np.nan, np.nan], [5e-324, 5e-324]])
 def test_keys_without_a_scale(keys):
     assert ranked(np.array(keys)).tolist() == list(range(len(keys)))
+
+
+def test_keys_of_max_keep_the_order_of_equals():
+    assert max([1e-30, 1e-30 * (1.0 + 1e-12)], key=significant) == 1e-30
+    assert min([2e-30, 1e-30], key=significant) == 1e-30
