@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from scipy.linalg.lapack import dtrtri
 
-from srt.conditioning import scaled_root
 from srt.noise.drift_forms import Statistics
 
 if TYPE_CHECKING:
@@ -67,7 +66,11 @@ class WhiteResiduals:
         numpy.linalg.LinAlgError
             If a covariance is not positive definite, as far outside the model.
         """
-        L, scale = scaled_root(R)
+        with np.errstate(all="ignore"):
+            scale = 1.0 / np.sqrt(np.einsum("...ii->...i", R))
+            # Without noise R may be singular; the variance of its rounding errors makes it regular.
+            rounding = R.shape[-1] * np.finfo(np.float64).eps * np.eye(R.shape[-1])
+            L = np.linalg.cholesky(R * (scale[..., :, None] * scale[..., None, :]) + rounding)
         # Rows of the lower triangles are columns of upper ones, as LAPACK stores them.
         inverse = np.array([dtrtri(L[u].T)[0].T for u in np.ndindex(L.shape[:-2]) if L.size]).reshape(L.shape)
         whitener = inverse * scale[..., None, :]

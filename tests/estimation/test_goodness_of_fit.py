@@ -159,6 +159,16 @@ def test_a_covariance_that_is_none_is_refused():
         WhiteResiduals.of(z, H, R)
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_a_covariance_that_is_singular_to_rounding_gives_the_same_whatever_the_rounding(seed):
+    """Without noise of their own, the measurements scatter in four directions alone, and agree in the others."""
+    rng = np.random.default_rng(1)
+    root, H, drawn = rng.normal(size=(N, 4)), rng.normal(size=(N, P)), rng.normal(size=4)
+    off = np.random.default_rng(seed).normal(size=(N, N))
+    found = WhiteResiduals.of(root @ drawn, H, root @ root.T * (1.0 + 2e-16 * (off + off.T)))
+    assert found.chi_square == pytest.approx(drawn @ drawn, rel=1e-6)
+
+
 def test_rotations_as_stated_have_no_other_scatter():
     """By chance one in a thousand; four of 1000 with p = 0.02."""
     rng = np.random.default_rng(1)
