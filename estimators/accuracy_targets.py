@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from srt.estimation.convergence import PARAMETER_UNITS
+from srt.ranking import significant
 from srt.result.diagnostics import Targets
 from srt.sensor_errors import INDEX
 
@@ -40,7 +41,7 @@ def compare_with_targets(sigma: Array, targets: Mapping[str, float]) -> tuple[bo
     if not targets:
         return reliable, False, None
     ratio = {name: float(sigma[INDEX[name]]) / wanted for name, wanted in targets.items()}
-    worst = max(ratio, key=lambda name: ratio[name])
+    worst = max(ratio, key=lambda name: significant(ratio[name]))
     return reliable, reliable and ratio[worst] <= 1.0, worst
 
 

@@ -17,6 +17,7 @@ from sims.physics.turn_profiles import trapezoid
 from sims.scenarios.scenario import MRAD
 from srt.constants import DEG
 from srt.exceptions import InputError
+from srt.ranking import rounded
 from srt.recording.recording import Fixture, SequenceLabel
 
 if TYPE_CHECKING:
@@ -175,7 +176,7 @@ def _label(
 
 def _placed(down: Array, sigma_rad: float, rng: np.random.Generator) -> Array:
     """C_NED,B of a pose with a given vertical, inclined by a hand, at a random heading."""
-    first = np.cross(down, np.eye(3)[int(np.argmin(np.abs(down)))])
+    first = np.cross(down, np.eye(3)[int(np.argmin(rounded(np.abs(down))))])
     first /= np.linalg.norm(first)
     level = np.stack([first, np.cross(down, first), down])
     heading = rotation([0.0, 0.0, rng.uniform(0.0, 2.0 * math.pi)])

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from srt.conditioning import has_inverse
 from srt.exceptions import DataError
 from srt.model import closed_form
 from srt.model.table1 import AXES, SEQUENCES
@@ -140,12 +141,10 @@ class SelectedFormulas:
 
     def _solve(self, H: Array, right: Array) -> Array:
         out = np.zeros((*H.shape[:-2], N_PARAMETERS, right.shape[-1]))
-        try:
-            out[..., self.kept, :] = np.linalg.solve(self.selection @ H[..., self.kept], right)
-        except np.linalg.LinAlgError:
-            if H.ndim == 2 or len(H) == 1:
-                return np.full(out.shape, np.nan)
-            return np.stack([self._solve(own, part) for own, part in zip(H, right, strict=True)])
+        A = self.selection @ H[..., self.kept]
+        soluble = has_inverse(A)
+        out[..., self.kept, :] = np.linalg.solve(np.where(soluble[..., None, None], A, np.eye(len(self.kept))), right)
+        out[~soluble] = np.nan
         return out
 
     @cached_property

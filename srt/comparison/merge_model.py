@@ -21,9 +21,11 @@ import numpy as np
 from scipy.linalg import block_diag, solve_triangular
 from scipy.special import chdtrc
 
+from srt.conditioning import scaled_root
 from srt.exceptions import InputError
 from srt.model.prior import prior_sigma
 from srt.noise.variance_components import RestrictedLikelihood
+from srt.ranking import rounded
 from srt.result.repeatability import (
     Deviation,
     GroupRepeatability,
@@ -167,9 +169,8 @@ def estimate(y: Array, X: Array, R: Array) -> tuple[Array, Array, float]:
 
     Raises InputError if R is not positive definite.
     """
-    scale = 1.0 / np.sqrt(np.diag(R))
     try:
-        L = np.linalg.cholesky(R * np.outer(scale, scale))
+        L, scale = scaled_root(R)
     except np.linalg.LinAlgError:
         raise InputError("The covariance of a calibration is not positive definite, and cannot be merged.") from None
     whitener = solve_triangular(L, np.diag(scale), lower=True)
@@ -248,7 +249,7 @@ def _parameter(stack: StackedEstimates, titles: list[str], i: int, merged: float
     sigma = np.sqrt(np.diag(stack.covariance)[rows])
     sigmas = dict(zip(stack.recording[rows].tolist(), sigma.tolist(), strict=True))
     statistic, freedom, mean, normalised = _agreement(stack, rows)
-    farthest = int(np.argmax(np.abs(normalised)))
+    farthest = int(np.argmax(rounded(np.abs(normalised))))  # of two recordings, both deviate alike
     return ParameterRepeatability(
         name=NAMES[i],
         values=tuple(values.get(r) for r in range(len(titles))),

@@ -23,6 +23,10 @@ CLOSE: Final = math.log(20.0)
 """Difference of the scores below which the second cause is reported: the best one is less than 20 times as likely."""
 
 
+_DEPENDENT: Final = 1e-9
+"""Part of a column, over its length, that other columns leave, below which it depends on them: rounding errors."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Cause:
     """Cause and the pattern of the residuals that it predicts.
@@ -56,7 +60,7 @@ class Explanation:
 
 def compare(values: Array, causes: Iterable[Cause], nuisance: Array | None = None) -> list[Explanation]:
     """Explanations of the residuals by each cause, the most likely first; parameters as for :func:`explain`."""
-    return sorted(explain(values, causes, nuisance), key=lambda explanation: -explanation.score)
+    return sorted(explain(values, causes, nuisance), key=lambda explanation: -round(explanation.score, 6))
 
 
 def explain(values: Array, causes: Iterable[Cause], nuisance: Array | None = None) -> list[Explanation]:
@@ -73,15 +77,17 @@ def explain(values: Array, causes: Iterable[Cause], nuisance: Array | None = Non
     n, basis, causes = len(values), np.zeros((len(values), 0)), list(causes)
     if nuisance is not None and nuisance.shape[1]:
         U, size, _ = np.linalg.svd(nuisance, full_matrices=False)
-        basis = U[:, size > 1e-9 * size.max(initial=0.0)]
+        basis = U[:, size > _DEPENDENT * size.max(initial=0.0)]
     k = np.array([cause.columns.shape[1] for cause in causes], dtype=np.intp)
     columns = np.zeros((len(causes), n, k.max(initial=0)))
     for table, cause in zip(columns, causes, strict=True):
         table[:, : cause.columns.shape[1]] = cause.columns
+    size = np.linalg.norm(columns, axis=(1, 2))
     columns -= basis @ (basis.T @ columns)
     left = values - basis @ (basis.T @ values)
     # Directions that the nuisance columns explain as well are left out.
-    inverse = np.linalg.pinv(columns, rcond=np.finfo(float).eps * n)
+    own = np.linalg.norm(columns, axis=(1, 2))
+    inverse = np.linalg.pinv(columns, rcond=_DEPENDENT * size / np.where(own > 0.0, own, 1.0))
     value = inverse @ left
     square = np.maximum(np.sum((left - np.einsum("cnk,ck->cn", columns, value)) ** 2, axis=1), 1e-300)
     freedom = n - basis.shape[1] - k

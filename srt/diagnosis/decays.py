@@ -122,7 +122,7 @@ def accel_settling(evidence: Evidence) -> Iterator[Finding]:
         of += [(columns[:, i, None], f"accel_{axis}", 3) for i, axis in enumerate(AXES)]
         causes = [Cause("accel_settling", one, {"time_s": time_s, "channel": who}, n) for one, who, n in of]
         found += compare(values, causes)
-    best = max(found, key=lambda explanation: explanation.score)
+    best = max(found, key=lambda explanation: round(explanation.score, 6))
     share, sigma = float(best.value[0]), float(best.sigma[0])
     least = limit("t", best.freedom, tests=len(found), both_sides=True) * sigma
     # A larger deviation than a sensor error is motion.

@@ -26,6 +26,7 @@ from srt.constants import EARTH_RATE_RAD_S
 from srt.diagnosis.cause_comparison import CLOSE
 from srt.diagnosis.triad_fits import RAW_SCALE, UNKNOWN, stationary_force_scatter
 from srt.model.table1 import AXES
+from srt.ranking import ranked
 from srt.recording.schema import ACCEL_UNITS, GYRO_UNITS
 from srt.recording.schema import TIME_UNITS as SECONDS
 from srt.result.diagnostics import RunnerUp
@@ -188,7 +189,7 @@ def scale_cause(evidence: Evidence, gyro: ScaleRatios, accel: ScaleRatios) -> tu
     # The scale factors of saturated gyros, with which the Earth rate is measured, are those of part of the rotations.
     measured = len(causes) > 1 and not _clipped(evidence, "gyro")
     by_score = scores(causes, gyro, accel, evidence.earth_rate if measured else None)
-    order = np.argsort(-by_score, kind="stable")
+    order = ranked(by_score, scale=1.0)
     best, lower = causes[order[0]], by_score[order[0]] - by_score
     sound = [k for k, cause in enumerate(causes) if not cause.faults]
     if sound and lower[sound[0]] < math.log(best.prior / RARE):

@@ -15,6 +15,7 @@ from srt.diagnosis.findings import Fault
 from srt.diagnosis.rotation_readings import AGREE, cross, invert_readings
 from srt.diagnosis.window_averages import ACCEL, GYRO, NOISY
 from srt.model.sensor_model import Triad
+from srt.ranking import rounded
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -246,7 +247,7 @@ def _creep(evidence: Evidence, averages: WindowAverages, done: Mask) -> tuple[in
     left[seen] = fit.residual[np.searchsorted(rates.window, averages.window[seen])]
     # On a body that rotates at ω, df/dt = -ω × f, which gives the component of ω normal to f.
     tilt = np.stack([-cross(up, invert_readings(accel, slope)) / size**2, invert_readings(gyro, left)])
-    first = cross(up, np.eye(3)[np.argmin(np.abs(up), axis=1)])
+    first = cross(up, np.eye(3)[np.argmin(rounded(np.abs(up)), axis=1)])
     first /= np.linalg.norm(first, axis=1, keepdims=True)
     tilt = np.einsum("vjc,svc->svj", np.stack([first, cross(up / size, first)], axis=1), tilt)
     share = fit.freedom / rates.rate.size

@@ -25,6 +25,7 @@ from srt.noise.drift_forms import (
     residual_statistics,
     variance_component,
 )
+from srt.ranking import significant
 from srt.result.diagnostics import Drift
 
 if TYPE_CHECKING:
@@ -183,7 +184,7 @@ def most_likely(
             if test.p_value < 0.25 * FALSE_ALARM / len(steps):
                 tests[key] = replace(test, gain=test.gain - 2.0 * math.log(len(steps)))
         if tests:
-            key = max(tests, key=lambda key: tests[key].gain)
+            key = max(tests, key=lambda key: significant(tests[key].gain))
             if key in steps and (sensor, WALK) in tests and scatter == 0.0:
                 key = _step_or_walk(data, key, tests[key], each(sensor))
             likely.append((tests[key].gain, DriftTerm(*key, _prior_sigma(data, key, tests[key], each))))

@@ -10,6 +10,7 @@ from scipy.special import chdtrc, chdtri, fdtrc
 
 from srt.estimation.white_residuals import WhiteResiduals
 from srt.noise.drift_forms import likelihood_gain
+from srt.ranking import significant
 from srt.result.verdict import MISFIT_PROBABILITY
 
 if TYPE_CHECKING:
@@ -93,6 +94,7 @@ def contradicting_group(
     """
     limit = CONTRADICTION_PROBABILITY / (len(tests) if free and tests else 1)
     worst: tuple[int, float] | None = None
+    least = math.inf, -math.inf
     for number, (own, freedom) in enumerate(tests):
         rest, others = max(chi_square - own, 0.0), degrees_of_freedom - freedom
         if not freedom:
@@ -101,8 +103,10 @@ def contradicting_group(
             p = float(fdtrc(freedom, others, own / freedom / (rest / others)))
         else:
             p = float(chdtrc(freedom, own))
-        if p <= limit and (worst is None or p < worst[1]):
-            worst = number, p
+        # One redundant measurement tests all groups alike, and of gross errors all probabilities are zero.
+        key = significant(p), -significant(own / freedom)
+        if p <= limit and key < least:
+            worst, least = (number, p), key
     return worst
 
 

@@ -26,6 +26,7 @@ from srt.estimation.goodness_of_fit import chi_square_probability, contradicting
 from srt.estimation.observability import observed_limit
 from srt.estimation.white_residuals import PredictedGroups, WhiteResiduals
 from srt.model.prior import prior_sigma
+from srt.ranking import ranked, rounded
 from srt.result.consistency import (
     Consistency,
     Contradiction,
@@ -340,7 +341,7 @@ def _parameters(
     values = np.maximum(values, len(seen) * np.finfo(np.float64).eps * values[-1])
     inflation = np.einsum("ij,j,ij->i", vectors, 1.0 / values, vectors)
     apart = np.abs(C - np.diag(np.diag(C)))
-    partner = np.argmax(apart, axis=1)
+    partner = np.argmax(rounded(apart), axis=1)
     shares = np.array([row.without.information for row in rows]).reshape(len(rows), N_PARAMETERS)
     out = []
     for n, i in enumerate(seen.tolist()):
@@ -353,7 +354,7 @@ def _parameters(
                 witnesses=1.0 / most if most > 0.0 else None,
                 shown_by=tuple(
                     InformationShare(sequence=rows[k].title, occurrence=rows[k].occurrence, share=float(share[k]))
-                    for k in np.argsort(-share, kind="stable").tolist()
+                    for k in ranked(share).tolist()
                     if share[k] >= _LEAST_SHARE
                 ),
                 information=tuple(share.tolist()),
@@ -372,10 +373,9 @@ def _weakest(covariance: Array, seen: Indices) -> WeakestCombination | None:
         return None
     prior = prior_sigma()[seen]
     values, vectors = np.linalg.eigh(covariance[np.ix_(seen, seen)] / np.outer(prior, prior))
-    direction = vectors[:, -1] * np.sign(vectors[np.argmax(np.abs(vectors[:, -1])), -1])
-    order = [
-        n for n in np.argsort(-np.abs(direction), kind="stable").tolist() if abs(direction[n]) > 2.0 * _LEAST_COMPONENT
-    ]
+    by_size = ranked(np.abs(vectors[:, -1]))
+    direction = vectors[:, -1] * np.sign(vectors[by_size[0], -1])
+    order = [n for n in by_size.tolist() if abs(direction[n]) > 2.0 * _LEAST_COMPONENT]
     return WeakestCombination(
         sigma_over_prior=float(np.sqrt(max(values[-1], 0.0))),
         combination={NAMES[seen[n]]: float(direction[n]) for n in order},

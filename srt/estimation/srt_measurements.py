@@ -19,6 +19,7 @@ from srt.model.analytic_platform import integrate_attitude
 from srt.model.rotations import cross_matrix, smallest_rotation
 from srt.model.sensor_model import accel_triad, gyro_triad, triads
 from srt.model.table1 import AXES
+from srt.ranking import rounded
 from srt.sensor_errors import SensorErrors
 
 if TYPE_CHECKING:
@@ -200,7 +201,7 @@ class SrtProcessor:
         vertical = data.windows.accel_mean.reshape(-1, W, 3)[0, data.start]  # of several units, the first
         if data.nominal is not None:
             vertical = np.where(data.placed[:, None], data.nominal[:, 2], vertical)
-        self._least_vertical = np.argmin(np.abs(vertical), axis=1)
+        self._least_vertical = np.argmin(rounded(np.abs(vertical)), axis=1)
         # The two axes of T that are horizontal at the start of each labelled sequence.
         self._labelled = np.array([s is not None for s in data.catalogue])
         self._horizontal = np.array(

@@ -68,7 +68,9 @@ class WhiteResiduals:
         """
         with np.errstate(all="ignore"):
             scale = 1.0 / np.sqrt(np.einsum("...ii->...i", R))
-            L = np.linalg.cholesky(R * (scale[..., :, None] * scale[..., None, :]))
+            # Without noise R may be singular; the variance of its rounding errors makes it regular.
+            rounding = R.shape[-1] * np.finfo(np.float64).eps * np.eye(R.shape[-1])
+            L = np.linalg.cholesky(R * (scale[..., :, None] * scale[..., None, :]) + rounding)
         # Rows of the lower triangles are columns of upper ones, as LAPACK stores them.
         inverse = np.array([dtrtri(L[u].T)[0].T for u in np.ndindex(L.shape[:-2]) if L.size]).reshape(L.shape)
         whitener = inverse * scale[..., None, :]

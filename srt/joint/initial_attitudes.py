@@ -9,6 +9,7 @@ import numpy as np
 
 from srt.joint.nominal_attitudes import pose_nominal
 from srt.model.rotations import rotation_matrix, smallest_rotation
+from srt.ranking import rounded
 
 if TYPE_CHECKING:
     from srt.joint.joint_model import JointModel
@@ -55,6 +56,6 @@ def initial_attitudes(joint: JointModel, state: JointState, compensated: Compens
 
 def _any_level_attitude(down: Array) -> Array:
     """Arbitrary attitude, B to L, with a given down vector."""
-    first = np.cross(down, np.eye(3)[np.argmin(np.abs(down))])
+    first = np.cross(down, np.eye(3)[np.argmin(rounded(np.abs(down)))])
     first /= np.linalg.norm(first)
     return np.stack([first, np.cross(down, first), down])

@@ -16,6 +16,7 @@ from srt.estimation.srt_measurements import SrtProcessor
 from srt.exceptions import DataError
 from srt.joint.joint_model import JointModel
 from srt.model.rotations import rotation_vector
+from srt.ranking import rounded
 from srt.sequences.checked_preparation import prepare_checked
 from srt.sequences.moves import recorded_moves
 from srt.sequences.stationary_windows import find_turns
@@ -117,7 +118,8 @@ def contradicting_move(tests: Sequence[tuple[float, int]], is_move: Mask) -> dic
     share = chi_square / np.maximum(freedom, 1.0)
     scale = max(1.0, float(np.median(share[tested])))
     excess = np.where(tested, (chi_square / scale - freedom) / np.sqrt(2.0 * np.maximum(freedom, 1.0)), -np.inf)
-    worst = int(np.argmax(excess))
+    # Where one redundant rotation tests all alike, a move contradicts as much as a sequence.
+    worst = len(excess) - 1 - int(np.argmax(rounded(excess)[::-1]))
     probability = float(chdtrc(freedom[worst], chi_square[worst] / scale))
     if not is_move[worst] or probability > CONTRADICTION_PROBABILITY:
         return {}

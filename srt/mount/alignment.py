@@ -28,8 +28,10 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from scipy.special import chdtri
 
+from srt.conditioning import scaled_root
 from srt.exceptions import DataError, InputError
 from srt.model.rotations import rotation_matrix
+from srt.ranking import rounded
 from srt.result.json_file import load_json_file, require_format, save_json_file
 
 if TYPE_CHECKING:
@@ -327,9 +329,8 @@ def _design(m: Array, pose: Indices, axis: Indices, pitched: Mask) -> Array:
 
 
 def _whitener(R: Array) -> Array:
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(R), 1e-300))
     try:
-        L = np.linalg.cholesky(R * np.outer(scale, scale))
+        L, scale = scaled_root(R)
     except np.linalg.LinAlgError:
         raise InputError(
             "The covariance of the static poses is not positive definite: each pose needs noise."
@@ -344,7 +345,7 @@ def _repeatability(solution: _PoseFit, names: list[str]) -> tuple[str, ...]:
     freedom = len(residual) - 3
     if freedom <= 0:
         return ()
-    worst = int(np.argmax(np.abs(residual)))
+    worst = int(np.argmax(rounded(np.abs(residual))))  # of two poses, both are off alike
     size = float(np.abs(residual[worst]))
     if np.sum((solution.whitener @ residual) ** 2) > chdtri(freedom, _IMPOSSIBLE):
         raise DataError(

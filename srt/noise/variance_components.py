@@ -113,7 +113,7 @@ class RestrictedLikelihood:
             own = self.logarithm(self.variances(used))
             without = {i: used & (np.arange(len(used)) != i) for i in np.flatnonzero(used & tested).tolist()}
             loss = {i: own - self.logarithm(self.variances(others)) for i, others in without.items()}
-            least = min(loss, key=lambda i: loss[i])
+            least = min(loss, key=lambda i: round(loss[i], 6))  # components without effect lose rounding errors
             if loss[least] > limit:
                 break
             used = without[least]

@@ -19,6 +19,7 @@ from srt.model.table1 import AXES
 from srt.noise.allan import CHANNELS, TERMS, AllanDeviation, allan_deviation
 from srt.noise.noise_model import noise_model
 from srt.presentation import Presented
+from srt.ranking import rounded
 from srt.recording.folder import TOML_NAME
 from srt.recording.reading import read
 from srt.recording.recording import ImuNoise, Recording
@@ -118,7 +119,7 @@ def _stamps(recording: Recording) -> TimeStampSummary:
     dt, time, gaps = recording.nominal_interval_s, recording.time, recording.gaps
     steps = np.diff(time) - dt
     missing = steps[gaps - 1]
-    longest = int(np.argmax(missing)) if gaps.size else None
+    longest = int(np.argmax(rounded(missing))) if gaps.size else None
     steps[gaps - 1] = 0.0
     return TimeStampSummary(
         samples=len(time),

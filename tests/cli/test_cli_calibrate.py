@@ -356,6 +356,7 @@ def test_a_defective_estimator_of_others_is_one_sentence(recording, monkeypatch,
 
 def test_progress_on_a_terminal_is_one_moving_line_and_plain_without_rich(recording, monkeypatch, shell):
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    monkeypatch.setenv("COLUMNS", "80")  # a narrower terminal takes two lines
     assert shell("calibrate", recording).err.count("\n") <= 1
     monkeypatch.setitem(sys.modules, "rich.console", None)
     assert shell("calibrate", recording).err == ""

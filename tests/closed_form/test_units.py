@@ -197,12 +197,12 @@ def solved():
     return data, iterate(data, options, SelectedFormulas(data, options), *initial_estimate(data, options))
 
 
-def excess(tilts):
-    """Errors that are found after rotations (K, 3) of the starts."""
+def excess(tilts, force_errors=0.0, **stated):
+    """Errors that are found after rotations (K, 3) of the starts and errors of their specific forces."""
     data, solution = solved()
     force = solution.measurements.force.copy()
-    force[data.start] = np.einsum("kab,kb->ka", rotation_matrix(tilts), force[data.start])
-    return fixture_excess(data, replace(solution.measurements, force=force), solution.covariance)
+    force[data.start] = np.einsum("kab,kb->ka", rotation_matrix(tilts), force[data.start]) + force_errors
+    return fixture_excess(replace(data, **stated), replace(solution.measurements, force=force), solution.covariance)
 
 
 def test_a_fixture_as_stated_has_no_excess():
@@ -221,3 +221,10 @@ def test_one_wrong_start_does_not_accuse_the_fixture(tilt_rad):
     tilts = np.zeros((solved()[0].K, 3))
     tilts[6] = tilt_rad
     assert excess(tilts) == NO_ERRORS
+
+
+def test_bias_instability_of_the_accelerometers_does_not_accuse_the_fixture():
+    """A bias of 1 mg that differs from start to start, with and without such an instability in the noise model."""
+    drawn = np.random.default_rng(4).normal(0.0, 1e-3 * 9.80665, (solved()[0].K, 3))
+    assert excess(np.zeros_like(drawn), drawn, accel_instability=1e-3 * 9.80665) == NO_ERRORS
+    assert excess(np.zeros_like(drawn), drawn) != NO_ERRORS

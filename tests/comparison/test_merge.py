@@ -222,6 +222,15 @@ def test_a_recording_that_differs_stands_out():
     assert any("differ by more than their sigmas explain" in w for w in merged.warnings)
 
 
+def test_of_two_recordings_that_deviate_alike_the_first_is_named():
+    rng = np.random.default_rng(8)
+    covariances = [random_covariance(rng), random_covariance(rng)]
+    values = [rng.multivariate_normal(np.zeros(N_PARAMETERS), P, method="eigh") for P in covariances]
+    merged = merge_calibrations([made(*own) for own in zip(values, covariances, strict=True)], ["a", "b"])
+    rows = merged.diagnostics.repeatability.parameters
+    assert {row.largest_deviation.recording for row in rows} == {"a"}
+
+
 # Simulated units
 
 

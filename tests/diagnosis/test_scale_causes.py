@@ -185,3 +185,14 @@ def test_a_close_runner_up_is_told_and_a_distant_one_is_not():
     assert "One gyro axis has another delay" in runner_up_sentence(told.runner_up)
     (fault,) = Diagnosis((told,)).faults
     assert to_document(fault)["runner_up"] == asdict(told.runner_up)
+
+
+def test_a_cause_that_is_no_other_than_what_is_fitted_beside_it_explains_nothing():
+    """A trend beside a fitted trend leaves a column of rounding errors, which had a coefficient of 1e11."""
+    time = np.linspace(0.0, 1000.0, 37)
+    values = np.random.default_rng(1).normal(size=time.size)
+    beside = np.stack([np.ones_like(time), time], axis=1)
+    causes = [Cause("trend", (3.0 * time + 1.0)[:, None], {}), Cause("", np.zeros((time.size, 0)), {})]
+    none, trend = compare(values, causes, beside)
+    assert trend.cause.fault == "trend"
+    assert (trend.value[0], trend.square) == (0.0, none.square)

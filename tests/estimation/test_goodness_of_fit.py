@@ -39,6 +39,16 @@ def test_the_cause_with_the_larger_likelihood_is_chosen(excess):
     assert one_group_explains(tests, chi_square, 100)
 
 
+@pytest.mark.parametrize("error", [-1e-15, 0.0, 1e-15])
+def test_of_groups_that_one_residual_tests_alike_the_first_is_named(error):
+    assert contradicting_group([(30.0, 1), (30.0 * (1.0 + error), 1)], 30.0, 1)[0] == 0
+
+
+def test_of_groups_without_a_probability_the_one_with_the_larger_chi_square_is_named():
+    tests = [(30_000.0, 2), (90_000.0, 2), *[(2.0, 2)] * 8]
+    assert contradicting_group(tests, 120_016.0, 100_000) == (1, 0.0)
+
+
 def test_several_faults_are_not_one():
     """Two groups contradict the others: without the worse one, these still do not agree."""
     tests = [(400.0, 5), (300.0, 5), *[(10.0, 10)] * 8]
@@ -147,6 +157,16 @@ def test_a_covariance_that_is_none_is_refused():
     R[2] = np.where(np.eye(N), 1.0, 2.0)
     with pytest.raises(np.linalg.LinAlgError):
         WhiteResiduals.of(z, H, R)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_covariance_that_is_singular_to_rounding_gives_the_same_whatever_the_rounding(seed):
+    """Without noise of their own, the measurements scatter in four directions alone, and agree in the others."""
+    rng = np.random.default_rng(1)
+    root, H, drawn = rng.normal(size=(N, 4)), rng.normal(size=(N, P)), rng.normal(size=4)
+    off = np.random.default_rng(seed).normal(size=(N, N))
+    found = WhiteResiduals.of(root @ drawn, H, root @ root.T * (1.0 + 2e-16 * (off + off.T)))
+    assert found.chi_square == pytest.approx(drawn @ drawn, rel=1e-6)
 
 
 def test_rotations_as_stated_have_no_other_scatter():

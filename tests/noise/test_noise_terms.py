@@ -241,6 +241,16 @@ def test_an_axis_without_the_term_takes_the_white_noise_of_the_test():
         white_density(noise, "gyro", np.eye(3))
 
 
+def test_white_noise_of_corrected_readings():
+    """Corrected x is x + y / 2, and corrected z twice z: variances and covariance of independent channels by hand."""
+    from srt.noise.stated_figures import white_density
+
+    noise = NoiseFigures(gyro_noise_rad_per_sqrt_s=np.array([1.0, 2.0, 3.0]))
+    correction = np.array([[1.0, 0.5, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 2.0]])
+    expected = [[1.0 + 0.25 * 4.0, 0.5 * 4.0, 0.0], [0.5 * 4.0, 4.0, 0.0], [0.0, 0.0, 4.0 * 9.0]]
+    np.testing.assert_allclose(white_density(noise, "gyro", correction), expected, rtol=1e-15)
+
+
 def test_another_unit_and_a_moving_log_are_refused(shelf, tmp_path, refused):
     calibration = srt.load_calibration(shelf / "unit.json")
     other = replace(calibration.provenance, serial="SN-8")

@@ -2,12 +2,15 @@
 
 import math
 import tracemalloc
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from g_sensitive import with_g_sensitivity
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from scipy.linalg import block_diag
 
 import srt
 from srt.model.rotations import rotation_matrix
@@ -366,6 +369,31 @@ def test_covariance_is_the_derivatives(unit):
         P[i, i] = 4.0
         found = Applier(calibrated(unit.errors.vector, covariance=P)).sample_covariance(gyro, accel)
         np.testing.assert_allclose(found, 4.0 * np.outer(slope, slope), rtol=1e-6, atol=1e-6)
+
+
+@pytest.mark.parametrize("frame", ["mars", "table"])
+def test_covariance_through_the_g_sensitivity_is_the_derivatives(unit, frame):
+    """Errors of the accelerometers reach the gyros through Γ, and so do errors of its nine elements, by rows."""
+    rng = np.random.default_rng(10)
+    matrix, root = rng.uniform(-0.05, 0.05, (3, 3)), 1e-5 * rng.normal(size=(9, 9))
+    gyro, accel = np.array([0.5, -1.0, 2.0]), np.array([1.0, 5.0, -9.0])
+
+    def at(vector, elements):
+        stated = with_g_sensitivity(np.reshape(elements, (3, 3)))
+        stated = replace(stated, g_sensitivity=replace(stated.g_sensitivity, covariance=root @ root.T))
+        return Applier(replace(unit, errors=SensorErrors(vector), diagnostics=stated), frame=frame)
+
+    centre = np.concatenate([unit.errors.vector, matrix.ravel()])
+    J = [
+        np.subtract(*(np.hstack(at(*np.split(c, [N_PARAMETERS])).apply(gyro, accel)) for c in (centre + d, centre - d)))
+        / 2e-6
+        for d in 1e-6 * np.eye(len(centre))
+    ]
+    P = block_diag(unit.covariance, root @ root.T)
+    expected, found = np.transpose(J) @ P @ J, at(*np.split(centre, [N_PARAMETERS])).sample_covariance(gyro, accel)
+    # Central differences: of second order 1e-12, and rounding of values below 10 over the step.
+    scale = np.sqrt(np.diag(expected))
+    np.testing.assert_allclose(found / np.outer(scale, scale), expected / np.outer(scale, scale), atol=1e-7)
 
 
 def test_many_covariances_are_made_in_pieces(unit):

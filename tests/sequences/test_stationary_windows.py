@@ -19,6 +19,7 @@ from srt.recording.protocol import load_protocol, protocol_names
 from srt.sensor_errors import SensorErrors
 from srt.sequences.protocol_matching import protocol_labels
 from srt.sequences.stationary_windows import find_turns, find_windows
+from srt.sequences.window_means import average_windows
 
 G = 9.80665
 
@@ -220,3 +221,16 @@ def test_the_folder_keeps_the_protocol_and_the_labels(tmp_path):
         assert again.protocol is not None
         assert again.protocol.name == name
         assert not again.sequences
+
+
+@pytest.mark.parametrize("kind", ["rate", "increment"])
+@pytest.mark.parametrize("steps", [[0.1, 0.083, 0.117, 0.091, 0.109, 0.128], [0.1, 0.1, 0.1, 0.1]])
+def test_mean_of_a_window_weights_samples_by_their_duration(kind, steps):
+    """By hand: the angle of the samples after the first over their time, where the halves differ in length and rate."""
+    dt, rate = np.array(steps), np.arange(1.0, 1.0 + len(steps)) ** 2
+    readings = (rate if kind == "rate" else rate * dt)[:, None] * [1.0, 0.0, -2.0]
+    recording = srt.Recording(time=np.cumsum(dt), gyro=readings, accel=readings, site=srt.Site(G), kind=kind)
+    (found,) = average_windows([recording], [np.array([[1, len(dt)]])], "linear")
+    mean = float(rate[1:] @ dt[1:]) / float(dt[1:].sum())
+    for average in (found.gyro_mean, found.accel_mean):
+        np.testing.assert_allclose(average, [[mean, 0.0, -2.0 * mean]], rtol=1e-12)

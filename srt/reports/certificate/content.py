@@ -10,6 +10,7 @@ import numpy as np
 
 from srt.exceptions import DataError
 from srt.presentation import Presented
+from srt.ranking import significant
 from srt.reports.certificate.calibration_file import FALSE_ALARM
 from srt.reports.certificate.laboratory import COVERAGE_FACTOR, Laboratory, equipment_table, references_table
 from srt.reports.certificate.unit_description import (
@@ -225,7 +226,7 @@ def residual_table(calibration: Calibration) -> Table | None:
         name = plain(turn[0]) + (f" ({turn[1]})" if turn[1] > 1 else "")
         cells: list[Cell | str] = [name, str(len(residuals)), str(len(left))]
         if left:
-            worst = max(left, key=lambda r: abs(r.value / r.sigma))
+            worst = max(left, key=lambda r: significant(abs(r.value / r.sigma)))
             rms, largest = rms_over_sigma(left), worst.value / worst.sigma
             component = plain(worst.component.replace("_", " "))
             cells += [Cell(f"{rms:.2f}", rms), Cell(_signed(largest), largest), component]

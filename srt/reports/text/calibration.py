@@ -6,6 +6,7 @@ import math
 from typing import TYPE_CHECKING, Final
 
 from srt.constants import DEG_PER_H
+from srt.ranking import significant
 from srt.reports.parameters import (
     FINE,
     GROUP_STARTS,
@@ -182,7 +183,7 @@ def residual_summary(calibration: Calibration) -> str:
     left = unsolved(known)
     if not left:
         return f"Residuals: all {len(known)} components are solved exactly." if known else ""
-    worst = max(left, key=lambda r: abs(r.value / r.sigma))
+    worst = max(left, key=lambda r: significant(abs(r.value / r.sigma)))
     again = f" (occurrence {worst.occurrence})" if worst.occurrence > 1 else ""
     text = (
         f"Residuals over sigma: rms {rms_over_sigma(left):.2g} of {len(left)} components, largest "

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from srt.noise.accuracy_analysis import QUANTITIES
+from srt.ranking import significant
 from srt.reports.tables import fixed, text_table, wrap
 from srt.reports.text.calibration import sources_table
 from srt.sensor_errors import GROUP_SLICES
@@ -36,7 +37,7 @@ def budget_text(
     seen = np.flatnonzero(np.isfinite(total)).tolist()
     if not details:
         groups = [[i for i in seen if part.start <= i < part.stop] for part in GROUP_SLICES.values()]
-        worst = [max(group, key=lambda i: float(total[i])) for group in groups if group]
+        worst = [max(group, key=lambda i: significant(float(total[i]))) for group in groups if group]
         head = f"Budget of {estimator}, largest of each group: 1-sigma; the squares of the sources add up"
         return "\n".join([*wrap(head), sources_table(sources, total, worst)])
     text = [f"Budget of {estimator}: 1-sigma; the squares of the sources add up"]
