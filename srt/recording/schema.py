@@ -26,6 +26,8 @@ LARGEST_RATE_DEG_S: Final = 1e6
 _LARGEST_ANGLE_DEG: Final = 3.6e5  # bound of one rotation, degrees: a thousand revolutions
 LARGEST_SIGMA_MRAD: Final = 3200.0
 """Bound of the sigma of an angle, mrad: half a revolution, beyond which nothing is said of the direction."""
+SMALLEST_SIGMA_MRAD: Final = 1e-9
+"""Bound of the sigma of a fixture, mrad: 1e-12 rad, which the planner counts as exact."""
 LARGEST_ELEMENT: Final = 1e6
 """Bound of matrices and offsets of a logger, SI units: far beyond any sensor's scale factor or reading."""
 LARGEST_PPM: Final = 1e6
@@ -183,15 +185,29 @@ SITE_KEYS: Final = (
     number("latitude_deg", "degrees", "latitude_rad", factor=DEG, low=-90.0, high=90.0),
     number("gravity_m_s2", "m/s²", "gravity_m_s2", low=9.5, high=10.1),
     number("height_m", "m", low=-1000.0, high=10000.0),
-    number("gravity_sigma_m_s2", "m/s²", "gravity_sigma_m_s2", low=1e-9, high=1.0),
+    number("gravity_sigma_m_s2", "m/s²", "gravity_sigma_m_s2", above=0.0, high=1.0),
     number("latitude_sigma_deg", "degrees", "latitude_sigma_rad", factor=DEG, low=0.0, high=180.0),
     text("gravity_sigma_origin", "gravity_sigma_origin", (ASSUMED,)),
 )
 
 FIXTURE_KEYS: Final = (
     number("heading_deg", "degrees", "heading_rad", factor=DEG, low=-360.0, high=360.0),
-    number("alignment_sigma_mrad", "mrad", "alignment_sigma_rad", factor=1e-3, low=1e-6, high=LARGEST_SIGMA_MRAD),
-    number("rotation_sigma_mrad", "mrad", "rotation_sigma_rad", factor=1e-3, low=1e-6, high=LARGEST_SIGMA_MRAD),
+    number(
+        "alignment_sigma_mrad",
+        "mrad",
+        "alignment_sigma_rad",
+        factor=1e-3,
+        low=SMALLEST_SIGMA_MRAD,
+        high=LARGEST_SIGMA_MRAD,
+    ),
+    number(
+        "rotation_sigma_mrad",
+        "mrad",
+        "rotation_sigma_rad",
+        factor=1e-3,
+        low=SMALLEST_SIGMA_MRAD,
+        high=LARGEST_SIGMA_MRAD,
+    ),
     number("wobble_sigma_mrad", "mrad", "wobble_sigma_rad", factor=1e-3, low=0.0, high=LARGEST_SIGMA_MRAD),
 )
 
