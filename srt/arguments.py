@@ -68,5 +68,5 @@ def real_array(name: str, values: Any, *, dates: bool = False) -> NDArray[Any]:
         # Complex numbers in a list, and dates, have no safe cast; texts may be numbers.
         casting: Any = "unsafe" if array.dtype.kind in "bOUS" else "same_kind"
         return array if array.dtype.kind in "fiu" else array.astype(np.float64, casting=casting)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{name} does not consist of numbers: {error}.") from None

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from srt.arguments import real_array
 from srt.exceptions import InputError
 
 if TYPE_CHECKING:
@@ -150,7 +151,7 @@ class SensorErrors:
     vector: Array = field(default_factory=lambda: np.zeros(N_PARAMETERS))
 
     def __post_init__(self) -> None:
-        vector = np.array(self.vector, dtype=np.float64)
+        vector = np.array(real_array("The vector of sensor errors", self.vector), dtype=np.float64)
         if vector.shape != (N_PARAMETERS,):
             raise InputError(f"Sensor errors are a vector of {N_PARAMETERS} numbers, not of shape {vector.shape}.")
         if not np.all(np.isfinite(vector)):
@@ -165,10 +166,7 @@ class SensorErrors:
         unknown = sorted(set(values) - set(NAMES))
         if unknown:
             raise InputError(f"Unknown sensor error {unknown[0]!r}; the names are {', '.join(NAMES)}.")
-        vector = np.zeros(N_PARAMETERS)
-        for name, value in values.items():
-            vector[INDEX[name]] = value
-        return cls(vector)
+        return cls(real_array("The vector of sensor errors", [values.get(name, 0.0) for name in NAMES]))
 
     def as_dict(self) -> dict[str, float]:
         """Values by name, in state order."""

@@ -14,6 +14,7 @@ import click
 from srt.cli.border import guarded
 from srt.cli.grouped_command import with_help_all
 from srt.cli.messages import show
+from srt.cli.overwriting import report_replaced
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -168,4 +169,5 @@ def _complete(instruction: str) -> int:
 def _invoke(arguments: Sequence[str]) -> int:
     with app.make_context(_called(), list(arguments)) as context:
         value: Any = app.invoke(context)
+        report_replaced(context)
     return value if isinstance(value, int) else 0

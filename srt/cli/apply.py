@@ -107,16 +107,21 @@ def apply(
         written.append(str(c_header))
     warn_of_unmeasured(calibration, calibration_file)
     if not quiet:
-        from srt.reports.tables import wrap
-
         if corrected is not None:
-            axes = "MARS axes" if frame == "mars" else "axes of the table-mounted frame"
-            show(f"{corrected.time.size} samples ({corrected.kind}) corrected, in {axes}")
-            if not force:
-                show("\n".join(wrap(f"Check: {rests or 'no stationary window was found'}")))
+            show_correction(corrected, frame, rests, compared=not force)
         for place in written:
             show(f"Written to {place}")
     return 0
+
+
+def show_correction(corrected: Recording, frame: str, rests: CorrectedRest | None, *, compared: bool) -> None:
+    """Print the number of samples and, if they were compared, the differences at rest."""
+    from srt.reports.tables import wrap
+
+    axes = "MARS axes" if frame == "mars" else "axes of the table-mounted frame"
+    show(f"{corrected.time.size} samples ({corrected.kind}) corrected, in {axes}")
+    if compared:
+        show("\n".join(wrap(f"Check: {rests or 'no stationary window was found'}")))
 
 
 def check_stream(

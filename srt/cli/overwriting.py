@@ -1,8 +1,8 @@
 """Policy of overwriting, the same for all commands.
 
-A file that this program wrote, and that is unchanged since, is replaced, and a line says so. Any other file is replaced
-with ``--overwrite`` alone. Nothing is written into the folder of a recording, except by the commands that write
-recordings.
+A file that this program wrote, and that is unchanged since, is replaced, and a line at the end says so. Any other file
+is replaced with ``--overwrite`` alone. Nothing is written into the folder of a recording, except by the commands that
+write recordings.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from click.decorators import FC
 
 _KEY: Final = "srt.overwrite"
+_OLD: Final = "srt.old"  # files that may be replaced, with their versions
 TOML: Final = "recording.toml"
 """Name of the description of a recording, by which its folder is known."""
 _METADATA: Final = {
@@ -56,9 +57,7 @@ def overwrite_allowed() -> bool:
 
 
 def check_replaceable(*paths: Path) -> None:
-    """Check that the policy allows files to be written, before their content is computed; say which will be replaced.
-
-    With ``--overwrite`` nothing is said, as it was asked for.
+    """Check that the policy allows files to be written, before their content is computed.
 
     Raises InputError for a file in the folder of a recording, and, without ``--overwrite``, for one that exists and is
     not this program's, or was changed.
@@ -71,10 +70,27 @@ def check_replaceable(*paths: Path) -> None:
         if not unchanged:
             what = "was not written by this program" if unchanged is None else "was changed after it was written"
             raise InputError(f"{path} exists and {what}: name another file, or add --overwrite to replace it.")
-    if existing:
-        more = f" and {len(existing) - _NAMED} more" if len(existing) > _NAMED else ""
-        exist = "exists" if len(existing) == 1 else "exist"
-        say(f"{', '.join(map(str, existing[:_NAMED]))}{more} {exist} and will be replaced.")
+    context = click.get_current_context(silent=True)
+    if context is not None:
+        context.meta.setdefault(_OLD, []).extend((path, _version(path)) for path in existing)
+
+
+def report_replaced(context: click.Context) -> None:
+    """Say which files the command replaced; with ``--overwrite`` nothing, as it was asked for."""
+    replaced = [path for path, version in context.meta.get(_OLD, ()) if _version(path) not in (version, None)]
+    if replaced:
+        more = f" and {len(replaced) - _NAMED} more" if len(replaced) > _NAMED else ""
+        were = "was" if len(replaced) == 1 else "were"
+        say(f"{', '.join(map(str, replaced[:_NAMED]))}{more} {were} replaced: earlier results, unchanged since.")
+
+
+def _version(path: Path) -> tuple[int, int] | None:
+    """Numbers that change when a file is written anew; None for no file."""
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    return found.st_ino, found.st_mtime_ns
 
 
 def refuse_recording(folder: Path, wanted: Path) -> None:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, Final, Literal, get_args
 
 from srt.arguments import require_type
 from srt.exceptions import InputError, did_you_mean
 from srt.model.prior import Prior
+from srt.recording.schema import shown
 from srt.sensor_errors import SensorErrors, expand_names
 from srt.sequences.window_means import Average
 
@@ -22,6 +24,9 @@ Step = Literal["jacobian", "coefficients"]
 Start = Literal["auto", "zero"]
 Loss = Literal["squared", "huber", "cauchy"]
 Filter = Literal["iterated", "per-sequence", "one-pass", "covariance", "unscented"]
+
+MOST_ITERATIONS: Final = 10_000
+"""Largest number of iterations that can be asked for: hours of computation, where a calibration takes about ten."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,8 +117,10 @@ class Options:
                 raise InputError(f"Option {name} is {value!r}; it must be one of {', '.join(map(repr, allowed))}.")
         object.__setattr__(self, "hold", expand_names(self.hold))
         object.__setattr__(self, "targets", _targets(self.targets))
-        if self.max_playbacks < 1:
-            raise InputError(f"max_playbacks is {self.max_playbacks}; at least one iteration is needed.")
+        if not 1 <= self.max_playbacks <= MOST_ITERATIONS:
+            raise InputError(
+                f"max_playbacks is {shown(self.max_playbacks)}; a number from 1 to {MOST_ITERATIONS} is expected."
+            )
 
     @property
     def fixed_names(self) -> tuple[str, ...]:
@@ -160,8 +167,8 @@ def _targets(targets: object) -> dict[str, float]:
         raise InputError(f"Option targets is {targets!r}; it must map names of parameters or groups to sigmas.")
     out: dict[str, float] = {}
     for name, sigma in targets.items():
-        if isinstance(sigma, bool) or not isinstance(sigma, (int, float)) or not 0.0 < sigma < float("inf"):
-            raise InputError(f"The target of {name} is {sigma!r}; it must be a positive sigma in SI units.")
+        if isinstance(sigma, bool) or not isinstance(sigma, (int, float)) or not 0.0 < sigma <= sys.float_info.max:
+            raise InputError(f"The target of {name} is {shown(sigma)}; it must be a positive sigma in SI units.")
         for parameter in expand_names([name]):
             out[parameter] = min(float(sigma), out.get(parameter, float("inf")))
     return out

@@ -15,6 +15,7 @@ from functools import cache
 from importlib.metadata import entry_points
 from typing import TYPE_CHECKING, Final, Protocol
 
+from srt.arguments import require_type
 from srt.estimation.fixed_parameters import in_frame_of_poses
 from srt.estimation.options import Options
 from srt.exceptions import InputError, MissingExtraError
@@ -74,6 +75,7 @@ def find_estimator(name: str) -> Estimator:
         If no estimator of that name is registered, a package that it needs is not installed, it cannot be loaded, or it
         cannot be called as an estimator.
     """
+    require_type("estimator=", "the name of an estimator", name, str)
     if name in BUILT_IN:
         module, _, attribute = BUILT_IN[name].partition(":")
         built_in: Estimator = getattr(importlib.import_module(module), attribute)

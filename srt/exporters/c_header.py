@@ -25,6 +25,16 @@ if TYPE_CHECKING:
     from srt.types import Array
 
 _NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,30}")
+_RESERVED: Final = re.compile(
+    r"alignas|alignof|and|and_eq|asm|auto|bitand|bitor|bool|break|case|catch|char|char16_t|char32_t|char8_t|"
+    r"class|co_await|co_return|co_yield|compl|concept|const|const_cast|consteval|constexpr|constinit|continue|"
+    r"decltype|default|delete|do|double|dynamic_cast|else|enum|explicit|export|extern|false|float|for|friend|"
+    r"goto|if|inline|int|long|mutable|namespace|new|noexcept|not|not_eq|nullptr|operator|or|or_eq|private|"
+    r"protected|public|register|reinterpret_cast|requires|return|short|signed|sizeof|static|static_assert|"
+    r"static_cast|std|struct|switch|template|this|thread_local|throw|true|try|typedef|typeid|typename|union|"
+    r"unsigned|using|virtual|void|volatile|wchar_t|while|xor|xor_eq"
+)
+"""Keywords of C++20, and the namespace of its library, which cannot name a namespace."""
 _SUFFIXES: Final = {"double": "", "float": "f"}
 """Suffix of a literal by type."""
 _KINDS: Final = {"both": ("", "_increment"), "rate": ("",), "increment": ("_increment",)}
@@ -204,6 +214,8 @@ def c99_header(
             raise InputError(
                 f"{given!r} cannot begin names in C: use a letter, then letters, digits or underscores, up to 31."
             )
+    if namespace is not None and _RESERVED.fullmatch(namespace):
+        raise InputError(f"{namespace!r} is a word of C++ and names no namespace: use another, as imu_{namespace}.")
     for what, choice, choices in (("precision", precision, _SUFFIXES), ("samples", samples, _KINDS)):
         if choice not in choices:
             raise InputError(f"The {what} is {choice!r}; it must be one of {', '.join(choices)}.")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack, suppress
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,7 +16,7 @@ from srt.exporters.linear_model import ASYMMETRY, FACTORS, LinearModel, linear_p
 from srt.exporters.registry import exporter, exporters
 from srt.model.sensor_model import Triad, accel_triad, gyro_triad, outside_model, to_mars
 from srt.recording.applied import NOTHING, AppliedCorrection, applied_correction
-from srt.recording.atomic_file import atomic_path
+from srt.recording.atomic_file import atomic_paths
 from srt.recording.file_marks import signed
 from srt.result.applier import Applier
 
@@ -194,8 +194,8 @@ def save(exported: ExportedCalibration, path: str | PathLike[str]) -> tuple[Path
         If a file on disk differs from its text.
     """
     places = part_paths(exported.format, path)
-    with ExitStack() as stack:
-        temporary = {part: stack.enter_context(atomic_path(place)) for part, place in places.items()}
+    with atomic_paths(*places.values()) as files:
+        temporary = dict(zip(places, files, strict=True))
         for part, place in temporary.items():
             place.write_bytes(exported.texts[part].encode("utf-8"))
         found = exported.format.read({part: place.read_bytes().decode("utf-8") for part, place in temporary.items()})

@@ -59,22 +59,33 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
 
     An existing file is replaced; a symbolic link is followed. Raises InputError if the file cannot be written.
     """
+    with atomic_paths(path) as (temporary,):
+        yield temporary
+
+
+@contextmanager
+def atomic_paths(*paths: str | os.PathLike[str]) -> Iterator[list[Path]]:
+    """Context as that of :func:`atomic_path` with several files: all are on the disk before the first is renamed."""
     # A symbolic link remains, and its target is replaced.
-    target = Path(os.path.realpath(path))
-    _remove_leftovers_once(target.parent)
+    targets = [Path(os.path.realpath(path)) for path in paths]
+    for folder in {target.parent for target in targets}:
+        _remove_leftovers_once(folder)
     mark = f"{_machine()}-{os.getpid()}-{os.urandom(4).hex()}"
-    temporary = target.with_name(f".{target.stem}.{mark}.tmp{target.suffix}")
+    temporary = [target.with_name(f".{target.stem}.{mark}.tmp{target.suffix}") for target in targets]
     try:
         yield temporary
         # Without it, a power failure after the renaming could leave an empty file under the final name.
-        with temporary.open("rb+") as file:
-            os.fsync(file.fileno())
-        temporary.replace(target)
+        for each in temporary:
+            with each.open("rb+") as file:
+                os.fsync(file.fileno())
+        for each, target in zip(temporary, targets, strict=True):
+            each.replace(target)
     except OSError as error:
-        raise InputError(unwritable(path, error)) from None
+        raise InputError(unwritable(" and ".join(str(path) for path in paths), error)) from None
     finally:
-        with suppress(OSError):
-            temporary.unlink(missing_ok=True)
+        for each in temporary:
+            with suppress(OSError):
+                each.unlink(missing_ok=True)
 
 
 def atomic_write_bytes(path: str | os.PathLike[str], data: bytes) -> None:

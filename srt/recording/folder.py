@@ -187,7 +187,8 @@ def _find_toml(path: Path) -> Path:
             )
         return toml
     if not path.exists():
-        raise InputError(f"There is no recording {path}: check the path of the folder.")
+        what = "file" if path.suffix else "recording"
+        raise InputError(f"There is no {what} {path}: check the path.")
     if path.suffix != ".toml":
         raise InputError(
             f"{path} is no recording: name the folder that holds {TOML_NAME}, or {_conversion_advice(path, 'file')}."

@@ -18,7 +18,7 @@ from srt.exceptions import InputError, did_you_mean
 from srt.model.table1 import AXES
 from srt.recording.recording import Kind
 from srt.recording.samples import ACCEL_COLUMNS, GYRO_COLUMNS, TEMPERATURE, TIME
-from srt.recording.schema import ACCEL_UNITS, COUNTS, GYRO_UNITS, UNITS
+from srt.recording.schema import ACCEL_UNITS, COUNTS, FASTEST_HZ, GYRO_UNITS, UNITS, shown
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -134,8 +134,11 @@ class ImportOptions:
                     )
         rate = 1.0 if self.sample_rate_hz is None else self.sample_rate_hz
         require_type(option("sample_rate_hz"), "a number in Hz", rate, Real)
-        if not (math.isfinite(rate) and rate > 0.0):
-            raise InputError(f"{option('sample_rate_hz')} is {rate:g}, but a positive number in Hz is expected.")
+        if not 0.0 < rate <= FASTEST_HZ:
+            raise InputError(
+                f"{option('sample_rate_hz')} is {shown(rate)}, but a positive number of at most {FASTEST_HZ:g} in Hz "
+                "is expected."
+            )
         if self.skip < 0:
             raise InputError(f"{option('skip')} is {self.skip}, but a number of lines is expected.")
         if isinstance(self.columns, str):

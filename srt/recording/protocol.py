@@ -255,7 +255,7 @@ PROTOCOL_KEYS: Final = (
     ),
     _RESTS,
     number("place_s", "s", "place_s", low=0.0, high=LARGEST_TIME_S),
-    number("rate_sigma_ppm", "ppm", "rate_sigma", factor=1e-6, above=0.0, high=LARGEST_PPM),
+    number("rate_sigma_ppm", "ppm", "rate_sigma", factor=1e-6, low=1e-6, high=LARGEST_PPM),
 )
 STEP_KEYS: Final = (
     text("id", "id", tuple(SEQUENCES)),

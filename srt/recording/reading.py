@@ -43,6 +43,7 @@ STATED_KEYS: Final = (*SAMPLES_KEYS, *IDENTIFICATION_KEYS, *(key for keys in SEC
 """Keywords of :func:`read` other than ``format`` and ``like``."""
 READING_KEYS: Final = frozenset((*STATED_KEYS, "format", "like"))
 
+_LARGEST_M_S2: Final = 1e3  # far above any gravity, which is refused by its key
 _GRAVITY: Final = ("gravity_m_s2", "height_m", "gravity_sigma_m_s2", "gravity_sigma_origin")
 ANYWHERE_SIGMA_M_S2: Final = 0.02
 """Standard deviation of gravity between places, m/s²: it goes from 9.780 at the equator to 9.832 at the poles at sea
@@ -208,7 +209,7 @@ def _state(document: dict[str, Any], given: Mapping[str, Any]) -> None:
         drop = set(_GRAVITY) if {"gravity_m_s2", "height_m"} & set(said) else set()
         drop |= {"gravity_sigma_origin"} if "gravity_sigma_m_s2" in said else set()
         gravity = said.get("gravity_m_s2")
-        if isinstance(gravity, int | float) and math.isfinite(gravity) and "gravity_sigma_m_s2" not in said:
+        if isinstance(gravity, int | float) and 0.0 < gravity < _LARGEST_M_S2 and "gravity_sigma_m_s2" not in said:
             said |= {"gravity_sigma_m_s2": sigma_of_digits(gravity), "gravity_sigma_origin": ASSUMED}
         document[section] = {key: value for key, value in before.items() if key not in drop} | said
 
@@ -268,7 +269,7 @@ def _from_arrays(source: Any, given: Mapping[str, Any], like: str | os.PathLike[
 def _arrays(source: Any) -> dict[str, Any]:
     """Arrays by "time", "gyro", "accel" and "temperature"."""
     if isinstance(source, tuple) and len(source) == 3:
-        return dict(zip(("time", "gyro", "accel"), source, strict=True))
+        source = dict(zip(("time", "gyro", "accel"), source, strict=True))
     if not isinstance(source, Mapping) and not hasattr(source, "columns"):
         raise InputError(
             f"{type(source).__name__} is no recording: give the path of a recording or of a log, a Recording, arrays "
@@ -282,7 +283,7 @@ def _arrays(source: Any) -> dict[str, Any]:
     for sensor, channels in TRIADS.items():
         if sensor not in table and all(channel in table for channel in channels):
             table[sensor] = np.column_stack([real_array(channel, table.pop(channel)) for channel in channels])
-    missing = [sensor for sensor in TRIADS if sensor not in table]
+    missing = [sensor for sensor in TRIADS if table.get(sensor) is None]
     unknown = sorted(set(table) - {*TRIADS, *CHANNELS})
     if missing or unknown:
         wrong = " and ".join(

@@ -21,7 +21,7 @@ from srt.arguments import real_array, require_type
 from srt.exceptions import InputError
 from srt.model.table1 import AXES
 from srt.presentation import Presented
-from srt.recording.schema import FIXTURE_KEYS, IMU_KEYS, RECORDING_KEYS, SITE_KEYS, check_fields
+from srt.recording.schema import FIXTURE_KEYS, IMU_KEYS, RECORDING_KEYS, SITE_KEYS, check_fields, short
 from srt.recording.sequence_label import SequenceLabel
 from srt.recording.timing import SampleTiming, sample_timing
 
@@ -101,7 +101,7 @@ class Site:
         low, high = GRAVITY_RANGE_M_S2
         if not low <= self.gravity_m_s2 <= high:
             raise InputError(
-                f"Gravity is {self.gravity_m_s2:g} m/s², but between {low} and {high} is expected "
+                f"Gravity is {short(self.gravity_m_s2)} m/s², but between {low} and {high} is expected "
                 "(the Earth's surface has 9.76 to 9.84): give it in m/s², positive."
             )
         check_fields("The site's", self, SITE_KEYS)

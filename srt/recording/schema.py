@@ -26,10 +26,14 @@ LARGEST_RATE_DEG_S: Final = 1e6
 _LARGEST_ANGLE_DEG: Final = 3.6e5  # bound of one rotation, degrees: a thousand revolutions
 LARGEST_SIGMA_MRAD: Final = 3200.0
 """Bound of the sigma of an angle, mrad: half a revolution, beyond which nothing is said of the direction."""
+SMALLEST_SIGMA_MRAD: Final = 1e-9
+"""Bound of the sigma of a fixture, mrad: 1e-12 rad, which the planner counts as exact."""
 LARGEST_ELEMENT: Final = 1e6
 """Bound of matrices and offsets of a logger, SI units: far beyond any sensor's scale factor or reading."""
 LARGEST_PPM: Final = 1e6
 """Bound of a relative sigma, ppm: as large as the quantity."""
+FASTEST_HZ: Final = 1e6
+"""Bound of the sample rate, Hz: a hundred times that of the fastest IMUs."""
 LARGEST_TIME_S: Final = 1e5
 """Bound of the duration of a test and of its parts, s: more than a day."""
 
@@ -166,7 +170,7 @@ RECORDING_KEYS: Final = (
     one_or_three("gyro_offset_counts", "counts", zero=True, high=2.0**63),
     one_or_three("accel_lsb", "m/s² (or m/s) per count", zero=False, high=1e3),
     one_or_three("accel_offset_counts", "counts", zero=True, high=2.0**63),
-    number("sample_rate_hz", "Hz", "sample_rate_hz", above=0.0, high=1e6),
+    number("sample_rate_hz", "Hz", "sample_rate_hz", above=0.0, high=FASTEST_HZ),
     number("clock_sigma_ppm", "ppm", "clock_sigma", factor=1e-6, low=0.0, high=LARGEST_PPM),
     text("serial", "serial"),
     text("date", "date"),
@@ -188,24 +192,39 @@ SITE_KEYS: Final = (
 
 FIXTURE_KEYS: Final = (
     number("heading_deg", "degrees", "heading_rad", factor=DEG, low=-360.0, high=360.0),
-    number("alignment_sigma_mrad", "mrad", "alignment_sigma_rad", factor=1e-3, above=0.0, high=LARGEST_SIGMA_MRAD),
-    number("rotation_sigma_mrad", "mrad", "rotation_sigma_rad", factor=1e-3, above=0.0, high=LARGEST_SIGMA_MRAD),
+    number(
+        "alignment_sigma_mrad",
+        "mrad",
+        "alignment_sigma_rad",
+        factor=1e-3,
+        low=SMALLEST_SIGMA_MRAD,
+        high=LARGEST_SIGMA_MRAD,
+    ),
+    number(
+        "rotation_sigma_mrad",
+        "mrad",
+        "rotation_sigma_rad",
+        factor=1e-3,
+        low=SMALLEST_SIGMA_MRAD,
+        high=LARGEST_SIGMA_MRAD,
+    ),
     number("wobble_sigma_mrad", "mrad", "wobble_sigma_rad", factor=1e-3, low=0.0, high=LARGEST_SIGMA_MRAD),
 )
 
 IMU_KEYS: Final = (
-    number("gyro_noise_deg_per_sqrt_h", "°/√h", "gyro_noise", factor=DEG_PER_SQRT_H, above=0.0, high=1e5),
-    number("accel_noise_ug_per_sqrt_hz", "µg/√Hz", "accel_noise", factor=MICRO_G, above=0.0, high=1e8),
+    number("gyro_noise_deg_per_sqrt_h", "°/√h", "gyro_noise", factor=DEG_PER_SQRT_H, low=1e-9, high=1e5),
+    number("accel_noise_ug_per_sqrt_hz", "µg/√Hz", "accel_noise", factor=MICRO_G, low=1e-6, high=1e8),
     number("gyro_quantization_arcsec", "arc seconds", "gyro_quantization", factor=ARCSEC, low=0.0, high=1.296e6),
     number("accel_quantization_m_s", "m/s", "accel_quantization", low=0.0, high=100.0),
     number("gyro_bias_instability_deg_per_h", "°/h", "gyro_bias_instability", factor=DEG_PER_H, low=0.0, high=1e6),
     number("accel_bias_instability_ug", "µg", "accel_bias_instability", factor=MICRO_G, low=0.0, high=1e7),
-    number("gyro_range_deg_s", "°/s", "gyro_range", factor=DEG, above=0.0, high=LARGEST_RATE_DEG_S),
-    number("accel_range_g", "g", "accel_range", factor=STANDARD_GRAVITY_M_S2, above=0.0, high=1e6),
+    number("gyro_range_deg_s", "°/s", "gyro_range", factor=DEG, low=0.01, high=LARGEST_RATE_DEG_S),
+    number("accel_range_g", "g", "accel_range", factor=STANDARD_GRAVITY_M_S2, low=0.1, high=1e6),
 )
 """Keys of [imu]. Each bound is a hundred times the worst of sensors or more: noise whose mean over a second is 29 rad/s
 or 100 g, a quantum of one revolution or of 10 s at 1 g, an instability of 280 °/s or 10 g, the range of gun-launched
-units (1e5 g)."""
+units (1e5 g). The lower bounds are as far from the best: noise of a thousandth of that of a ring laser of the size of a
+room, and ranges in which the Earth's rate or gravity would already be clipped."""
 
 APPLIED_KEYS: Final = (
     text("system", "system"),
@@ -236,7 +255,7 @@ SEQUENCE_KEYS: Final = (
         "rate",
         DEG,
     ),
-    number("rate_sigma_ppm", "ppm", "rate_sigma", factor=1e-6, above=0.0, high=LARGEST_PPM),
+    number("rate_sigma_ppm", "ppm", "rate_sigma", factor=1e-6, low=1e-6, high=LARGEST_PPM),
     _window("steady_s"),
 )
 
@@ -275,7 +294,7 @@ def read_section(file: str, section: str, values: object, keys: tuple[Key, ...])
     Raises InputError for unknown keys, wrong types, values out of range.
     """
     if not isinstance(values, dict):
-        raise InputError(f"{file}: {section} is {_shown(values)}, but a section of keys is expected.")
+        raise InputError(f"{file}: {section} is {shown(values)}, but a section of keys is expected.")
     known = {key.name: key for key in keys}
     result: dict[str, Any] = {}
     for name, value in values.items():
@@ -288,7 +307,7 @@ def read_section(file: str, section: str, values: object, keys: tuple[Key, ...])
             result[name] = known[name].read(value)
         except (ValueError, OverflowError):
             raise InputError(
-                f"{file}: {section}.{name} is {_shown(value)}, but {known[name].expected} is expected."
+                f"{file}: {section}.{name} is {shown(value)}, but {known[name].expected} is expected."
             ) from None
     return result
 
@@ -312,13 +331,15 @@ def check_fields(what: str, source: object, keys: Iterable[Key]) -> None:
         value = None if key.attribute is None else getattr(source, key.attribute)
         if value is None:
             continue
+        if hasattr(value, "item"):  # a number of numpy, which files do not know
+            value = value.item()
+            object.__setattr__(source, str(key.attribute), value)
         try:
             # 12 digits: 90° is in the range after any conversion.
             key.read(value if isinstance(value, str) else float(f"{value / key.factor:.12g}"))
         except (TypeError, ValueError, OverflowError):
-            shown = f"{value:g}" if isinstance(value, int | float) else repr(value)
             raise InputError(
-                f"{what} {key.attribute} is {shown} in SI units, but for {key.name} {key.expected} is expected: "
+                f"{what} {key.attribute} is {short(value)} in SI units, but for {key.name} {key.expected} is expected: "
                 "correct it or leave it out."
             ) from None
 
@@ -364,9 +385,15 @@ def toml_value(value: object) -> str:
     return repr(value if type(value) is int else float(value))
 
 
-def _shown(value: object) -> str:
+def short(value: object) -> str:
+    """Number for messages, of six digits."""
+    return f"{value:g}" if isinstance(value, float) else shown(value)
+
+
+def shown(value: object) -> str:
+    """Value for messages, at most 60 characters."""
     try:
-        shown = repr(value) if not isinstance(value, str) else f'the text "{value}"'
+        text = f'the text "{value}"' if isinstance(value, str) else repr(value)
     except ValueError:  # Python's bound on the digits of an integer, which hexadecimal ones can exceed
         return "an integer of more than 4300 digits"
-    return shown if len(shown) <= 60 else shown[:57] + "..."
+    return text if len(text) <= 60 else text[:57] + "..."

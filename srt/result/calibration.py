@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
+from srt.arguments import real_array, require_type
 from srt.exceptions import InputError
 from srt.presentation import Presented
 from srt.result.applier import BLOCK, Applier
@@ -24,6 +25,7 @@ from srt.result.noise_figures import NoiseFigures
 from srt.result.provenance import Alignment, Provenance, StatedSite, Temperature
 from srt.result.verdict import Verdict, verdict_on
 from srt.sensor_errors import INDEX, N_PARAMETERS, NAMES, SYMBOLS, UNITS, SensorErrors
+from srt.types import Array
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -31,7 +33,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike
 
-    from srt.types import Array, Mask
+    from srt.types import Mask
 
 
 FORMAT: Final = "srt-calibration"
@@ -54,6 +56,28 @@ FORMULA_G_SENSITIVE: Final = (
     " The gyros follow specific force: before that, subtract diagnostics.g_sensitivity.matrix (rad/s per m/s^2, rows "
     "gyros, columns MARS axes) times the corrected specific force from the gyro readings."
 )
+
+
+_CORRELATION_WITHIN: Final = 1e-6
+"""Rounding of a correlation, whose size is at most 1."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Parameter:
+    """Numbers of one parameter in a file."""
+
+    value: float
+    sigma: float | None
+    observed: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Frame:
+    """Frame of the corrected readings in a file."""
+
+    name: str
+    U: Array | None
+    U_sigma: float | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,13 +155,26 @@ class Calibration(Presented):
         ------
         InputError
         """
+        require_type("The field errors of a calibration", "srt.SensorErrors", self.errors, SensorErrors)
+        if self.status not in STATUSES:
+            raise InputError(f"The status of a calibration is {self.status!r}, not one of {', '.join(STATUSES)}.")
+        unknown = [name for name in self.held if name not in INDEX]
+        if unknown:
+            raise InputError(f"The calibration holds {unknown[0]!r} fixed, which is none of the {N_PARAMETERS} errors.")
+        shapes = {"covariance": (N_PARAMETERS, N_PARAMETERS), "U": (3, 3)}
+        for name, shape in shapes.items():
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, _frozen(f"{name} of a calibration", getattr(self, name), shape))
+        size = (N_PARAMETERS,)
+        contributions = {k: _frozen(f"The contribution {k}", v, size) for k, v in self.contributions.items()}
+        object.__setattr__(self, "contributions", contributions)
+        _check_covariance(self.covariance)
+        if self.U_sigma_rad is not None and self.U_sigma_rad < 0.0:
+            raise InputError(f"U_sigma_rad of a calibration is {self.U_sigma_rad}, but a sigma is not negative.")
         tables = ("site", "noise", "alignment", "temperature", "provenance", "diagnostics", "verdict", "corrections")
         require_json({name: to_document(getattr(self, name)) for name in tables})
-        arrays = {"errors": self.errors.vector, "covariance": self.covariance, "U": self.U, **self.contributions}
-        arrays["residuals"] = np.array([(r.value, r.sigma) for r in self.residuals])
-        for name, values in arrays.items():
-            if values is not None and not np.isfinite(values).all():
-                raise InputError(f"{name} of a calibration has values that are not finite numbers: estimate it again.")
+        if not np.isfinite(np.array([(r.value, r.sigma) for r in self.residuals])).all():
+            raise InputError("residuals of a calibration has values that are not finite numbers: estimate it again.")
 
     @property
     def sigma(self) -> Array:
@@ -292,32 +329,28 @@ def _from_dict(document: dict[str, Any]) -> Calibration:
     names = tuple(p["name"] for p in parameters)
     if names != NAMES:
         raise InputError("its parameters are not the 27 sensor errors in their order.")
-    if document["status"] not in STATUSES:
-        raise InputError(f"its status is {document['status']!r}, but {', '.join(STATUSES)} are known.")
-    covariance = np.array(document["covariance"], dtype=np.float64)
-    if covariance.shape != (N_PARAMETERS, N_PARAMETERS) or not np.all(np.isfinite(covariance)):
-        raise InputError(f"its covariance is not a matrix of {N_PARAMETERS} by {N_PARAMETERS} finite numbers.")
-    if not np.allclose(covariance, covariance.T, rtol=1e-9, atol=0.0):
-        raise InputError("its covariance is not symmetric.")
+    covariance = from_document(Array, document["covariance"], "covariance")
     for i, p in enumerate(parameters):
+        from_document(_Parameter, {key: p.get(key) for key in ("value", "sigma", "observed")}, f"parameters.{i}")
         if p["observed"] and not math.isclose(p["sigma"], math.sqrt(covariance[i, i]), rel_tol=1e-6, abs_tol=1e-300):
             raise InputError(f"the sigma of {p['name']} does not agree with the covariance.")
     noise, verdict = (dict(document.get(key, {})) for key in ("noise", "verdict"))
     for key in ("word", "reason"):  # they follow from the rest
         verdict.pop(key, None)
-    contributions = {k: np.array(v, dtype=np.float64) for k, v in noise.pop("contributions", {}).items()}
-    frame, temperature = document["frame"], document["temperature"]
+    parts = noise.pop("contributions", {})
+    contributions = {key: from_document(Array, part, f"noise.contributions.{key}") for key, part in parts.items()}
+    frame, temperature = from_document(_Frame, document["frame"], "frame"), document["temperature"]
     return Calibration(
         estimator=from_document(str, document["estimator"], "estimator"),
-        status=document["status"],
+        status=from_document(str, document["status"], "status"),
         message=from_document(str, document["message"], "message"),
         errors=SensorErrors(np.array([p["value"] for p in parameters], dtype=np.float64)),
         covariance=covariance,
-        corrections=tuple(step["max_correction"] for step in document["iterations"]),
-        held={p["name"]: p["held_reason"] for p in parameters if not p["observed"]},
+        corrections=tuple(from_document(float, s["max_correction"], "iterations") for s in document["iterations"]),
+        held={p["name"]: from_document(str, p["held_reason"], p["name"]) for p in parameters if not p["observed"]},
         contributions=contributions,
-        U=None if frame["U"] is None else np.array(frame["U"], dtype=np.float64),
-        U_sigma_rad=frame["U_sigma"],
+        U=frame.U,
+        U_sigma_rad=frame.U_sigma,
         residuals=tuple(from_document(Residual, r, f"residuals.{i}") for i, r in enumerate(document["residuals"])),
         site=from_document(StatedSite, document["site"], "site"),
         noise=from_document(NoiseFigures, noise, "noise"),
@@ -328,6 +361,31 @@ def _from_dict(document: dict[str, Any]) -> Calibration:
         verdict=from_document(Consistency, verdict, "verdict") if verdict else None,
         warnings=from_document(tuple[str, ...], document.get("warnings", []), "warnings"),
     )
+
+
+def _frozen(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Array:
+    """Read-only array of finite numbers of a shape, copied unless it is one. Raises InputError."""
+    out = np.asarray(real_array(name, values), dtype=np.float64)
+    if out.shape != shape:
+        raise InputError(f"{name} has the shape {out.shape}, but {shape} is expected.")
+    if not np.isfinite(out).all():
+        raise InputError(f"{name} has values that are not finite numbers: estimate it again.")
+    if out.flags.writeable:
+        out = out.copy()
+        out.flags.writeable = False
+    return out
+
+
+def _check_covariance(covariance: Array) -> None:
+    """Raise InputError for a matrix that is no covariance: not symmetric, or with impossible variances."""
+    if not np.allclose(covariance, covariance.T, rtol=1e-9, atol=0.0):
+        raise InputError("The covariance of a calibration is not symmetric.")
+    variance = np.diag(covariance)
+    if np.any(variance < 0.0):
+        raise InputError(f"The covariance of a calibration has a negative variance: {NAMES[int(variance.argmin())]}.")
+    sigma = np.sqrt(variance)
+    if np.any(np.abs(covariance) > np.outer(sigma, sigma) * (1.0 + _CORRELATION_WITHIN)):
+        raise InputError("The covariance of a calibration has a correlation above 1.")
 
 
 @cache

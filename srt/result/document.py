@@ -145,12 +145,17 @@ def _read_mapping(arguments: tuple[Any, ...], value: object, name: str) -> objec
     return {key: _read(arguments[1], part, f"{name}.{key}") for key, part in _keys(value, name).items()}
 
 
+def _has_truth_value(values: list[Any]) -> bool:
+    return any(_has_truth_value(part) if isinstance(part, list) else isinstance(part, bool) for part in values)
+
+
 def _read_array(_: tuple[Any, ...], value: object, name: str) -> object:
     try:
         out = np.array(value)
     except ValueError:  # rows of different lengths
         out = np.array(None)
     numbers = isinstance(value, list) and (out.dtype.kind in "fi" or out.size == 0) and np.isfinite(out).all()
+    numbers = numbers and not _has_truth_value(cast("list[Any]", value))  # numpy takes true for 1
     return out.astype(np.float64) if numbers else _refuse(value, name, "a list of finite numbers")
 
 

@@ -2,8 +2,12 @@
 
 # Annotations are evaluated: srt.result.document reads files by them.
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Final
 
+import numpy as np
+
+from srt.exceptions import InputError
 from srt.types import Array
 
 
@@ -14,6 +18,9 @@ class LogNoise:
     length_s: float
     samples_sha256: str | None
     channels: Mapping[str, Mapping[str, Mapping[str, float]]]
+
+
+_OF_BOTH_SIGNS: Final = ("gyro_bias_by_sequence_rad_s", "gravity_effect", "held_values_covariance")
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -63,3 +70,15 @@ class NoiseFigures:
     held_values_covariance: Array | None = None
     between_recordings: Mapping[str, float] | None = None
     terms: LogNoise | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse sizes of noise that are negative.
+
+        Raises
+        ------
+        InputError
+        """
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if field.name not in _OF_BOTH_SIGNS and isinstance(value, float | np.ndarray) and np.any(value < 0.0):
+                raise InputError(f"noise.{field.name} is negative, but it is the size of a noise.")

@@ -260,7 +260,7 @@ def test_an_own_file_is_replaced_until_it_is_changed(row, lab, tmp_path, capfd):
     for path in written:
         assert f"{path}" in said or path.name == "recording.toml"
         assert path.exists()
-    assert "will be replaced" in said
+    assert "replaced: earlier results, unchanged since." in said
     for path in written:
         if path.suffix in (".png", ".pdf", ".svg", ".html"):
             continue

@@ -196,6 +196,12 @@ def test_names_that_c_does_not_take_are_refused(name):
         c99_header(calibrated(np.zeros(N_PARAMETERS)), name)
 
 
+@pytest.mark.parametrize("namespace", ["class", "std", "co_await", "xor"])
+def test_words_of_cpp_are_no_namespaces(namespace):
+    with pytest.raises(srt.InputError, match=f"'{namespace}' is a word of C"):
+        c99_header(calibrated(np.zeros(N_PARAMETERS)), namespace=namespace)
+
+
 STRICT = ["-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-pedantic", "-Werror", "-ffp-contract=off", "-O2"]
 FORMS = [("g++", f"-std=c++{year}") for year in (11, 14, 17, 20)] + [
     (COMPILER, f"-std=c{year}") for year in (99, 11, 17)

@@ -14,6 +14,8 @@ TEXTS = dict.fromkeys(("time", *(f"{s}_{a}" for s in ("gyro", "accel") for a in 
 MASKED = np.ma.masked_array(GYRO, mask=GYRO > 3e-3 - 1e-9)
 COMPLEX = GYRO + 1j
 SITE = srt.Site(9.8)
+HUGE = 10**400
+"""Integer that no float can hold."""
 
 
 @pytest.fixture(scope="module")
@@ -53,12 +55,32 @@ def refused(call, words):
         (lambda: srt.read((TIME, GYRO, ACCEL), columns=5), "columns= needs"),
         (lambda: srt.read((None, GYRO, ACCEL), sample_rate_hz="x"), "sample_rate_hz= needs a number"),
         (lambda: srt.calibrate((TIME, GYRO, ACCEL), gravity_m_s2=9.8, options=5), "options= needs srt.Options"),
+        (lambda: srt.calibrate((TIME, None, ACCEL), gravity_m_s2=9.8), "there is no gyro; expected are gyro and accel"),
+        (lambda: srt.calibrate((TIME, GYRO, None), gravity_m_s2=9.8), "there is no accel"),
+        (lambda: srt.calibrate((TIME, GYRO, ACCEL), ["ekf"], gravity_m_s2=9.8, checks=False), "name of an estimator"),
+        (lambda: srt.read("nolog.csv"), "There is no file nolog.csv: check the path."),
+        (lambda: srt.read("norecording"), "There is no recording norecording: check the path."),
+        (lambda: srt.read((TIME, GYRO, ACCEL), gravity_m_s2=HUGE), "site.gravity_m_s2 is 1000"),
+        (lambda: srt.read((None, GYRO, ACCEL), sample_rate_hz=HUGE), "but a positive number of at most 1e+06 in Hz"),
+        (lambda: srt.read(([0, HUGE], GYRO, ACCEL), gravity_m_s2=9.8), "time does not consist of numbers"),
+        (lambda: srt.SensorErrors.from_dict({"gyro_scale_x": HUGE}), "does not consist of numbers"),
+        (lambda: srt.Options(max_playbacks=10**5000), "max_playbacks is an integer of more than 4300 digits; a number"),
+        (lambda: srt.Options(targets={"gyro_scale": HUGE}), "it must be a positive sigma"),
         (lambda: srt.Recording(TIME, GYRO, ACCEL, 9.8), "The field site of a recording needs a Site"),
         (lambda: srt.Recording(TIME, GYRO, ACCEL, SITE, sequences=(5,)), "needs a tuple of SequenceLabel"),
     ],
 )
 def test_another_class_is_refused(call, words):
     refused(call, words)
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.float64, np.int64])
+def test_numbers_of_numpy_are_numbers(recording, tmp_path, kind):
+    read = srt.read(recording, latitude_deg=kind(45), height_m=kind(100))
+    assert read.site.latitude_rad == pytest.approx(np.pi / 4, rel=1e-15)
+    made = srt.Recording(TIME, GYRO, ACCEL, srt.Site(9.8, latitude_rad=kind(1)), fixture=srt.Fixture(kind(1)))
+    srt.write_recording(made, tmp_path / "made")
+    assert srt.load_recording(tmp_path / "made").site.latitude_rad == 1.0
 
 
 def test_another_class_is_refused_by_methods(recording, unit, tmp_path):

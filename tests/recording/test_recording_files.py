@@ -46,7 +46,7 @@ def make(n=1000, **changes):
         "accel": rng.standard_normal((n, 3)),
         "site": Site(9.80665, 3e-6, math.radians(45.0)),
         "fixture": Fixture(math.radians(30.0), 0.5e-3, 2e-3),
-        "noise": ImuNoise(*(float(v) for v in rng.uniform(1e-7, 1e-3, 8))),
+        "noise": ImuNoise(*rng.uniform(1e-7, 1e-3, 6).tolist(), *rng.uniform(1.0, 9.0, 2).tolist()),
         "sequences": LABELS,
         "temperature": rng.uniform(20.0, 30.0, n),
         "serial": 'SN "1" \\ é\t',

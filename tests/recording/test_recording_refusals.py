@@ -85,7 +85,7 @@ def test_the_good_folder_is_good(folder):
         ("gravity_m_s2 = 9.80665", "", ["gravity_m_s2", "height_m", "normal gravity"]),
         ("latitude_deg = 45.0\ngravity_m_s2 = 9.80665", "height_m = 5", ["without site.latitude_deg"]),
         ("heading_deg = 0.0", "heading_deg = [1]", ["fixture.heading_deg is [1]"]),
-        ("heading_deg = 0.0", "alignment_sigma_mrad = 0", ["alignment_sigma_mrad is 0", "positive", "mrad"]),
+        ("heading_deg = 0.0", "alignment_sigma_mrad = 0", ["alignment_sigma_mrad is 0", "from 1e-09 to 3200 in mrad"]),
         ("sqrt_h = 0.002", "sqrt_h = -0.002", ["gyro_noise_deg_per_sqrt_h is -0.002", "°/√h"]),
         ("sqrt_h = 0.002", "sqrt_h = 1" + "0" * 400, ["gyro_noise_deg_per_sqrt_h is 1000", "..."]),
         ('kind = "rate"', 'kind = "rates"', ['recording.kind is the text "rates"', '"increment"']),

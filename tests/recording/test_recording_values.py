@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from srt.constants import DEG
 from srt.exceptions import InputError
 from srt.recording.recording import Fixture, ImuNoise, Recording, SequenceLabel, Site
 
@@ -75,7 +76,11 @@ def test_bad_samples_are_refused_in_one_sentence(changes, fragments):
         (lambda: Fixture(heading_rad=7.0), ["heading", "7", "360 in degrees"]),
         (lambda: Fixture(alignment_sigma_rad=-1e-3), ["alignment", "-0.001"]),
         (lambda: Fixture(rotation_sigma_rad=math.inf), ["rotation", "inf"]),
-        (lambda: ImuNoise(gyro_noise=0.0), ["gyro_noise", "positive"]),
+        (lambda: ImuNoise(gyro_noise=0.0), ["gyro_noise", "from 1e-09"]),
+        (lambda: Fixture(rotation_sigma_rad=1e-303), ["rotation_sigma_mrad", "from 1e-09 to 3200 in mrad"]),
+        (lambda: ImuNoise(gyro_range=1e-9 * DEG), ["gyro_range_deg_s", "from 0.01 to 1e+06 in °/s"]),
+        (lambda: Site(10**400), ["Gravity is 1000", "9.5"]),
+        (lambda: Fixture(heading_rad=10**5000), ["heading_rad is an integer of more than 4300 digits"]),
         (lambda: ImuNoise(accel_quantization=-1.0), ["accel_quantization", "-1"]),
         (lambda: ImuNoise(gyro_range=math.nan), ["gyro_range", "nan"]),
         (lambda: SequenceLabel((2.0, 1.0), (3.0, 4.0), "7"), ["'7'", "start_static_s", "[2, 1]"]),

@@ -1,7 +1,9 @@
 """Certificates."""
 
 import copy
+import errno
 import json
+import os
 import re
 from dataclasses import replace
 from xml.etree import ElementTree
@@ -12,9 +14,10 @@ from certificate_cases import COMPONENTS, FACTORS, Reader, calibration
 from scipy.stats import norm
 
 import srt
-from srt.reports.certificate import calibration_file, html_page, load_acceptance_limits, make_certificate
+from srt.reports.certificate import calibration_file, html_page, load_acceptance_limits, make_certificate, pdf
 from srt.reports.certificate.calibration_file import FALSE_ALARM, changes_since
 from srt.reports.certificate.figures import certificate_figures
+from srt.reports.certificate.issue import write_certificate
 from srt.result.calibration import Residual
 from srt.result.consistency import Consistency, LeaveOneOut
 from srt.result.json_file import json_text
@@ -92,6 +95,22 @@ def test_limitations_follow_the_test(saved):
     for word in ("none", "held", "latitude"):
         assert told[word] in said
     assert "no reference" in said
+
+
+def test_a_full_disk_leaves_neither_page_nor_pdf(tmp_path, monkeypatch):
+    calls = []
+
+    def fsync(number):
+        calls.append(number)
+        if len(calls) == 2:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(html_page, "html_page", lambda _: "<p>")
+    monkeypatch.setattr(pdf, "write_pdf", lambda _, path: path.write_bytes(b"%PDF"))
+    monkeypatch.setattr(os, "fsync", fsync)
+    with pytest.raises(srt.InputError, match="No space left"):
+        write_certificate(None, tmp_path / "unit.html")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_sigma_that_nobody_stated_is_called_assumed(saved):

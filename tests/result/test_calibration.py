@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import accuracy_trials
@@ -69,6 +69,58 @@ def test_inconsistent_files_are_refused(calibration, tmp_path, change, fragment)
     path.write_text(json.dumps(edited(calibration, **change)), encoding="utf-8")
     with pytest.raises(srt.InputError, match=fragment):
         srt.load_calibration(path)
+
+
+@pytest.mark.parametrize(
+    ("change", "fragment"),
+    [
+        ({"status": "perfect"}, "status of a calibration is 'perfect', not one of converged"),
+        ({"covariance": -np.eye(27)}, "negative variance: gyro_scale_x"),
+        ({"covariance": np.eye(3)}, r"covariance of a calibration has the shape \(3, 3\)"),
+        ({"covariance": 2.0 * np.ones((27, 27)) - np.eye(27)}, "correlation above 1"),
+        ({"covariance": np.triu(np.ones((27, 27)))}, "not symmetric"),
+        ({"U": np.eye(2)}, "U of a calibration has the shape"),
+        ({"errors": np.zeros(27)}, r"needs srt\.SensorErrors"),
+        ({"held": {"gyro_scale_w": "no motion"}}, "holds 'gyro_scale_w' fixed"),
+        ({"U_sigma_rad": -1.0}, "a sigma is not negative"),
+    ],
+)
+def test_what_is_no_calibration_is_refused_when_it_is_made(calibration, change, fragment):
+    with pytest.raises(srt.InputError, match=fragment):
+        replace(calibration, **change)
+
+
+def test_a_calibration_cannot_be_written_to(calibration):
+    given = np.eye(27)
+    made = replace(calibration, covariance=given)
+    given[0, 0] = 9.0
+    assert made.covariance[0, 0] == 1.0
+    for values in (made.covariance, made.U, made.errors.vector, *made.contributions.values()):
+        with pytest.raises(ValueError, match="read-only"):
+            values[0] = 1.0
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "fragment"),
+    [
+        (("parameters", 0, "value"), True, r"parameters\.0\.value is True: a finite number is expected"),
+        (("parameters", 0, "observed"), 1, "true or false is expected"),
+        (("covariance", 0, 1), False, "covariance is .*: a list of finite numbers is expected"),
+        (("frame", "U", 0, 0), True, r"frame\.U is .*: a list of finite numbers is expected"),
+        (("noise", "gyro_noise_rad_per_sqrt_s", 1), True, "a list of finite numbers is expected"),
+        (("noise", "gyro_noise_rad_per_sqrt_s", 1), -1e-6, "gyro_noise_rad_per_sqrt_s is negative"),
+        (("noise", "sigma_inflation"), -1.0, "sigma_inflation is negative"),
+    ],
+)
+def test_values_of_another_kind_are_refused(calibration, tmp_path, path, value, fragment):
+    document = json.loads(json.dumps(calibration.to_dict()))
+    part = document
+    for key in path[:-1]:
+        part = part[key]
+    part[path[-1]] = value
+    (tmp_path / "unit.json").write_text(json.dumps(document), encoding="utf-8")
+    with pytest.raises(srt.InputError, match=fragment):
+        srt.load_calibration(tmp_path / "unit.json")
 
 
 def test_truncated_and_absent_files_are_refused(calibration, tmp_path):

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from srt.exceptions import InputError
-from srt.recording.atomic_file import atomic_path, atomic_write_text
+from srt.recording.atomic_file import atomic_paths
 from srt.recording.reading import read
 from srt.reports.certificate.acceptance_limits import load_acceptance_limits
 from srt.reports.certificate.calibration_file import calibration_file, changes_since
@@ -89,6 +89,6 @@ def write_certificate(made: Certificate, page: Path) -> None:
     from srt.reports.certificate.pdf import write_pdf
 
     text = html_page(made)
-    with atomic_path(page.with_suffix(".pdf")) as temporary:
-        write_pdf(made, temporary)
-    atomic_write_text(page, text)
+    with atomic_paths(page.with_suffix(".pdf"), page) as (document, temporary):
+        write_pdf(made, document)
+        temporary.write_bytes(text.encode("utf-8"))
