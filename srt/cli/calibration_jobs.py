@@ -22,7 +22,6 @@ from srt.exceptions import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-    from pathlib import Path
 
     from srt.cli.logs import Log
     from srt.recording.protocol import Protocol
@@ -131,6 +130,7 @@ def plan(recordings: Sequence[Path], output: Path | None, plot: Path | None) -> 
             raise InputError(
                 f"Two recordings are named {twice}, and their results would replace each other: calibrate them apart."
             )
+    require_once([recording_folder(path) for path in recordings])
     if output is not None and into_folder:
         check_directory(output)
     else:
@@ -183,6 +183,14 @@ def plan_folder(
     return (Job(place, name, file, picture, log, tuple(formats)),)
 
 
+def require_once(recordings: Sequence[Path]) -> None:
+    """Raise InputError for a recording, or a calibration, that is named twice."""
+    places = [path.resolve() for path in recordings]
+    twice = next((path for n, path in enumerate(recordings) if places[n] in places[:n]), None)
+    if twice is not None:
+        raise InputError(f"{twice} is named twice, and one recording must not count twice.")
+
+
 def plan_merging(recordings: Sequence[Path], output: Path | None, plot: Path | None) -> tuple[Job, ...]:
     """Name the recordings to merge, and check that the result can be written.
 
@@ -194,11 +202,8 @@ def plan_merging(recordings: Sequence[Path], output: Path | None, plot: Path | N
     if len(recordings) < 2:
         raise InputError(f"--merge needs at least two recordings of a unit, and there is only {recordings[0]}.")
     files = [path if path.suffix == ".json" else recording_folder(path) for path in recordings]
-    resolved = [path.resolve() for path in files]
-    twice = next((str(path) for n, path in enumerate(files) if resolved[n] in resolved[:n]), None)
-    if twice is not None:
-        raise InputError(f"{twice} is named twice, and one recording must not count twice.")
-    stems = [path.stem if path.suffix == ".json" else path.name for path in resolved]
+    require_once(files)
+    stems = [path.stem if path.suffix == ".json" else path.name for path in map(Path.resolve, files)]
     names = [stem if stems.count(stem) == 1 else str(path) for stem, path in zip(stems, recordings, strict=True)]
     check_file(output, RESULT_SUFFIXES, "The merged calibration")
     check_file(plot, PLOT_SUFFIXES, "The plot")

@@ -266,18 +266,15 @@ class _Unit(_Prepared):
         used = options
         if options.gyro_bias == "auto" and _shows_g_sensitivity(data, solution):
             used = replace(options, gyro_bias=G_SENSITIVE)
-            count = solution.iterations(progress)
-            solution = iterate(data, used, formulas, *self.first, count, fixed_sigma=uncertain).counted(count)
-        data, solution = _with_instability(data, used, formulas, solution, uncertain, progress)
+            solution = iterate(data, used, formulas, *self.first, progress, fixed_sigma=uncertain, before=solution)
+        data, solution = _with_instability(data, used, formulas, solution, fixed_sigma=uncertain, progress=progress)
         excess, stated = NO_ERRORS, data
         if solution.status == "converged" and solution.verticals_disagree:
             excess = fixture_excess(data, solution.measurements, solution.covariance)
         if any(excess):
-            data = as_found(data, excess)
+            data, start = as_found(data, excess), (solution.errors, solution.U)
             uncertain = fixed_sigma(data, options)
-            count = solution.iterations(progress)
-            found = iterate(data, used, formulas, solution.errors, solution.U, count, fixed_sigma=uncertain)
-            solution = found.counted(count)
+            solution = iterate(data, used, formulas, *start, progress, fixed_sigma=uncertain, before=solution)
         return _FinalSolution(self, stated, data, uncertain, solution, excess)
 
 
@@ -343,12 +340,7 @@ def _shows_g_sensitivity(data: PreparedRecording, solution: Solution) -> bool:
 
 
 def _with_instability(
-    data: PreparedRecording,
-    options: Options,
-    formulas: SelectedFormulas,
-    solution: Solution,
-    uncertain: Array,
-    progress: Progress | None,
+    data: PreparedRecording, options: Options, formulas: SelectedFormulas, solution: Solution, **given: Any
 ) -> tuple[PreparedRecording, Solution]:
     """Solution with the bias instability that residuals and rates at rest show, if that alone explains them."""
     if solution.status != "converged" or formulas.fixed.all():
@@ -371,11 +363,10 @@ def _with_instability(
     if one_group_explains(solution.sequence_tests, *before, against=gain, wholly=True):
         return data, solution
     other = replace(data, **sizes)
-    count = solution.iterations(progress)
-    found = iterate(other, options, formulas, solution.errors, solution.U, count, fixed_sigma=uncertain).counted(count)
+    found = iterate(other, options, formulas, solution.errors, solution.U, before=solution, **given)
     fit = found.chi_square
     if found.status != "converged" or is_misfit(*fit) or contradicting_group(found.sequence_tests, *fit) is not None:
-        return data, solution.counted(count)
+        return data, solution.counted(found.iterations())
     return other, found
 
 

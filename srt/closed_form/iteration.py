@@ -416,7 +416,10 @@ def iterate(
     progress: Callable[[int, float], None] | None = None,
     *,
     fixed_sigma: Array | None = None,
+    before: Solution | None = None,
 ) -> Solution:
-    """:func:`iterate_units` of one unit."""
-    start = errors.vector[None], U[None]
-    return iterate_units(together([data]), options, formulas, *start, progress, fixed_sigma=fixed_sigma)[0]
+    """:func:`iterate_units` of one unit; its iterations are counted on from those of a solution ``before``."""
+    start, count = (errors.vector[None], U[None]), None if before is None else before.iterations(progress)
+    ahead = count or progress
+    found = iterate_units(together([data]), options, formulas, *start, ahead, fixed_sigma=fixed_sigma)[0]
+    return found if count is None else found.counted(count)

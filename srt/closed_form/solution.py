@@ -196,7 +196,7 @@ class Solution:
     row: int
     refits: tuple[int, ...] = ()
 
-    def iterations(self, progress: Progress | None) -> Iterations:
+    def iterations(self, progress: Progress | None = None) -> Iterations:
         """Count of the iterations so far, for another solution that follows."""
         return Iterations(progress, self.corrections, self.refits)
 

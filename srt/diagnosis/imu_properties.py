@@ -21,6 +21,7 @@ from srt.diagnosis.triad_fits import MOST_OUTLIERS
 from srt.diagnosis.window_averages import ACCEL, GYRO, NOISY
 from srt.estimation.options import Options
 from srt.model.table1 import AXES
+from srt.noise.noise_model import hidden_gyro_step
 from srt.result.verdict import USABLE
 from srt.sensor_errors import GROUP_SLICES, NAMES
 
@@ -94,9 +95,9 @@ def gyro_bias_drift(evidence: Evidence) -> Iterator[Finding]:
     Statistic: change of the bias of an axis over its standard deviation. Distribution: t, with the degrees of freedom
     of the stationary rates.
     """
-    fit = evidence.stationary_rate_fit
-    if fit is None:
-        return
+    fit, data = evidence.stationary_rate_fit, evidence.data
+    if fit is None or data is None or hidden_gyro_step(evidence.recording, data.windows.samples):
+        return  # steps that cannot be seen any more would pass for a drift, or hide one
     ratio = np.abs(fit.drift) / fit.drift_sigma
     axis = int(np.argmax(ratio))
     if ratio[axis] > limit("t", fit.freedom, tests=3, both_sides=True):

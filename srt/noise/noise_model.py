@@ -240,6 +240,26 @@ def _step_error(recording: Recording, windows: Indices, sensor: str, step: Array
     return _rounding(recording, windows, sensor, step, coarse) if coarse.any() else none
 
 
+def hidden_gyro_step(recording: Recording, windows: Indices) -> float:
+    """Step to which rates were rounded before a correction, rad/s; 0 where the readings show it, or noise dithers it.
+
+    A correction mixes the steps of the axes: corrected readings state them as quantization, and lie on no grid. Their
+    means at rest are off by up to half a step, and nothing shows by how much.
+    """
+    pulse, dt = recording.noise.gyro_quantization, recording.nominal_interval_s
+    if not pulse or recording.kind == "increment":
+        return 0.0
+    edge = random_walk(recording, windows).edge[:3]
+    variance = np.concatenate([np.var(own, axis=1) for _, own in by_length(recording.gyro, windows)]).mean(axis=0)
+    hidden = ~_on_grid(recording.gyro, np.full(3, pulse / dt)) & _is_coarse(variance, np.full(3, pulse / dt))
+    return pulse / dt if np.any(hidden & (edge < _PULSES * pulse / math.sqrt(12.0))) else 0.0
+
+
+def _is_coarse(variance: Array, step: Array) -> Mask:
+    """True for channels whose noise, of the variance of readings within windows, does not dither their steps."""
+    return np.asarray(variance < (step / _DITHERED) ** 2 + step**2 / 12.0)
+
+
 def _on_grid(table: Array, step: Array) -> Mask:
     """Channels whose readings lie on a grid of steps, shape (3,).
 
@@ -266,7 +286,7 @@ def _rounding(recording: Recording, windows: Indices, sensor: str, step: Array, 
     error, remainder = np.zeros((len(windows), 3)), np.zeros(3)
     each = np.concatenate([np.var(readings, axis=1) for _, readings in by_length(table, windows)])
     variance = each.mean(axis=0) / scale**2
-    coarse = coarse & (variance < (step / _DITHERED) ** 2 + step**2 / 12.0)
+    coarse = coarse & _is_coarse(variance, step)
     unit = np.where(coarse, step, np.inf)
     every = thinned(table) / scale
     steps = np.round((every - every[0]) / unit)

@@ -17,7 +17,7 @@ from srt.exceptions import DataError, MissingExtraError
 from srt.model.rotations import from_rotation_vector, prefix_product, rotation_vector, to_matrix
 from srt.model.table1 import AXES
 from srt.noise.allan import CHANNELS, TERMS, AllanDeviation, allan_deviation
-from srt.noise.noise_model import noise_model
+from srt.noise.noise_model import hidden_gyro_step, noise_model
 from srt.presentation import Presented
 from srt.ranking import rounded
 from srt.recording.folder import TOML_NAME
@@ -101,6 +101,7 @@ def inspect(source: Any, *, deep: bool = False, **stated: Any) -> Inspection:
         temperature=_temperature(recording),
         diagnosis=diagnose(recording, calibrating=deep, recognition=recognition),
         calibrated=deep,
+        hidden_gyro_step_rad_s=hidden_gyro_step(recording, windows) if len(windows) else 0.0,
     )
 
 
@@ -360,7 +361,8 @@ class Inspection(Presented):
 
     ``units`` are the declared units of ``gyro``, ``accel`` and ``time``, empty if unknown; ``stillness`` is None if no
     stationary window was found; ``summary`` is the result of the recognition in one sentence. ``calibrated`` is True if
-    the checks that need a calibration were run.
+    the checks that need a calibration were run. ``hidden_gyro_step_rad_s`` is the step to which rates were rounded
+    before they were corrected, 0 if the noise averages it out.
     """
 
     kind: str
@@ -375,6 +377,7 @@ class Inspection(Presented):
     temperature: TemperatureSummary | None
     diagnosis: Diagnosis
     calibrated: bool
+    hidden_gyro_step_rad_s: float = 0.0
 
     @property
     def not_looked_for(self) -> tuple[str, ...]:

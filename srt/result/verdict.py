@@ -238,7 +238,7 @@ _UNITS: Final = {
 
 def _size(kind: str, value: float) -> str:
     factor, unit = _UNITS[kind]
-    return f"{value * factor:.2g}{unit}"
+    return f"{float(f'{value * factor:.2g}'):g}{unit}"  # 140, not 1.4e+02
 
 
 def p_value_text(p: float) -> str:

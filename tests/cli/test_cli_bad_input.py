@@ -115,7 +115,7 @@ CASES = {
     "left-handed": (columns(0, 2, 1, 3, 5, 4, 6), 1, ["left-handed"]),
     "left-handed gyros": (columns(0, 2, 1, 3, 4, 5, 6), 1, ["Gyro axes x and y are swapped", "y,x,z"]),
     "flipped gyro": (columns(0, 1, 2, -3, 4, 5, 6), 1, ["gyro", "z"]),
-    "flipped accelerometer": (columns(0, 1, 2, 3, -4, 5, 6), 1, ["accelerometer", "x"]),
+    "flipped accelerometer": (columns(0, 1, 2, 3, -4, 5, 6), 1, ["Accelerometer axis x", "--map-accel -x,y,z"]),
     "flipped axis of the unit": (columns(0, 1, -2, 3, 4, -5, 6), 1, ["y"]),
     "accel in g": (scaled(ACCEL, lambda f: f / 9.80665), 1, ["look like g, declared as m/s²", "accel_unit"]),
     "gyro in degrees": (scaled(GYRO, np.degrees), 1, ["look like degrees, declared as radians", "gyro_unit"]),

@@ -289,6 +289,10 @@ def test_two_recordings_of_one_name_would_replace_each_other(recording, tmp_path
     assert "Two recordings are named unit-7" in refused("calibrate", recording, recording, "-o", tmp_path)
 
 
+def test_a_recording_is_named_once(recording, refused):
+    assert "unit-7 is named twice" in refused("calibrate", recording, recording)
+
+
 def test_a_folder_takes_the_result_under_the_recordings_name(recording, tmp_path, shell):
     shell("calibrate", recording / "recording.toml", "-q", "-o", tmp_path)
     assert [p.name for p in tmp_path.iterdir()] == ["unit-7.json"]

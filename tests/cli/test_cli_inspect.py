@@ -7,10 +7,13 @@ from dataclasses import replace
 import accuracy_trials
 import numpy as np
 import pytest
+from foreign_motion import GRADES, drawn_errors, hand_turns
+from foreign_motion import recording as foreign_recording
 
 import sims
 import srt
 from srt.cli import main
+from srt.constants import DEG_PER_H
 from srt.model.table1 import SEQUENCES
 
 pytestmark = pytest.mark.usefixtures("plain_layout")
@@ -117,3 +120,18 @@ def test_unreadable_input_and_unwritable_output_exit_with_2(arguments, fragments
     for fragment in fragments:
         assert fragment in err
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_correction_that_hides_coarse_steps_makes_no_drift_of_them(tmp_path, unit, shell):
+    """Rates in steps of 0.5 °/s, eight sigma of a reading: in corrected ones they show as a drift of 569 °/h."""
+    rng = np.random.default_rng((20261128, 0))
+    turns, step = hand_turns(rng, shortest_s=1.0), np.radians(0.5)
+    log = foreign_recording(turns, 5.0, drawn_errors(GRADES["consumer"], rng), GRADES["consumer"], rng, hz=50.0)
+    course = (log.time - log.time.mean()) / np.ptp(log.time)
+    rate = log.gyro + np.outer(course, [300.0 * DEG_PER_H, 0.0, 0.0])
+    srt.write_recording(replace(log, gyro=np.round(rate / step) * step, sequences=()), tmp_path / "raw")
+    shell("apply", unit, tmp_path / "raw", "-o", tmp_path / "corrected", "-q")
+    raw, corrected = (" ".join(shell("inspect", tmp_path / name).out.split()) for name in ("raw", "corrected"))
+    assert "The bias of gyro" not in raw + corrected
+    assert "rounded to steps" not in raw
+    assert "Not looked for: gyro_bias_drift. The rates were rounded to steps of 1800 °/h before they were" in corrected

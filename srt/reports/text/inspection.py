@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
+from srt.constants import DEG_PER_H
 from srt.diagnosis.faults import FAULTS
 from srt.noise.allan import CHANNELS, TERMS
 from srt.reports.tables import text_table, wrap
@@ -218,6 +219,12 @@ def _findings(inspection: Inspection) -> Iterable[str]:
         yield "No fault found."
     if inspection.not_looked_for and inspection.diagnosis.refusal is None:
         yield from wrap(f"Not looked for without a calibration (--deep): {', '.join(inspection.not_looked_for)}.")
+    if step := inspection.hidden_gyro_step_rad_s:
+        yield from wrap(
+            f"Not looked for: gyro_bias_drift. The rates were rounded to steps of {significant(step / DEG_PER_H)} °/h "
+            "before they were corrected. Their noise does not average the steps out, and the corrected rates do not "
+            "show them: inspect the recording of before the correction."
+        )
     if inspection.diagnosis.judgement is not None:
         yield from wrap(f"Verdict: {inspection.diagnosis.judgement}")
     for finding in findings:
