@@ -71,8 +71,8 @@ class RestrictedLikelihood:
         contrasts = basis[:, H.shape[1] :] * scale[:, None]
         # In units of the known noise, whose covariance then is the identity.
         white = np.linalg.cholesky(contrasts.T @ R0 @ contrasts)
-        self._y = solve_triangular(white, contrasts.T @ z, lower=True)
-        self._roots = [solve_triangular(white, contrasts.T @ L, lower=True) for L in roots]
+        whitened = [solve_triangular(white, contrasts.T @ values, lower=True) for values in (z, *roots)]
+        self._set(whitened[0], whitened[1:])
         self._square = float(np.sum((z * scale) ** 2))
         self._traces = [float(np.sum((scale[:, None] * L) ** 2)) for L in roots]
 
@@ -89,7 +89,8 @@ class RestrictedLikelihood:
         L = np.hstack(shown._roots)
         starts = np.cumsum([0, *(part.shape[1] for part in shown._roots if part.size)])[:-1]
         for _ in range(_STEPS):
-            LP = np.linalg.solve(shown._covariance(sizes), L).T
+            # The inverse and a product take a fifth of the time of a solution with as many right-hand sides.
+            LP = L.T @ np.linalg.inv(shown._covariance(sizes))
             LPL, LPy = LP @ L, LP @ shown._y
             score, fisher = np.zeros(len(sizes)), np.zeros((len(sizes), len(sizes)))
             score[effective] = 0.5 * np.add.reduceat(LPy**2 - np.diag(LPL), starts)
@@ -111,12 +112,18 @@ class RestrictedLikelihood:
     def _shown_by(self, used: Mask) -> Self:
         """Likelihood of the combinations of contrasts that have an effect of these components; others have none."""
         shown = copy(self)
-        shown._roots = [L if u else L[:, :0] for L, u in zip(self._roots, used, strict=True)]
-        L = np.hstack(shown._roots)
+        roots = [L if u else L[:, :0] for L, u in zip(self._roots, used, strict=True)]
+        L = np.hstack(roots)
         if L.shape[1] < len(L):
             basis = np.linalg.qr(L)[0]
-            shown._y, shown._roots = basis.T @ self._y, [basis.T @ part for part in shown._roots]
+            shown._set(basis.T @ self._y, [basis.T @ part for part in roots])
+        else:
+            shown._set(self._y, roots)
         return shown
+
+    def _set(self, y: Array, roots: list[Array]) -> None:
+        """Contrasts in units of the known noise, and the roots and covariances of the components in them."""
+        self._y, self._roots, self._parts = y, roots, [L @ L.T for L in roots]
 
     def significant(self, used: Mask, tested: Mask, probability: float) -> Mask:
         """Components ``used`` without those of ``tested`` that the residuals do not show, shape as both.
@@ -143,5 +150,4 @@ class RestrictedLikelihood:
         return -0.5 * float(np.linalg.slogdet(R)[1] + self._y @ np.linalg.solve(R, self._y))
 
     def _covariance(self, variances: Array) -> Array:
-        L = np.hstack([np.sqrt(v) * part for v, part in zip(variances, self._roots, strict=True)])
-        return np.asarray(np.eye(len(L)) + L @ L.T)
+        return np.asarray(np.eye(len(self._y)) + sum(v * C for v, C in zip(variances, self._parts, strict=True)))
