@@ -3,14 +3,14 @@ shares nothing with the estimators."""
 
 import math
 from dataclasses import replace
-from functools import cache
 
 import pytest
 from honesty import largest
 from honesty_trials import judged
 from scipy.special import ndtri
 from studies import pooled_nees
-from worse_recordings import CASES, unit_of
+from worse_recordings import CASES
+from worse_units import calibrated, unit
 
 import srt
 
@@ -19,18 +19,6 @@ PARAMETERS = 27
 WORST = -float(ndtri(0.005 / (UNITS * PARAMETERS)))
 """Largest error over sigma of all parameters and units, with a family-wise 1 %."""
 ACCUSATIONS = ("contradicts", "move left out", "label", "wrong_angle")
-
-
-@cache
-def unit(case, number):
-    """Recording of a unit with a digest, and its errors."""
-    recording, errors = unit_of(CASES[case], number)
-    return replace(recording, data_sha256=f"{case}, {number}"), errors
-
-
-@cache
-def calibrated(case, number, estimator):
-    return srt.calibrate(unit(case, number)[0], estimator)
 
 
 def of_units(case, estimator):
