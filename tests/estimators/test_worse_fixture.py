@@ -14,7 +14,7 @@ from worse_units import calibrated, unit
 
 import srt
 
-UNITS = 2
+UNITS = 1
 PARAMETERS = 27
 WORST = -float(ndtri(0.005 / (UNITS * PARAMETERS)))
 """Largest error over sigma of all parameters and units, with a family-wise 1 %."""
