@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from foreign_motion import DEG, GRAVITY_M_S2, Grade, Turn, attitudes, readings, true_samples, windows
+from foreign_motion import DEG, GRAVITY_M_S2, Grade, Turn, motion_samples, readings, windows
 from scipy.spatial.transform import Rotation
 
 if TYPE_CHECKING:
@@ -68,8 +68,8 @@ class Motion:
     ) -> dict[str, np.ndarray]:
         """Columns of rates as the unit reads them, SI: time (n,), gyro and accel (n, 3)."""
         dt = 1.0 / hz
-        body = attitudes(self.turns, self.start, self.first_rest_s, dt, profile, rng)
-        rate, force = true_samples(body, dt, LATITUDE_DEG * DEG)
+        motion = self.turns, self.start, self.first_rest_s
+        rate, force = motion_samples(*motion, dt, LATITUDE_DEG * DEG, profile, rng)
         gyro, accel = readings(rate, force, errors, grade, dt, rng)
         return {"time": dt * np.arange(1, len(gyro) + 1), "gyro": gyro, "accel": accel}
 

@@ -8,6 +8,7 @@ here (Savage 2020, eqs. 6-7 with asymmetry). Truth is the vector of the 27 error
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
@@ -108,6 +109,26 @@ def true_samples(body: Rotation, dt: float, latitude_rad: float) -> tuple[np.nda
     force = (before.inv().apply(up) + 4.0 * middle.inv().apply(up) + after.inv().apply(up)) / 6.0
     n = len(place) // SUBSTEPS
     return rate[place].reshape(n, SUBSTEPS, 3), force[place].reshape(n, SUBSTEPS, 3).mean(axis=1)
+
+
+def motion_samples(
+    turns: list[Turn], start: Rotation, first_rest_s: float, dt: float, latitude_rad: float, profile: str, rng
+) -> tuple[np.ndarray, np.ndarray]:
+    """Samples of :func:`true_samples` for turns; a motion that several units execute is computed once."""
+    motion = (first_rest_s, dt, profile)
+    if profile == "hand":  # it draws random numbers
+        return true_samples(attitudes(turns, start, *motion, rng), dt, latitude_rad)
+    return _same_motion(tuple(turns), tuple(start.as_quat().tolist()), *motion, latitude_rad)
+
+
+@lru_cache(maxsize=6)
+def _same_motion(
+    turns: tuple[Turn, ...], start: tuple[float, ...], first_rest_s: float, dt: float, profile: str, latitude_rad: float
+) -> tuple[np.ndarray, np.ndarray]:
+    body = attitudes(list(turns), Rotation.from_quat(start), first_rest_s, dt, profile, None)
+    rate, force = true_samples(body, dt, latitude_rad)
+    rate.flags.writeable = force.flags.writeable = False
+    return rate, force
 
 
 def readings(rate: np.ndarray, force: np.ndarray, errors: dict[str, float], grade: Grade | None, dt: float, rng):
@@ -275,8 +296,7 @@ def recording(
 
     dt, latitude = 1.0 / hz, 34.0 * DEG
     start = Rotation.from_euler("ZYX", start_deg, degrees=True)
-    body = attitudes(turns, start, first_rest_s, dt, profile, rng)
-    rate, force = true_samples(body, dt, latitude)
+    rate, force = motion_samples(turns, start, first_rest_s, dt, latitude, profile, rng)
     added = 0.0
     if extras is not None:
         force, added = with_extras(rate, force, extras, dt)

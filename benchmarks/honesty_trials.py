@@ -396,8 +396,13 @@ def worse_than_stated(cell: Cell, unit: int, estimators: list[str]) -> Rows:
         except srt.InputError as error:
             rows[name] = Score("refused", faults=(str(error)[:60],))
             continue
-        rows[name] = replace(scored(found, truth_of(errors)), faults=named_by(found))
+        rows[name] = judged(found, errors)
     return rows
+
+
+def judged(found: srt.Calibration, errors: dict[str, float]) -> Score:
+    """Score of a calibration, with all that it names."""
+    return replace(scored(found, truth_of(errors)), faults=named_by(found))
 
 
 def unstated_noise(cell: Cell, unit: int, estimators: list[str]) -> Rows:

@@ -122,11 +122,11 @@ def fixture_excess(data: PreparedRecording, measurements: SrtMeasurements, covar
     found = tests(R)
     if not is_misfit(*found[1:]) or one_group_explains(*found) or np.abs(z).max() > _GROSS * LARGEST_FIXTURE_RAD:
         return NO_ERRORS
-    parts = _squared(wobble), _squared(angles), _squared(aligned)
-    likelihood = RestrictedLikelihood(z, mounting, R, parts)
+    roots = wobble, angles, aligned
+    likelihood = RestrictedLikelihood(z, mounting, R, roots)
     used = likelihood.significant(np.ones(3, dtype=np.bool_), np.array([False, True, True]), MISFIT_PROBABILITY)
     excess = likelihood.variances(used)
-    found = tests(R + sum(v * C for v, C in zip(excess, parts, strict=True)))
+    found = tests(R + sum(v * _squared(L) for v, L in zip(excess, roots, strict=True)))
     if excess.max() > LARGEST_FIXTURE_RAD**2 or is_misfit(*found[1:]) or contradicting_group(*found) is not None:
         return NO_ERRORS
     return UnmodelledErrors(0.0, 0.0, 0.0, *np.sqrt(excess).tolist()).of_fixture

@@ -75,8 +75,8 @@ class StackedEstimates:
         return np.flatnonzero(self.recording == recording)
 
     def between(self, group: int) -> Array:
-        """Covariance of unit variance between recordings in a group, shape (n, n)."""
-        return np.diag((GROUP_OF[self.parameter] == group).astype(np.float64))
+        """Root of the covariance of unit variance between recordings in a group, shape (n, parameters of the group)."""
+        return np.eye(len(self.parameter))[:, GROUP_OF[self.parameter] == group]
 
 
 def stack_estimates(calibrations: Sequence[Calibration]) -> StackedEstimates:

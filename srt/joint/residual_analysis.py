@@ -230,7 +230,7 @@ def unmodelled_noise(joint: JointModel, system: LinearSystem) -> UnmodelledNoise
         root = splu(system.A[np.concatenate(priors)][:, drift].tocsc()).solve(np.eye(len(drift)))
         effect = system.A[kept][:, drift] @ root
         known += effect @ effect.T
-    parts = [np.zeros((m, m)) for _ in EXCESSES]
+    roots = [[np.zeros((m, 0))] for _ in EXCESSES]
     # A prior that follows the data does not show the accuracy of the mounting.
     silent = ("mounting",) if joint.U_note else ()
     for rows in system.rows:
@@ -240,12 +240,14 @@ def unmodelled_noise(joint: JointModel, system: LinearSystem) -> UnmodelledNoise
         block = at[:, :, None], at[:, None, :]
         # The known sources are summed: the total less large unmodelled errors would be rounding error.
         known[block] += sum(share for source, share in rows.sources.items() if source not in EXCESSES)
-        for part, source in zip(parts, EXCESSES, strict=True):
+        for root, source in zip(roots, EXCESSES, strict=True):
             kinds, components = _SOURCES[source]
             if rows.kind in kinds and rows.kind not in silent:
                 W = system.whitening[rows.kind][:, :, components]
-                part[block] = W @ np.swapaxes(W, 1, 2)
+                columns = np.zeros((m, *W[:, 0].shape))
+                columns[at, np.arange(len(at))[:, None]] = W
+                root.append(columns.reshape(m, -1))
     others = system.active.copy()
     others[drift] = False
     H = system.A[kept][:, np.flatnonzero(others)].toarray()
-    return UnmodelledNoise(RestrictedLikelihood(system.b[kept], H, known, tuple(parts)))
+    return UnmodelledNoise(RestrictedLikelihood(system.b[kept], H, known, tuple(np.hstack(root) for root in roots)))

@@ -35,7 +35,7 @@ from srt.exceptions import DataError
 from srt.noise.allan import CHANNELS, CONFIDENCE, TERMS, Term, deviation, figures
 from srt.noise.likelihood_thresholds import SLOW, Bins, SimulatedRecords, normal_threshold
 from srt.noise.noise_agreement import contradiction
-from srt.noise.nonnegative import nonnegative_least_squares
+from srt.noise.nonnegative import many_nonnegative_least_squares
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -247,7 +247,7 @@ def _likeliest(spectrum: _Spectrum, fixed: int | None = None, square: float = 0.
         # The last term restores the power that the estimate of the ramp takes away (restricted likelihood).
         power = (spectrum.cc - 2.0 * slope * spectrum.cu + (slope**2 + slope_variance) * uu) / count
         weight = np.sqrt(count) / variance
-        squares[free] = nonnegative_least_squares(A[:, free] * weight[:, None], (power - offset) * weight)
+        squares[free] = many_nonnegative_least_squares(A[:, free] * weight[:, None], (power - offset) * weight)
         if fixed is not None:
             squares[fixed] = square
         new = np.maximum(A @ squares, 1e-12 * variance)

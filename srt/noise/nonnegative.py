@@ -1,6 +1,6 @@
 """Least squares with non-negative unknowns: the variances of noise terms.
 
-Scipy has this as ``scipy.optimize.nnls``, whose import takes a sixth of the time of ``srt calibrate``.
+Scipy has this as ``scipy.optimize.nnls``, a ninth of the time, whose import takes a sixth of that of ``srt calibrate``.
 """
 
 from __future__ import annotations
@@ -30,6 +30,17 @@ def nonnegative_least_squares(A: Array, b: Array, signed: tuple[int, ...] = ()) 
     """
     scale = np.linalg.norm(A, axis=0)
     return np.asarray(_minimum(A / scale, b, signed) / scale)
+
+
+def many_nonnegative_least_squares(A: Array, b: Array) -> Array:
+    """The same by scipy, for those who solve thousands."""
+    from scipy.optimize import nnls
+
+    scale = np.linalg.norm(A, axis=0)
+    try:
+        return np.asarray(nnls(A / scale, b, maxiter=100)[0] / scale, dtype=np.float64)
+    except RuntimeError:  # rounding keeps it going round
+        return nonnegative_least_squares(A, b)
 
 
 def _minimum(A: Array, b: Array, signed: tuple[int, ...]) -> Array:

@@ -7,9 +7,11 @@ rotations, motion in a pose). Fisher scoring of the restricted likelihood (Patte
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from copy import copy
+from typing import TYPE_CHECKING, Final, Self
 
 import numpy as np
+from scipy.linalg import solve_triangular
 from scipy.special import chdtri
 
 if TYPE_CHECKING:
@@ -57,43 +59,48 @@ class RestrictedLikelihood:
         Jacobian with respect to the estimated parameters.
     R0 : ndarray, shape (n, n)
         Known covariance.
-    components : tuple of ndarray, shape (n, n)
-        Covariance of each component for unit variance.
+    roots : tuple of ndarray, shapes (n, any)
+        Root L of the covariance L Lᵀ of each component for unit variance.
     """
 
-    def __init__(self, z: Array, H: Array, R0: Array, components: tuple[Array, ...]) -> None:
+    def __init__(self, z: Array, H: Array, R0: Array, roots: tuple[Array, ...]) -> None:
         scale = 1.0 / np.sqrt(np.diag(R0))
         unit = H * scale[:, None]
         # The restricted likelihood is that of the contrasts, the combinations of measurements without the parameters.
         basis = np.linalg.qr(unit / np.linalg.norm(unit, axis=0), mode="complete")[0]
         contrasts = basis[:, H.shape[1] :] * scale[:, None]
-        self._y, self._known = contrasts.T @ z, contrasts.T @ R0 @ contrasts
-        self._parts = [contrasts.T @ C @ contrasts for C in components]
+        # In units of the known noise, whose covariance then is the identity.
+        white = np.linalg.cholesky(contrasts.T @ R0 @ contrasts)
+        whitened = [solve_triangular(white, contrasts.T @ values, lower=True) for values in (z, *roots)]
+        self._set(whitened[0], whitened[1:])
         self._square = float(np.sum((z * scale) ** 2))
-        self._traces = [float(np.diag(C) @ scale**2) for C in components]
+        self._traces = [float(np.sum((scale[:, None] * L) ** 2)) for L in roots]
 
     def variances(self, used: Mask | None = None) -> Array:
         """Variances of the components, at least zero; of those not in ``used`` zero, shape (number of components,)."""
-        effective = np.array([bool(np.any(C)) for C in self._parts])
-        used = np.ones(len(self._parts), dtype=np.bool_) if used is None else used
+        used = np.ones(len(self._roots), dtype=np.bool_) if used is None else used
         # Initial values: the traces agree.
         square = self._square / max(int(used.sum()), 1)
-        sizes = np.array([square / max(trace, 1e-300) for trace in self._traces])
-        effective &= used
-        sizes = np.where(effective, sizes, 0.0)
+        effective = used & [bool(np.any(L)) for L in self._roots]
+        sizes = np.where(effective, [square / max(trace, 1e-300) for trace in self._traces], 0.0)
+        if not effective.any():
+            return sizes
+        shown = self._shown_by(effective)
+        L = np.hstack(shown._roots)
+        starts = np.cumsum([0, *(part.shape[1] for part in shown._roots if part.size)])[:-1]
         for _ in range(_STEPS):
-            P = np.linalg.inv(self._covariance(sizes))
-            PC = [P @ C for C in self._parts]
-            Py = P @ self._y
-            score = np.array(
-                [-0.5 * np.trace(A) + 0.5 * float(Py @ C @ Py) for A, C in zip(PC, self._parts, strict=True)]
-            )
-            fisher = np.array([[0.5 * np.sum(A * B.T) for B in PC] for A in PC])
+            # The inverse and a product take a fifth of the time of a solution with as many right-hand sides.
+            LP = L.T @ np.linalg.inv(shown._covariance(sizes))
+            LPL, LPy = LP @ L, LP @ shown._y
+            score, fisher = np.zeros(len(sizes)), np.zeros((len(sizes), len(sizes)))
+            score[effective] = 0.5 * np.add.reduceat(LPy**2 - np.diag(LPL), starts)
+            sums = np.add.reduceat(np.add.reduceat(LPL**2, starts, axis=0), starts, axis=1)
+            fisher[np.ix_(effective, effective)] = 0.5 * sums
             # A component without effect on the residuals, as a rotation error in a test of poses alone, stays zero.
             free = ((sizes > 0.0) | (score > 0.0)) & effective
             if not free.any():
                 break
-            step = np.zeros(len(self._parts))
+            step = np.zeros(len(sizes))
             step[free] = np.linalg.solve(fisher[np.ix_(free, free)], score[free])
             new = np.maximum(sizes + step, 0.0)
             done = np.all(np.abs(new - sizes) <= 1e-3 * np.maximum(new, 1e-12 * sizes.max()))
@@ -102,6 +109,22 @@ class RestrictedLikelihood:
                 break
         return sizes
 
+    def _shown_by(self, used: Mask) -> Self:
+        """Likelihood of the combinations of contrasts that have an effect of these components; others have none."""
+        shown = copy(self)
+        roots = [L if u else L[:, :0] for L, u in zip(self._roots, used, strict=True)]
+        L = np.hstack(roots)
+        if L.shape[1] < len(L):
+            basis = np.linalg.qr(L)[0]
+            shown._set(basis.T @ self._y, [basis.T @ part for part in roots])
+        else:
+            shown._set(self._y, roots)
+        return shown
+
+    def _set(self, y: Array, roots: list[Array]) -> None:
+        """Contrasts in units of the known noise, and the roots and covariances of the components in them."""
+        self._y, self._roots, self._parts = y, roots, [L @ L.T for L in roots]
+
     def significant(self, used: Mask, tested: Mask, probability: float) -> Mask:
         """Components ``used`` without those of ``tested`` that the residuals do not show, shape as both.
 
@@ -109,10 +132,11 @@ class RestrictedLikelihood:
         component with more than ``probability``. A variance at its bound has half the probability of a chi-square.
         """
         limit = 0.5 * float(chdtri(1, 2.0 * probability))
+        shown = self._shown_by(used)
         while (used & tested).any():
-            own = self.logarithm(self.variances(used))
+            own = shown.logarithm(shown.variances(used))
             without = {i: used & (np.arange(len(used)) != i) for i in np.flatnonzero(used & tested).tolist()}
-            loss = {i: own - self.logarithm(self.variances(others)) for i, others in without.items()}
+            loss = {i: own - shown.logarithm(shown.variances(others)) for i, others in without.items()}
             least = min(loss, key=lambda i: round(loss[i], 6))  # components without effect lose rounding errors
             if loss[least] > limit:
                 break
@@ -126,4 +150,4 @@ class RestrictedLikelihood:
         return -0.5 * float(np.linalg.slogdet(R)[1] + self._y @ np.linalg.solve(R, self._y))
 
     def _covariance(self, variances: Array) -> Array:
-        return np.asarray(self._known + sum(v * C for v, C in zip(variances, self._parts, strict=True)))
+        return np.asarray(np.eye(len(self._y)) + sum(v * C for v, C in zip(variances, self._parts, strict=True)))

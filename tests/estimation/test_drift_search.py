@@ -8,7 +8,7 @@ from accuracy_trials import noisy_recording
 from foreign_motion import GRADES, drawn_errors, hand_turns, recording
 from scipy.integrate import quad
 from scipy.stats import kstest
-from worse_recordings import CASES, unit_of
+from worse_units import calibrated, unit
 
 import srt
 from srt.constants import STANDARD_GRAVITY_M_S2
@@ -98,7 +98,7 @@ def test_a_form_is_told_from_independent_errors_of_the_windows(form):
         (found,) = residual_statistics(z, np.tile(np.eye(3), (W, 1)), np.eye(3 * W) / np.hypot(1.0, scatter))
         return form_or_scatter(found, course, scatter, walk=walk)
 
-    none, drifting = (np.array([p_value(size) for _ in range(n)]) for size, n in ((0.0, 120), (60.0, 20)))
+    none, drifting = (np.array([p_value(size) for _ in range(n)]) for size, n in ((0.0, 60), (60.0, 10)))
     assert np.mean(none < 0.1) <= 0.1 + 3.5 * np.sqrt(0.09 / len(none))
     assert np.mean(drifting < 1e-6) >= 0.8
 
@@ -123,7 +123,7 @@ def test_sigma_of_a_random_walk_is_its_restricted_likelihood():
     for _ in range(50):
         z = rng.standard_normal(60) + Z @ rng.normal(0.0, 3.0, 12)
         variances.append(variance_component(*residual_statistics(z, H, Z)).sigma ** 2)
-        (expected,) = RestrictedLikelihood(z, H, np.eye(60), (Z @ Z.T,)).variances()
+        (expected,) = RestrictedLikelihood(z, H, np.eye(60), (Z,)).variances()
         assert variances[-1] == pytest.approx(expected, rel=2e-2)
     # A variance from 12 coefficients has a relative standard error of √(2 / 12) at least.
     assert np.mean(variances) == pytest.approx(9.0, rel=3.5 * 1.1 * np.sqrt(2.0 / 12.0 / 50.0))
@@ -201,8 +201,7 @@ def error_over_sigma(found, errors):
 )
 def test_drift_is_named_and_nothing_else_accused(case, seed, named):
     """Sound, moves and windows kept. The largest of 27 normalised errors exceeds 4.2 with a probability of 7e-4."""
-    unit, errors = unit_of(CASES[case], seed)
-    found = srt.calibrate(unit, "least-squares")
+    found, (_, errors) = calibrated(case, seed, "least-squares"), unit(case, seed)
     assert {(row.sensor, row.form) for row in found.diagnostics.drift} == named
     assert found.judgement.word == "sound"
     assert not found.provenance.voided

@@ -4,6 +4,9 @@ The recordings are those of a generator that shares nothing with the estimators 
 """
 
 from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
@@ -13,7 +16,7 @@ from scipy.stats import chi2
 
 import srt
 from srt.model.prior import Prior, prior_sigma
-from srt.sensor_errors import DISPLAY_FACTORS, GROUP_SLICES, INDEX, N_PARAMETERS, NAMES, SensorErrors
+from srt.sensor_errors import DISPLAY_FACTORS, GROUP_SLICES, INDEX, NAMES, SensorErrors
 
 SEED = 20261201
 UNITS = 6
@@ -21,6 +24,7 @@ SHORT = ("1", "1a", "2", "2a", "3", "3a", "7", "8", "9")
 """Sequences that show scale factors, and not all non-orthogonalities and misalignments."""
 
 
+@cache
 def flight(seed):
     """A vehicle that is level but for its tilts of some degrees: two to four turns, mostly about the vertical."""
     rng = np.random.default_rng((SEED, 1, seed))
@@ -43,11 +47,31 @@ def on_the_fixture(folder, ids, seed=0, fixture=None):
     return errors
 
 
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """All of Table 1, of the unit of seed 0."""
+    folder = tmp_path_factory.mktemp("table-1") / "unit"
+    on_the_fixture(folder, table_1())
+    return folder
+
+
+@cache
+def short(seed):
+    """Recording and errors of a short test."""
+    with TemporaryDirectory() as folder:
+        errors = on_the_fixture(Path(folder) / str(seed), SHORT, seed)
+        return srt.load_recording(Path(folder) / str(seed)), errors
+
+
+@cache
+def flight_result(seed):
+    return srt.calibrate(flight(seed)[0])
+
+
 def test_a_flight_log_is_partial_and_what_it_does_not_show_is_zero():
     squares, freedom = 0.0, 0
     for seed in range(UNITS):
-        unit, errors = flight(seed)
-        found = srt.calibrate(unit)
+        found, (_, errors) = flight_result(seed), flight(seed)
         seen = found.observed
         assert 0 < seen.sum() < 12
         assert found.judgement.word == "partial", found.judgement
@@ -71,9 +95,9 @@ def test_the_command_counts_what_a_flight_log_shows_and_warns(tmp_path, shell):
     assert "log: the verdict is partial; fixed, not observed: " in err
 
 
-def test_what_is_passed_on_as_zero_is_named(tmp_path, shell):
+def test_what_is_passed_on_as_zero_is_named(tmp_path, shell, plain_page):
     unit, _ = flight(0)
-    found = srt.calibrate(unit)
+    found = flight_result(0)
     assert not found.observed[GROUP_SLICES["accel_misalignment"]].any()
     found.save(tmp_path / "unit.json")
     write(tmp_path / "log", {"time": unit.time, "gyro": unit.gyro, "accel": unit.accel}, {})
@@ -93,11 +117,11 @@ def test_what_is_passed_on_as_zero_is_named(tmp_path, shell):
 
 
 @pytest.mark.parametrize("estimator", ["closed-form", "least-squares"])
-def test_a_fixture_gives_what_a_short_test_does_not_show(tmp_path, estimator):
+def test_a_fixture_gives_what_a_short_test_does_not_show(estimator):
     """The values lie within 3.5 times what levelling, mounting and two angles of 1 mrad leave of them."""
     for seed in range(3):
-        errors = on_the_fixture(tmp_path / str(seed), SHORT, seed)
-        found = srt.calibrate(tmp_path / str(seed), estimator, ignore_moves=True)
+        unit, errors = short(seed)
+        found = srt.calibrate(unit, estimator, ignore_moves=True)
         lost = [name for name in found.held if "orthogonality" in name or "misalignment" in name]
         assert lost
         for name in lost:
@@ -119,15 +143,14 @@ def test_a_fixture_that_saw_one_pose_does_not_determine_the_other_axes(tmp_path)
     assert found.judgement.word != "sound"
 
 
-def test_a_whole_test_of_table_1_is_sound_and_one_with_a_lost_sequence_is_not(tmp_path):
-    on_the_fixture(tmp_path / "whole", table_1())
-    whole = srt.calibrate(tmp_path / "whole")
-    assert (whole.judgement.word, whole.status) == ("sound", "converged")
+def test_a_whole_test_of_table_1_is_sound_and_one_with_a_lost_sequence_is_not(whole, tmp_path):
+    recorded = srt.load_recording(whole)
+    found = srt.calibrate(recorded)
+    assert (found.judgement.word, found.status) == ("sound", "converged")
     without = tuple(name for name in table_1() if name not in ("1a", "2a", "3a"))
     on_the_fixture(tmp_path / "linear", without)
     linear = srt.calibrate(tmp_path / "linear", asymmetry=False)
     assert (linear.judgement.word, linear.status) == ("sound", "partial")
-    recorded = srt.load_recording(tmp_path / "whole")
     lost = srt.calibrate(recorded.with_sequences(tuple(s for s in recorded.sequences if s.id != "4")))
     assert lost.judgement.word == "partial"
     assert "should show them: gyro_orthogonality_yz" in lost.judgement.reason
@@ -141,23 +164,22 @@ def test_parameters_fixed_on_request_are_zero_and_not_missed():
         assert group not in found.judgement.reason
 
 
-def test_a_prior_gives_what_is_fixed(tmp_path):
-    on_the_fixture(tmp_path / "unit", table_1())
-    mean = SensorErrors(np.full(N_PARAMETERS, 1e-4))
+def test_a_prior_gives_what_is_fixed():
+    unit, errors = short(0)
+    mean = SensorErrors([errors.get(name, 0.0) if "gyro_orthogonality" in name else 1e-4 for name in NAMES])
     options = {"prior": Prior.from_sigma(prior_sigma(), mean), "hold": ("gyro_orthogonality",)}
-    found = srt.calibrate(tmp_path / "unit", "ekf", checks=False, **options)
-    assert np.all(found.errors.group("gyro_orthogonality") == 1e-4)
+    found = srt.calibrate(unit, "ekf", checks=False, **options)
+    np.testing.assert_array_equal(found.errors.group("gyro_orthogonality"), mean.group("gyro_orthogonality"))
 
 
-def test_the_summary_and_the_certificate_say_that_the_clock_is_taken_as_exact(tmp_path, shell):
-    on_the_fixture(tmp_path / "unit", table_1())
+def test_the_summary_and_the_certificate_say_that_the_clock_is_taken_as_exact(whole, tmp_path, shell, plain_page):
     said = "Time base taken as exact: 1 ppm of clock is 1 ppm of every gyro scale factor."
     file = str(tmp_path / "unit.json")
-    lines = shell("calibrate", tmp_path / "unit", "-o", file).out.splitlines()
+    lines = shell("calibrate", whole, "-o", file).out.splitlines()
     heading = next(i for i, line in enumerate(lines) if line.endswith("measured"))
     assert lines[heading + 1] == said
     assert said in " ".join(shell("certificate", file, "-o", tmp_path / "page.html").out.split())
-    stated = replace(srt.load_recording(tmp_path / "unit"), clock_sigma=1e-6)
+    stated = replace(srt.load_recording(whole), clock_sigma=1e-6)
     again = srt.calibrate(stated)
     assert "Time base" not in repr(again)
     assert again.sigma[INDEX["gyro_scale_x"]] > 1e-6

@@ -159,6 +159,12 @@ def spoiled(case, seed, name, which):
     return case(seed, name, which)
 
 
+@cache
+def result(case, seed, name, which="end", estimator="graph", loss="squared"):
+    """Calibration of a spoiled recording."""
+    return srt.calibrate(spoiled(case, seed, name, which), estimator, loss=loss, checks=False)
+
+
 def named_sequence(calibration):
     """The sequence that contradicts the others; None if there is none."""
     worst = calibration.verdict.contradicting
@@ -198,12 +204,12 @@ def assert_named(calibration, case, seed, name):
 @one_bad_sequence
 def test_the_bad_sequence_is_named(case, name, seed, which):
     """It contradicts all others more than any other does; a window that moved is seen to have, and integrated."""
-    assert_named(srt.calibrate(spoiled(case, seed, name, which), "graph", checks=False), case, seed, name)
+    assert_named(result(case, seed, name, which), case, seed, name)
 
 
 @pytest.mark.parametrize("name", LOOK_ALIKE)
 def test_indistinguishable_sequences_are_narrowed_down_to_two(name):
-    calibration = srt.calibrate(spoiled(with_lost_samples, 101, name, "end"), "graph", checks=False)
+    calibration = result(with_lost_samples, 101, name)
     table = sorted(calibration.diagnostics.sequences, key=lambda row: row.chi_square, reverse=True)
     two = {row.sequence for row in table[:2]}
     assert name in two
@@ -214,7 +220,7 @@ def test_indistinguishable_sequences_are_narrowed_down_to_two(name):
 @pytest.mark.parametrize(("case", "name"), [(tilted, "13"), (with_bias_step, "13"), (noisier, "4")])
 def test_the_filter_names_it_too(case, name):
     """The filter names the sequence as the graph does, and its innovations fail the test from that sequence on."""
-    calibration = srt.calibrate(spoiled(case, 101, name, "end"), "ekf", checks=False)
+    calibration = result(case, 101, name, estimator="ekf")
     assert_named(calibration, case, 101, name)
     forward = (calibration.diagnostics.held if case is tilted else calibration.diagnostics).filter
     worst = max(forward, key=lambda row: row.nis - row.degrees_of_freedom)
@@ -248,7 +254,7 @@ def moved_too_far(calibration, seed, name, loss):
 @partial(one_bad_sequence, short=[(noisier, "13"), (with_lost_samples, "4")])
 def test_a_robust_graph_stays_where_it_was(case, name, seed, which):
     """Cauchy's loss keeps every parameter that other sequences determine within 3 sigma of the undisturbed result."""
-    calibration = srt.calibrate(spoiled(case, seed, name, which), "graph", loss="cauchy", checks=False)
+    calibration = result(case, seed, name, which, loss="cauchy")
     assert calibration.status == "converged", calibration.message
     assert not moved_too_far(calibration, seed, name, "cauchy")
 
@@ -263,7 +269,7 @@ def test_a_robust_graph_costs_little_without_a_fault(loss):
 @pytest.mark.parametrize("loss", ROBUST)
 def test_the_weights_name_the_bad_sequence(loss):
     """3 mrad off in a turn known to about 3 µrad: Huber's weight is 2.8 over that thousand, Cauchy's its square."""
-    calibration = srt.calibrate(spoiled(with_lost_samples, 101, "4", "end"), "graph", loss=loss, checks=False)
+    calibration = result(with_lost_samples, 101, "4", loss=loss)
     weights = {row.sequence: row.weight for row in calibration.diagnostics.weights}
     assert min(weights, key=weights.get) == "4"
     assert weights["4"] < 3.0 * 2.8 / 1000.0

@@ -6,14 +6,15 @@ from dataclasses import replace
 
 import pytest
 from honesty import largest
-from honesty_trials import worse_than_stated
+from honesty_trials import judged
 from scipy.special import ndtri
 from studies import pooled_nees
-from worse_recordings import CASES, unit_of
+from worse_recordings import CASES
+from worse_units import calibrated, unit
 
 import srt
 
-UNITS = 2
+UNITS = 1
 PARAMETERS = 27
 WORST = -float(ndtri(0.005 / (UNITS * PARAMETERS)))
 """Largest error over sigma of all parameters and units, with a family-wise 1 %."""
@@ -21,7 +22,7 @@ ACCUSATIONS = ("contradicts", "move left out", "label", "wrong_angle")
 
 
 def of_units(case, estimator):
-    return [worse_than_stated((case,), seed, [estimator])[estimator] for seed in range(UNITS)]
+    return [judged(calibrated(case, k, estimator), unit(case, k)[1]) for k in range(UNITS)]
 
 
 @pytest.mark.parametrize(
@@ -51,7 +52,7 @@ def test_the_fixture_is_named_and_the_sigmas_are_true(case, estimator, causes):
 def test_both_figures_are_told():
     """17 starts have two angles each; those of their rotations are 12 of one rotation."""
     case = CASES["fixture of 1 mrad, 0.1 stated"]
-    found = srt.calibrate(unit_of(case, 0)[0], "least-squares")
+    found = calibrated("fixture of 1 mrad, 0.1 stated", 0, "least-squares")
     added = found.verdict.added_noise
     assert added["start_angle_rad"].own == case.stated_sigma_rad
     for kind, count in (("start_angle_rad", 34), ("turned_angle_rad", 12)):
@@ -81,20 +82,19 @@ def test_values_from_the_fixture_are_as_accurate_as_it_is(case, estimator):
 @pytest.mark.parametrize(("number", "named"), [(8, False), (13, True)])
 def test_an_angle_within_what_the_fixture_shows_is_not_wrong(number, named):
     """Rotations are off by 1.6 mrad and more, where 0.1 is stated: the result judges all of them together."""
-    unit, _ = unit_of(CASES["fixture of 1 mrad, 0.1 stated, without 1, 1a, 4, 5, 6, 10, 11, 12"], number)
-    found = srt.calibrate(unit, "closed-form")
+    found = calibrated("fixture of 1 mrad, 0.1 stated, without 1, 1a, 4, 5, 6, 10, 11, 12", number, "closed-form")
     assert ("wrong_angle" in {fault.fault for fault in found.diagnostics.faults}) == named
     assert "The fixture is less accurate than stated: rotations" in found.judgement.reason
     assert not any("rotated by " in warning for warning in found.warnings)
 
 
 def test_the_mount_has_the_alignment_that_was_found():
-    unit = replace(unit_of(CASES["alignment of 1 mrad, 0.1 stated"], 0)[0], data_sha256="of this recording")
-    found = srt.calibrate(unit, "least-squares")
-    mount = srt.mount_from_recording(unit, found)
-    assert mount.provenance["axis_sigma_rad"] == found.U_sigma_rad > 5.0 * unit.fixture.alignment_sigma_rad
-    another = srt.mount_from_recording(replace(unit, data_sha256="of another"), found)
-    assert another.provenance["axis_sigma_rad"] == unit.fixture.alignment_sigma_rad
+    case = "alignment of 1 mrad, 0.1 stated"
+    recording, found = unit(case, 0)[0], calibrated(case, 0, "least-squares")
+    mount = srt.mount_from_recording(recording, found)
+    assert mount.provenance["axis_sigma_rad"] == found.U_sigma_rad > 5.0 * recording.fixture.alignment_sigma_rad
+    another = srt.mount_from_recording(replace(recording, data_sha256="of another"), found)
+    assert another.provenance["axis_sigma_rad"] == recording.fixture.alignment_sigma_rad
 
 
 def test_a_wobble_as_large_as_the_angles_is_doubtful_and_named():
@@ -132,7 +132,7 @@ INNOCENT = ("contradicts", "move left out")
 )
 def test_sigmas_are_true_and_nothing_innocent_is_accused(case, estimator, drift):
     """Mean NEES: at most 3.5 standard errors of a chi-square; largest error: family-wise 1 %."""
-    found = [worse_than_stated((case,), seed, [estimator])[estimator] for seed in range(UNITS)]
+    found = of_units(case, estimator)
     seen = sum(score.freedom for score in found)
     assert pooled_nees(found) < 1.0 + 3.5 * math.sqrt(2.0 / seen)
     assert max(largest(score.z) for score in found) < -float(ndtri(0.005 / seen))
@@ -157,8 +157,7 @@ def test_sigmas_are_true_and_nothing_innocent_is_accused(case, estimator, drift)
     ],
 )
 def test_the_closed_form_names_a_drift_and_no_sequence(case, seed, named):
-    unit, _ = unit_of(CASES[case], seed)
-    found = srt.calibrate(unit, "closed-form")
+    found = calibrated(case, seed, "closed-form")
     assert found.judgement.word in ("doubtful", "failed")
     assert any(named in text for text in (found.message, *found.warnings))
     assert not any("moved in the stationary windows" in warning for warning in found.warnings)
@@ -167,16 +166,14 @@ def test_the_closed_form_names_a_drift_and_no_sequence(case, seed, named):
 
 def test_a_step_that_is_modelled_is_no_second_unit():
     """``srt inspect`` finds the step, without a calibration that explains it."""
-    unit, _ = unit_of(CASES["fixture, accelerometer step of 0.4 mg"], 1)
-    found = srt.calibrate(unit, "least-squares")
+    found = calibrated("fixture, accelerometer step of 0.4 mg", 1, "least-squares")
     assert "units_joined" in {fault.fault for fault in found.diagnostics.faults}
     assert not any("joins two units" in warning for warning in found.warnings)
     assert any("by a step at" in warning for warning in found.warnings)
 
 
 def test_channels_whose_steps_are_not_dithered_are_named_and_no_g_sensitivity_is_found_in_them():
-    unit, _ = unit_of(CASES["steps of three noise sigma"], 0)
-    found = srt.calibrate(unit, "least-squares")
+    found = calibrated("steps of three noise sigma", 0, "least-squares")
     assert any("gyro_x, gyro_y, gyro_z, accel_x" in message and "steps" in message for message in found.warnings)
     assert found.diagnostics.g_sensitivity is None
 
@@ -185,7 +182,7 @@ def test_channels_whose_steps_are_not_dithered_are_named_and_no_g_sensitivity_is
 @pytest.mark.parametrize("estimator", ["closed-form", "least-squares"])
 def test_sigmas_of_readings_in_steps_are_true(case, estimator):
     """Mean NEES between 0.70 and 1.15, and 3.5 standard errors of a chi-square."""
-    found = [worse_than_stated((case,), seed, [estimator])[estimator] for seed in range(UNITS)]
+    found = of_units(case, estimator)
     error = 3.5 * math.sqrt(2.0 / sum(score.freedom for score in found))
     assert 0.70 * (1.0 - error) < pooled_nees(found) < 1.15 * (1.0 + error)
     assert {score.word for score in found} == {"sound"}
@@ -196,9 +193,8 @@ def test_sigmas_of_readings_in_steps_are_true(case, estimator):
 )
 def test_readings_truncated_toward_zero_are_named_and_the_result_is_not_sound(case):
     """Half a step by the sign of a reading moves parameters by many sigma, and residuals need not show it."""
-    for seed in range(UNITS):
-        unit, _ = unit_of(CASES[case], seed)
-        found = srt.calibrate(unit, "closed-form")
+    for number in range(UNITS):
+        found = calibrated(case, number, "closed-form")
         assert found.diagnostics.faults[0].fault in ("gyro_truncated", "accel_truncated")
         assert found.judgement.word in ("doubtful", "failed")
 
@@ -208,5 +204,4 @@ def test_readings_truncated_toward_zero_are_named_and_the_result_is_not_sound(ca
     ["steps of half a noise sigma", "steps of three noise sigma", "truncated downwards, half a noise sigma"],
 )
 def test_readings_rounded_to_steps_are_not_truncated(case):
-    unit, _ = unit_of(CASES[case], 0)
-    assert srt.calibrate(unit, "closed-form").diagnostics.faults == ()
+    assert calibrated(case, 0, "closed-form").diagnostics.faults == ()

@@ -104,6 +104,33 @@ def test_restricted_likelihood_recovers_components():
     np.testing.assert_allclose(found.mean(axis=0), [9.0, 4.0], atol=0.0, rtol=0.1 + (error / [9.0, 4.0]).max())
 
 
+@pytest.mark.parametrize("columns", [(6, 4), (60, 40)])
+def test_variances_are_those_of_the_largest_restricted_likelihood(columns):
+    """Components that few contrasts show, and more columns than contrasts; against the likelihood as it is defined."""
+    rng = np.random.default_rng(12)
+    H, R0 = rng.standard_normal((50, 8)), np.diag(rng.uniform(0.5, 2.0, 50))
+    roots = tuple(rng.standard_normal((50, n)) / np.sqrt(n) for n in columns)
+    z = rng.standard_normal(50) + sum(3.0 * L @ rng.standard_normal(L.shape[1]) for L in roots)
+
+    def likelihood(variances):
+        R = R0 + sum(v * L @ L.T for v, L in zip(variances, roots, strict=True))
+        information = H.T @ np.linalg.solve(R, H)
+        white = np.linalg.solve(R, z - H @ np.linalg.solve(information, H.T @ np.linalg.solve(R, z)))
+        return -0.5 * (np.linalg.slogdet(R)[1] + np.linalg.slogdet(information)[1] + z @ white)
+
+    asked = RestrictedLikelihood(z, H, R0, roots)
+    found = asked.variances()
+    assert np.all(found > 0.0)
+    # The steps end at a thousandth, which changes the logarithm by its square.
+    step = 0.03
+    for i in range(2):
+        aside = [found * (1.0 + step * sign * np.eye(2)[i]) for sign in (-1.0, 1.0)]
+        assert likelihood(found) > max(likelihood(other) for other in aside)
+        for other in aside:
+            expected = likelihood(found) - likelihood(other)
+            assert asked.logarithm(found) - asked.logarithm(other) == pytest.approx(expected, rel=1e-6)
+
+
 def test_restricted_likelihood_finds_nothing_in_nothing():
     rng = np.random.default_rng(10)
     H, R0 = rng.standard_normal((60, 10)), np.eye(60)

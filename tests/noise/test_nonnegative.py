@@ -1,12 +1,16 @@
 """Non-negative least squares against scipy's, and by its conditions of optimality."""
 
 import numpy as np
+import pytest
 from scipy.optimize import nnls
 
-from srt.noise.nonnegative import nonnegative_least_squares
+from srt.noise.nonnegative import many_nonnegative_least_squares, nonnegative_least_squares
+
+both = pytest.mark.parametrize("solve", [nonnegative_least_squares, many_nonnegative_least_squares])
 
 
-def test_agrees_with_scipy():
+@both
+def test_agrees_with_scipy(solve):
     """Full rank makes the solution unique: both agree to rounding, times the condition number (below 1e4 here)."""
     rng = np.random.default_rng(4)
     for _ in range(300):
@@ -15,19 +19,21 @@ def test_agrees_with_scipy():
         b = A @ np.where(rng.random(n) < 0.5, rng.random(n), -rng.random(n)) + 0.1 * rng.standard_normal(m)
         expected = nnls(A, b)[0]
         size = np.linalg.norm(b) / np.linalg.norm(A, axis=0)
-        np.testing.assert_allclose(nonnegative_least_squares(A, b) / size, expected / size, rtol=1e-9, atol=1e-11)
+        np.testing.assert_allclose(solve(A, b) / size, expected / size, rtol=1e-9, atol=1e-11)
 
 
-def test_exact_solution_at_the_boundary():
+@both
+def test_exact_solution_at_the_boundary(solve):
     """Unknowns that are exactly zero in the data stay zero, and the others are exact."""
     A = np.vander(np.arange(1.0, 7.0), 4) / 100.0
     truth = np.array([0.0, 2.0, 0.0, 3.0])
-    np.testing.assert_allclose(nonnegative_least_squares(A, A @ truth), truth, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(solve(A, A @ truth), truth, rtol=1e-9, atol=1e-9)
 
 
-def test_all_negative_gives_zero():
+@both
+def test_all_negative_gives_zero(solve):
     A = np.random.default_rng(1).random((9, 3))
-    assert not nonnegative_least_squares(A, -A @ np.ones(3)).any()
+    assert not solve(A, -A @ np.ones(3)).any()
 
 
 def test_signed_unknowns_agree_with_scipy():

@@ -31,6 +31,8 @@ import srt
 from srt.cli import main
 from srt.cli.app import COMMANDS, app
 
+pytestmark = pytest.mark.usefixtures("plain_layout")
+
 ROOT = Path(__file__).parents[2]
 PAGES = {p.relative_to(ROOT).as_posix(): p for p in [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]}
 MARK = re.compile(r"<!-- (given|file|append|part of|not run): (.*?) -->")
