@@ -145,3 +145,13 @@ def pytest_terminal_summary(terminalreporter):
     if total:
         kinds = ", ".join(f"{total[kind]} {kind}" for kind in ("run", "parsed", "skipped"))
         terminalreporter.write_line(f"Commands and blocks of README and docs: {kinds}")
+
+
+@pytest.fixture(scope="module")
+def short_search():
+    """Plans by an eighth of the search: for tests of what is in a plan, not of how near to the best it is."""
+    from srt.planning import annealing
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(annealing, "TRIALS", annealing.TRIALS // 8)
+        yield

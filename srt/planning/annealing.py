@@ -87,16 +87,17 @@ class AnnealedSearch:
     ----------
     most : int
         Largest number of sequences; 0: the sequences stay what they are.
-    trials : int
-        Changes that are tried.
+    share : float
+        Share of ``TRIALS`` that is tried.
     tell : callable
         Called at every step.
     """
 
     def __init__(
-        self, chain: DriftChain, most: int, trials: int = TRIALS, tell: Callable[[], None] = lambda: None
+        self, chain: DriftChain, most: int, share: float = 1.0, tell: Callable[[], None] = lambda: None
     ) -> None:
-        self.chain, self.most, self.trials, self.tell = chain, most, trials, tell
+        self.chain, self.most, self.tell = chain, most, tell
+        self._steps = math.ceil(share * TRIALS / _BATCH)
         kinds = _SEQUENCES if most else _ORDER
         self._kinds, self._borders = tuple(kinds), np.cumsum(list(kinds.values()))
         self._rng = np.random.default_rng(_SEED)
@@ -107,7 +108,7 @@ class AnnealedSearch:
         if not ordered:
             return None
         walks = [_Walk(test, *self._exact(test)) for test in ordered]
-        steps, starts = math.ceil(self.trials / _BATCH), len(walks)
+        steps, starts = self._steps, len(walks)
         for step in range(steps):
             self.tell()
             # The worst of the walks ends after equal parts of the time.
@@ -134,7 +135,7 @@ class AnnealedSearch:
             walk.best = min(walk.best, (value, trial, windows), key=lambda best: best[0])
 
     def _ordered(self, selection: Indices) -> tuple[float, Schedule] | None:
-        """Best of some random orders of a selection, shortened until it fits; None if nothing does."""
+        """Best of some orders of a selection, random but for one, shortened until it fits; None if nothing does."""
         chosen = selection.tolist()
         while chosen:
             orders = [
@@ -147,6 +148,17 @@ class AnnealedSearch:
                 return None
             chosen.pop()
         return None
+
+    def _short_order(self, chosen: list[int]) -> list[int]:
+        """Order with short moves: the nearest sequence follows, from the first with which the whole is shortest."""
+        moves, paths = np.round(self.chain.moves_s[np.ix_(chosen, chosen)], 6), []
+        for first in range(len(chosen)):
+            path, left = [first], [k for k in range(len(chosen)) if k != first]
+            while left:
+                path.append(left.pop(int(np.argmin(moves[path[-1], left]))))
+            paths.append(path)
+        best = min(paths, key=lambda path: significant(float(moves[path[:-1], path[1:]].sum())))
+        return [chosen[k] for k in best]
 
     def _promising(self, trials: list[Schedule], correction: Array) -> tuple[float, Schedule]:
         """Best of some tests with equally many sequences by the fast model, with corrected variances."""
@@ -180,16 +192,15 @@ class AnnealedSearch:
             i, j = sorted((i, j))
             rows[i : j + 1] = rows[i : j + 1][::-1]
         elif kind == "lengthen":
-            member, steps = rows[i]
-            rows[i] = member, min(max(steps + (1 if rng.random() < 0.5 else -1), 0), MOST_STEPS)
+            longer = rows[i][1] + (1 if rng.random() < 0.5 else -1)
+            rows[i] = rows[i][0], min(max(longer, 0), MOST_STEPS)
         elif kind == "replace":
             rows[i] = self._any_member(), rows[i][1]
         elif kind == "remove":
             rows.pop(i)
         elif kind == "add":
             rows.insert(j, (self._any_member(), 0))
-        members, steps = zip(*rows, strict=True)
-        return Schedule(members, steps)
+        return Schedule(tuple(member for member, _ in rows), tuple(steps for _, steps in rows))
 
     def _any_member(self) -> int:
         m = len(self.chain.which)

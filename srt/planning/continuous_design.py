@@ -24,6 +24,7 @@ from scipy.optimize import linprog, minimize
 
 from srt.exceptions import DataError
 from srt.planning.information import target_variances
+from srt.ranking import ranked
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -232,7 +233,7 @@ def _first_design(columns: Columns, total_s: float) -> ContinuousDesign:
     even = np.full(len(cost), total_s / len(cost)) / cost
     g, X = columns.variances(columns.information(np.arange(len(cost)), even))
     each = columns.gains(X, g) / cost[:, None]
-    active = np.unique(np.argsort(-each, axis=0)[:_FIRST_PER_TARGET])
+    active = np.unique(ranked(each, axis=0)[:_FIRST_PER_TARGET])
     weight = total_s / len(active) / cost[active]
     return ContinuousDesign(active, weight, math.inf, 0.0, np.zeros(len(g)), np.zeros(len(cost)))
 
@@ -262,9 +263,9 @@ def _column_generation(
             break
         # The target weights of the best bound give equal value per time to all columns that should be run: new columns
         # are those worth at least the present mean.
-        fresh = np.setdiff1d(np.argsort(-worth)[: 4 * _ADDED_PER_ROUND], active, assume_unique=False)
+        fresh = np.setdiff1d(ranked(worth)[: 4 * _ADDED_PER_ROUND], active)
         fresh = fresh[worth[fresh] > price * _WORTH_ADDING]
-        fresh = fresh[np.argsort(-worth[fresh])][:_ADDED_PER_ROUND]
+        fresh = fresh[ranked(worth[fresh])][:_ADDED_PER_ROUND]
         if fresh.size == 0:
             break
         active = np.concatenate([active, fresh])
@@ -367,7 +368,7 @@ def _target_weights(gains: Array, g: Array, active: Indices, weight: Array, cost
         weights = np.maximum(result.x[:q], 0.0)
         weights /= weights.sum()
         worth = per_time @ weights
-        broken = np.argsort(-worth)[:_ADDED_PER_ROUND]
+        broken = ranked(worth)[:_ADDED_PER_ROUND]
         broken = broken[worth[broken] > worth[rows].max() * (1.0 + _CUT_TOLERANCE)]
         if broken.size == 0:
             break

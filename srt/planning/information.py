@@ -225,12 +225,16 @@ class Signatures:
             part = slice(first, first + _CACHED)
             k = part if which is None else which[part]
             R = np.asarray(sum(self.covariances(T[0][part], T[1][part], k).values()))
-            # Rates and specific forces differ by orders of magnitude: the covariance is equilibrated first.
-            scale = 1.0 / np.sqrt(np.einsum("naa->na", R))
-            L = np.linalg.cholesky(R * scale[:, :, None] * scale[:, None, :])
-            # An inverse has ten right-hand sides, H has three times as many.
-            np.matmul(np.linalg.inv(L) * scale[:, None, :], self.H[k], out=rows[part])
+            np.matmul(whitening(R), self.H[k], out=rows[part])
         return rows
+
+
+def whitening(R: Array) -> Array:
+    """Matrices ``L⁻¹`` with ``L Lᵀ`` the covariances R, shape (n, 10, 10)."""
+    # Rates and specific forces differ by orders of magnitude: the covariance is equilibrated first.
+    scale = 1.0 / np.sqrt(np.einsum("naa->na", R))
+    # An inverse has ten right-hand sides, the Jacobian three times as many.
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(R * scale[:, :, None] * scale[:, None, :])) * scale[:, None, :])
 
 
 def _with_wait(integrals: RotationIntegrals, wait_s: float) -> RotationIntegrals:

@@ -13,6 +13,7 @@ from srt.planning.conditions import GRAVITY, N_UNKNOWNS, NORTH
 from srt.planning.plan import PlanLimits, check_targets
 from srt.planning.planner import Planner
 from srt.planning.prediction import OBSERVED_LIMIT
+from srt.ranking import ranked
 from srt.sensor_errors import NAMES
 
 if TYPE_CHECKING:
@@ -150,10 +151,11 @@ def next_sequences(
     design = planner.continuous(horizon_s)
     spent = design.weight * planner.columns.cost_s[design.which]
     by_kind: dict[tuple[str, ...], list[int]] = {}
-    for j in np.argsort(-spent).tolist():
+    for j in ranked(spent).tolist():
         by_kind.setdefault(_kind(planner.signatures.candidates[planner.sequence[design.which[j]]]), []).append(j)
-    ranked = sorted(by_kind.values(), key=lambda of: -float(spent[of].sum()))
-    return tuple(_proposal(planner, int(design.which[of[0]]), targets) for of in ranked[:count])
+    kinds = list(by_kind.values())
+    first = ranked(np.array([spent[of].sum() for of in kinds]))[:count]
+    return tuple(_proposal(planner, int(design.which[kinds[k][0]]), targets) for k in first)
 
 
 def _kind(candidate: Candidate) -> tuple[str, ...]:
@@ -167,7 +169,7 @@ def _proposal(planner: Planner, column: int, targets: Array) -> Proposal:
     counted = criterion.targets
     improved = tuple(
         (NAMES[counted[i]], _sigma(before[i], targets[counted[i]]), _sigma(after[i], targets[counted[i]]))
-        for i in np.argsort(after / before)[:_MOST_LISTED]
+        for i in ranked(-after / before)[:_MOST_LISTED]
         if after[i] < min(_LEAST_GAIN * before[i], OBSERVED_LIMIT**2)
     )
     first, last = planner.windows[column]

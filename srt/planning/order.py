@@ -1,9 +1,8 @@
-"""Order of sequences with the shortest moves, and the angles of the fixture in that order."""
+"""Moves between the sequences of a test, and the angles of the fixture at which they are short."""
 
 from __future__ import annotations
 
-from functools import lru_cache
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,99 +11,32 @@ if TYPE_CHECKING:
 
     from srt.planning.candidates import Candidate
     from srt.planning.fixture_kinematics import FixtureKinematics
-    from srt.types import Array, Indices
-
-_MOST_PASSES: Final = 100
-"""Improvements of a path at most."""
-_STARTS: Final = 6
-"""Paths, the shortest by nearest neighbours, that are improved."""
-_LEAST_GAIN_S: Final = 1e-9
-"""Shortening that counts as an improvement, s: more than rounding."""
-_LONGEST_RUN: Final = 3
-"""Longest run of sequences that is shifted."""
+    from srt.types import Array
 
 
-def best_order(
-    candidates: Sequence[Candidate], fixture: FixtureKinematics
-) -> tuple[tuple[int, ...], tuple[Candidate, ...], float]:
-    """Order sequences so that the moves between them are short.
+def moves_between(candidates: Sequence[Candidate], fixture: FixtureKinematics) -> Array:
+    """Times from the end of each of m sequences to the start window of each, shape (m, m), s.
 
-    Parameters
-    ----------
-    fixture : FixtureKinematics
-        Where several angles within the travel give a start attitude, the nearest are taken.
-
-    Returns
-    -------
-    order : tuple of int
-        Positions in ``candidates``.
-    chosen : tuple of Candidate
-        The sequences in that order, at the angles chosen.
-    moves_s : float
-        Time of pauses, moves and settling between the sequences, s.
-
-    Notes
-    -----
-    This is a travelling-salesman problem, solved by local search. Paths by nearest neighbours start from every
-    sequence; in the shortest of them, runs of sequences are shifted and reversed until nothing improves.
+    Where several angles within the travel give a start attitude, the nearest pair counts.
     """
-    n = len(candidates)
-    if n == 0:
-        return (), (), 0.0
-    ways = [c.alternatives(fixture) or (c,) for c in candidates]
-    # Cost of a move: that between the nearest pair of angles. The angles are chosen consistently at the end.
-    cost = np.zeros((n, n))
-    for i in range(n):
-        for j in range(n):
-            if i != j:
-                cost[i, j] = min(fixture.move_s(a.end_deg, b.start_deg) for a in ways[i] for b in ways[j])
-    paths = sorted((_nearest(first, cost) for first in range(n)), key=lambda p: _length(p, cost))
-    path = min((_improved(p, cost) for p in paths[:_STARTS]), key=lambda p: _length(p, cost))
-    chosen, total = _angles([ways[i] for i in path], fixture)
-    return tuple(path), chosen, total
+    ways = [_ways(candidate, fixture) for candidate in candidates]
+    # Many sequences begin or end at the same angles.
+    starts = [tuple({way.start_deg: None for way in own}) for own in ways]
+    ends = [tuple({way.end_deg: None for way in own}) for own in ways]
+    times = {
+        (end, start): min(fixture.move_s(a, b) for a in end for b in start)
+        for end in set(ends)
+        for start in set(starts)
+    }
+    return np.array([[times[end, start] for start in starts] for end in ends])
 
 
-def _nearest(first: int, cost: Array) -> list[int]:
-    path, left = [first], set(range(len(cost))) - {first}
-    while left:
-        here = path[-1]
-        path.append(min(sorted(left), key=lambda j: cost[here, j]))
-        left.remove(path[-1])
-    return path
+def nearest_angles(candidates: Sequence[Candidate], fixture: FixtureKinematics) -> tuple[tuple[Candidate, ...], float]:
+    """Sequences in their order at the angles that make the moves shortest, and the time of the moves, s.
 
-
-def _length(path: Sequence[int], cost: Array) -> float:
-    return float(cost[path[:-1], path[1:]].sum())
-
-
-def _improved(path: list[int], cost: Array) -> list[int]:
-    """Shift short runs of sequences and reverse runs while that shortens the path, the best change first."""
-    changes = _changes(len(path))
-    for _ in range(_MOST_PASSES):
-        trials = np.array(path)[changes]
-        lengths = cost[trials[:, :-1], trials[:, 1:]].sum(axis=1)
-        best = int(np.argmin(lengths))
-        if lengths[best] > _length(path, cost) - _LEAST_GAIN_S:
-            return path
-        path = trials[best].tolist()
-    return path
-
-
-@lru_cache(maxsize=16)
-def _changes(n: int) -> Indices:
-    """Orders of n positions after every change, the unchanged order first, shape (number of changes, n)."""
-    path = list(range(n))
-    out = [path]
-    for size in range(1, _LONGEST_RUN + 1):
-        for i in range(n - size + 1):
-            run, rest = path[i : i + size], path[:i] + path[i + size :]
-            out += [rest[:j] + run + rest[j:] for j in range(len(rest) + 1) if j != i]
-    out += [path[:i] + path[i:j][::-1] + path[j:] for i in range(n) for j in range(i + 2, n + 1)]
-    return np.array(out)
-
-
-def _angles(ways: Sequence[Sequence[Candidate]], fixture: FixtureKinematics) -> tuple[tuple[Candidate, ...], float]:
-    """Angles with the shortest moves along a path: shortest path through the layers of alternatives."""
+    The angles are the shortest path through the layers of alternatives.
+    """
+    ways = [_ways(candidate, fixture) for candidate in candidates]
     best: list[tuple[float, tuple[Candidate, ...]]] = [(0.0, (c,)) for c in ways[0]]
     for layer in ways[1:]:
         best = [
@@ -116,3 +48,7 @@ def _angles(ways: Sequence[Sequence[Candidate]], fixture: FixtureKinematics) -> 
         ]
     total, line = min(best, key=lambda pair: pair[0])
     return line, total
+
+
+def _ways(candidate: Candidate, fixture: FixtureKinematics) -> tuple[Candidate, ...]:
+    return candidate.alternatives(fixture) or (candidate,)

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from srt.exceptions import InputError
-from srt.planning.order import best_order
-from srt.planning.prediction import Prediction, predict, prior_information, unknown_scales
-from srt.planning.selection import AccuracyCriterion
+from srt.planning.order import nearest_angles
+from srt.planning.prediction import Prediction, predict, prior_information, unknown_scales, variances_of_test
+from srt.planning.selection import AccuracyCriterion, filled
 from srt.planning.timetable import ScheduledSequence, timetable
 from srt.presentation import Presented
+from srt.ranking import ranked, significant
 from srt.sensor_errors import N_PARAMETERS, NAMES
 
 if TYPE_CHECKING:
@@ -26,6 +28,8 @@ if TYPE_CHECKING:
 
 MET: Final = 1.0 + 1e-4
 """Sigma over target up to which a target counts as met; the margin is the accuracy of the optimisation."""
+_REFINEMENTS: Final = 2
+"""Optimisations of the windows, each with the variances of the whole test by the windows before."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,7 +133,7 @@ class Plan(Presented):
     @property
     def worst(self) -> str:
         """Parameter with the worst sigma over target."""
-        return NAMES[int(np.nanargmax(self.ratios))]
+        return NAMES[int(ranked(self.ratios)[0])]
 
     @property
     def unmet(self) -> tuple[str, ...]:
@@ -176,29 +180,57 @@ def accuracy_criterion(
 
 
 class TooLongError(InputError):
-    """Error: the moves leave no time for the windows; ``per_sequence_s`` is the time between sequences."""
+    """Error: the moves leave no time for the windows; ``missing_s`` is the time by which the test is too long."""
 
-    def __init__(self, message: str, per_sequence_s: float) -> None:
+    def __init__(self, message: str, missing_s: float) -> None:
         super().__init__(message)
-        self.per_sequence_s = per_sequence_s
+        self.missing_s = missing_s
+
+
+def too_short(criterion: AccuracyCriterion, which: Indices, total_s: float) -> TooLongError:
+    """Error of a time that is too short for selected sequences in their order."""
+    own, least = criterion.signatures, 2.0 * criterion.shortest_s * len(which)
+    moves_s = nearest_angles([own.candidates[k] for k in which], own.fixture)[1]
+    fixed_s = moves_s + float(own.between_windows_s[which].sum())
+    return TooLongError(
+        f"{total_s:g} s are too short for {len(which)} sequences: rotations and moves alone take {fixed_s:.0f} s, and "
+        f"the windows at least {least:.0f} s.",
+        fixed_s + least - total_s,
+    )
 
 
 def scheduled_plan(
     criterion: AccuracyCriterion, which: Indices, windows_s: Array, targets: Array, total_s: float
 ) -> Plan:
-    """Plan of selected sequences: ordered for short moves, with the remaining time shared among the windows."""
+    """Plan of selected sequences in their order, with the time shared among the windows.
+
+    Parameters
+    ----------
+    which : ndarray of int, shape (n,)
+    windows_s : ndarray, shape (n,), s
+        Initial lengths of both windows of each.
+
+    Raises
+    ------
+    TooLongError
+        The windows have no time.
+    """
     own = criterion.signatures
-    order, ways, moves_s = best_order([own.candidates[k] for k in which], own.fixture)
-    which = which[list(order)]
+    ways, moves_s = nearest_angles([own.candidates[k] for k in which], own.fixture)
+    each_s = np.array([own.fixture.move_s(a.end_deg, b.start_deg) for a, b in pairwise(ways)])
     budget = total_s - moves_s - float(own.between_windows_s[which].sum())
-    least = 2.0 * criterion.shortest_s * len(which)
-    if budget < least:
-        raise TooLongError(
-            f"{total_s:g} s are too short for {len(which)} sequences: rotations and moves alone take "
-            f"{total_s - budget:.0f} s, and the windows at least {least:.0f} s.",
-            moves_s / max(1, len(which) - 1),
-        )
-    windows_s = criterion.best_windows(which, windows_s[list(order)], budget)
-    used = total_s - budget + float(windows_s.sum())
-    prediction = predict(ways, windows_s, own.fixture, own.conditions, targets)
-    return Plan(ways, windows_s, used, moves_s, own.fixture, own.conditions, targets, prediction)
+    # Rounding may leave the time of windows that are all of the least length a little below their sum.
+    if budget < 2.0 * criterion.shortest_s * len(which) * (1.0 - 1e-9):
+        raise too_short(criterion, which, total_s)
+    windows = filled(np.repeat(windows_s[:, None], 2, axis=1), budget, criterion.shortest_s, criterion.longest_s)
+    variances = variances_of_test(criterion, which, windows, each_s)
+    best = significant(variances.max()), windows
+    for _ in range(_REFINEMENTS):
+        # The drift of a whole test is not additive: the additive variances are corrected to those of the whole test.
+        simple = np.exp(criterion.log_variances(which, windows)[0])
+        windows = replace(criterion, correction=variances / simple).best_windows(which, windows, budget)
+        variances = variances_of_test(criterion, which, windows, each_s)
+        best = min(best, (significant(variances.max()), windows), key=lambda pair: pair[0])
+    used = total_s - budget + float(best[1].sum())
+    prediction = predict(ways, best[1], own.fixture, own.conditions, targets)
+    return Plan(ways, best[1], used, moves_s, own.fixture, own.conditions, targets, prediction)

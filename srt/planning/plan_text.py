@@ -10,6 +10,7 @@ import numpy as np
 
 from srt.planning.plan_document import format_sigma, symbols
 from srt.planning.timetable import clock
+from srt.ranking import ranked
 from srt.reports.parameters import sigma_text, value_text
 from srt.reports.tables import text_table, wrap
 from srt.reports.text.calibration import source_label
@@ -101,7 +102,7 @@ def protocol_text(plan: Plan, name: str, sigma: Array, *, on_fixture: bool) -> s
     wanted = ~np.isnan(plan.targets)
     missing = [NAMES[k] for k in np.flatnonzero(wanted & np.isinf(sigma))]
     ratio = np.where(wanted & np.isfinite(sigma), sigma / plan.targets, 0.0)
-    worst = int(np.argmax(ratio))
+    worst = int(ranked(ratio)[0])
     where = "" if on_fixture else ", without the fixture, which cannot run it"
     said = f"Protocol {name} in the same time{where}: "
     if ratio[worst] > 0.0:

@@ -2,9 +2,9 @@
 
 1. The sequences that the fixture can execute, each with several lengths of its windows, are the columns of a continuous
    design. Its optimum bounds what any plan can reach (:mod:`srt.planning.continuous_design`).
-2. Whole sequences are selected among the columns of most value (:mod:`srt.planning.selection`), ordered for short moves
-   (:mod:`srt.planning.order`), and the windows share the remaining time. This is repeated with the times of the moves
-   and the variances that the whole test has in that order.
+2. Whole sequences are selected among the columns of most value (:mod:`srt.planning.selection`).
+3. Sequences, order and windows are searched together, with the covariance of the whole test in its order and the time
+   of the moves (:mod:`srt.planning.annealing`); then the windows share the time (:mod:`srt.planning.plan`).
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ import numpy as np
 
 from srt.exceptions import DataError, InputError
 from srt.model.table1 import SEQUENCES
+from srt.planning.annealing import AnnealedSearch
 from srt.planning.candidates import executable_candidates, from_catalogue, turn_patterns
 from srt.planning.continuous_design import (
     Columns,
@@ -26,10 +27,22 @@ from srt.planning.continuous_design import (
     optimal_design,
     unobservable_targets,
 )
+from srt.planning.drift_chain import DriftChain
 from srt.planning.information import Signatures
-from srt.planning.plan import MET, Plan, PlanLimits, TooLongError, accuracy_criterion, check_targets, scheduled_plan
+from srt.planning.order import moves_between
+from srt.planning.plan import (
+    MET,
+    Plan,
+    PlanLimits,
+    TooLongError,
+    accuracy_criterion,
+    check_targets,
+    scheduled_plan,
+    too_short,
+)
 from srt.planning.prediction import predict
 from srt.planning.selection import CandidatePool, SelectionSearch
+from srt.ranking import ranked
 from srt.recording.schema import LARGEST_TIME_S
 from srt.sensor_errors import NAMES
 
@@ -39,7 +52,6 @@ if TYPE_CHECKING:
     from srt.planning.candidates import Candidate
     from srt.planning.conditions import Conditions
     from srt.planning.fixture_kinematics import FixtureKinematics
-    from srt.planning.selection import AccuracyCriterion
     from srt.types import Array, Indices
 
     Progress = Callable[[str, int, float], None]
@@ -72,14 +84,10 @@ _BISECTIONS: Final = 4
 """Bisections between a plan that meets the targets and a time that was too short."""
 _CLOSE: Final = 0.03
 """Relative distance of those two times at which the bisection ends."""
-_ROUNDS: Final = 12
-"""Selections for one length, each with the times of the moves and the variances of the plan before."""
-_PATIENCE: Final = 4
-"""Selections without a better plan after which the search ends."""
-_LENGTHEN_MOVES: Final = 1.05
-"""Increase of the estimated time between sequences when the moves left no time for the windows."""
-_TABLE_1_WINDOW_S: Final = 10.0
-"""Initial length of the windows of Table 1, s."""
+_QUICK: Final = 0.25
+"""Share of the search for each of the lengths that are tried for the shortest test."""
+_RESERVES: Final = 4
+"""Searches for one length, each with more time kept for the moves than the one before."""
 
 
 def make_plan(
@@ -137,8 +145,12 @@ def table_1_plan(
     check_targets(targets)
     candidates = [from_catalogue(s, fixture) for s in SEQUENCES.values()]
     criterion = accuracy_criterion(Signatures(candidates, fixture, conditions), targets, limits)
-    windows_s = np.full((len(candidates), 2), _TABLE_1_WINDOW_S)
-    return scheduled_plan(criterion, np.arange(len(candidates)), windows_s, targets, total_s)
+    every = np.arange(len(candidates))
+    search = AnnealedSearch(DriftChain(criterion, every, moves_between(candidates, fixture), total_s), most=0)
+    found = search.best([every])
+    if found is None:
+        raise too_short(criterion, every, total_s)
+    return scheduled_plan(criterion, every[list(found[0].members)], found[1], targets, total_s)
 
 
 class Planner:
@@ -229,7 +241,7 @@ class Planner:
         """
         K = len(signatures)
         by_sequence = rough.worth.reshape(-1, K).max(axis=0)
-        near = np.argsort(-by_sequence)[:_FINE_SEQUENCES]
+        near = ranked(by_sequence)[:_FINE_SEQUENCES]
         near = near[by_sequence[near] > _NEARLY]
         fine = self.limits.grid_s(_FINE_GRID)
         pairs = np.stack(np.meshgrid(fine, fine, indexing="ij"), axis=-1).reshape(-1, 2)
@@ -239,7 +251,7 @@ class Planner:
         added = replace(coarse, rows=rows, cost_s=cost)
         g, X = coarse.variances(coarse.information(rough.which, rough.weight))
         worth = added.gains(X, g) @ rough.weights / cost
-        good = np.argsort(-worth)[:_FINE_COLUMNS]
+        good = ranked(worth)[:_FINE_COLUMNS]
         columns = replace(
             coarse, rows=np.concatenate([coarse.rows, rows[good]]), cost_s=np.concatenate([coarse.cost_s, cost[good]])
         )
@@ -254,23 +266,23 @@ class Planner:
         """Candidates for whole sequences: those of the continuous optimum, those of nearly equal value, and Table 1."""
         best: dict[int, int] = {}
         # Each sequence once, with its best windows.
-        for j in np.argsort(-design.worth, kind="stable").tolist():
+        for j in ranked(design.worth).tolist():
             best.setdefault(int(self.sequence[j]), j)
             if len(best) == _POOL:
                 break
         time = np.zeros(len(self.signatures))
         np.add.at(time, self.sequence[design.which], design.weight * self.columns.cost_s[design.which])
-        for j in design.which[np.argsort(-design.weight, kind="stable")].tolist():
+        for j in design.which[ranked(design.weight)].tolist():
             best[int(self.sequence[j])] = j  # a sequence of the optimum keeps the windows that it has there
         known = [self._number[c.key] for c in self._table_1 if c.key in self._number]
         worth = np.where(np.isin(np.arange(len(self.sequence)), list(best.values())), 2.0, design.worth)
         for k in known:
             if k not in best:
                 own = np.flatnonzero(self.sequence == k)
-                best[k] = int(own[np.argmax(worth[own])])
+                best[k] = int(own[ranked(worth[own])[0]])
         sequences = np.array(list(best))
         columns = np.array(list(best.values()))
-        by_time = np.argsort(-time[sequences], kind="stable")
+        by_time = ranked(time[sequences])
         position = {int(k): i for i, k in enumerate(sequences)}
         starts = [by_time[:count] for count in _START_COUNTS]
         if known:
@@ -284,7 +296,7 @@ class Planner:
     def _with_bound(self, plan: Plan) -> Plan:
         """Plan with the lower bound of the worst ratio for its length."""
         bound = self.bound(plan.total_s)
-        first = np.argsort(-bound.weights)
+        first = ranked(bound.weights)
         limiting = tuple(
             (NAMES[self.criterion.targets[i]], float(bound.weights[i]))
             for i in first
@@ -292,43 +304,33 @@ class Planner:
         )
         return replace(plan, bound=bound.bound, limiting_targets=limiting)
 
-    def integer_plan(self, design: ContinuousDesign, total_s: float) -> Plan:
-        """Plan of whole sequences near a continuous design; the time of the moves is estimated first, then known."""
-        best: Plan | None = None
-        pool, criterion = self.pool(design), self.criterion
-        search = SelectionSearch(criterion, pool, total_s, self.limits.most_sequences)
-        per_sequence = self.least_s + self.fixture.outer.move_s(0.0, 90.0)
-        starts, vain = pool.starts, 0
-        for _ in range(_ROUNDS):
-            self.tell("plan", 0, 0.0)
-            chosen = search.best(criterion, starts, per_sequence)
-            if chosen is None:
+    def integer_plan(self, design: ContinuousDesign, total_s: float, share: float = 1.0) -> Plan:
+        """Plan of whole sequences near a continuous design, by a share of the search."""
+        pool, reserve_s = self.pool(design), 0.0
+        moves_s = moves_between([self.signatures.candidates[k] for k in pool.which], self.fixture)
+        selections = SelectionSearch(self.criterion, pool, total_s, self.limits.most_sequences).selections(
+            self.least_s + self.fixture.outer.move_s(0.0, 90.0)
+        )
+        for _ in range(_RESERVES):
+            chain = DriftChain(self.criterion, pool.which, moves_s, total_s - reserve_s)
+            search = AnnealedSearch(chain, self.limits.most_sequences, share, lambda: self.tell("plan", 0, 0.0))
+            found = search.best(selections)
+            if found is None:
                 break
             try:
-                plan = scheduled_plan(criterion, pool.which[chosen[0]], chosen[1], self.targets, total_s)
-            except TooLongError as error:
-                per_sequence = max(_LENGTHEN_MOVES * per_sequence, error.per_sequence_s)
+                plan = scheduled_plan(
+                    self.criterion, pool.which[list(found[0].members)], found[1], self.targets, total_s
+                )
+            except TooLongError as error:  # the angles at which each move is shortest may differ
+                reserve_s += error.missing_s
                 continue
-            vain += 1
-            if plan.ratio < (best.ratio if best else math.inf):
-                best, vain = plan, 0
-            if vain == _PATIENCE:
-                break
-            per_sequence = plan.moves_s / max(1, len(plan.candidates) - 1)
-            starts, criterion = (chosen[0],), self._corrected(plan) or criterion
-        if best is None:
-            raise InputError(
-                f"{total_s:g} s are too short for a test that observes all targets: give more time, shorter windows "
-                "(shortest_window_s), more sequences (most_sequences), or fewer targets."
-            )
-        return best
-
-    def _corrected(self, plan: Plan) -> AccuracyCriterion | None:
-        """Criterion whose variances equal those of the whole test for a plan, in which the drift is not additive."""
-        if not math.isfinite(plan.ratio):
-            return None
-        simple, _ = self.criterion.log_variances(self._positions(plan.candidates), plan.windows_s)
-        return replace(self.criterion, correction=plan.ratios[self.criterion.targets] ** 2 / np.exp(simple))
+            if math.isfinite(plan.ratio):
+                return plan
+            break
+        raise InputError(
+            f"{total_s:g} s are too short for a test that observes all targets: give more time, shorter windows "
+            "(shortest_window_s), more sequences (most_sequences), or fewer targets."
+        )
 
     def shortest_plan(self) -> Plan:
         """Shortest plan that meets the targets."""
@@ -338,7 +340,7 @@ class Planner:
         plan: Plan | None = None
         for _ in range(_TRIES):
             try:
-                plan = self.integer_plan(design, total_s)
+                plan = self.integer_plan(design, total_s, _QUICK)
                 ratio = plan.ratio
             except InputError:  # too short for any
                 ratio = math.inf
@@ -351,7 +353,7 @@ class Planner:
             if total_s > self.limits.longest_test_s:
                 break
             design = self.continuous(total_s)
-        raise self._out_of_reach(plan or self.integer_plan(design, total_s))
+        raise self._out_of_reach(plan or self.integer_plan(design, total_s, _QUICK))
 
     def _bisected(self, plan: Plan, design: ContinuousDesign, too_short_s: float) -> Plan:
         """Shorter plan between one that meets the targets and a time that was too short, by bisection."""
@@ -360,7 +362,7 @@ class Planner:
                 break
             total_s = math.sqrt(plan.total_s * too_short_s)
             try:
-                trial = self.integer_plan(design, total_s)
+                trial = self.integer_plan(design, total_s, _QUICK)
             except InputError:  # too short for any
                 too_short_s = total_s
                 continue
@@ -374,7 +376,7 @@ class Planner:
         """Raise DataError if the errors common to the whole test exceed a target, whatever the length of the test."""
         g = asymptotic_variances(self.coarse, self.limits.longest_test_s)
         if g.max() > 1.0:
-            k = int(self.criterion.targets[np.argmax(g)])
+            k = int(self.criterion.targets[ranked(g)[0]])
             raise DataError(
                 f"The target of {NAMES[k]} is out of reach however long the test is: the uncertainty of gravity and "
                 f"north and the drift of the unit, which no sequence reduces, are {math.sqrt(g.max()):.3g} times the "
@@ -396,7 +398,7 @@ class Planner:
             if design.bound > 1.0 and total_s > self.limits.longest_test_s:
                 design = self.continuous(self.limits.longest_test_s)
                 if design.bound > 1.0:
-                    raise self._out_of_reach(self.integer_plan(design, self.limits.longest_test_s))
+                    raise self._out_of_reach(self.integer_plan(design, self.limits.longest_test_s, _QUICK))
         return total_s, design
 
     def _out_of_reach(self, plan: Plan) -> DataError:

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from srt.noise.bias_instability import correlation_times, flicker_covariance
 from srt.planning.conditions import GRAVITY, N_UNKNOWNS, NORTH
-from srt.planning.information import N_ROWS, Signatures, equilibrated_inverse
+from srt.planning.information import N_ROWS, Signatures, equilibrated_inverse, target_variances
 from srt.planning.timetable import window_borders
+from srt.ranking import ranked
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES
 
 if TYPE_CHECKING:
@@ -20,7 +22,8 @@ if TYPE_CHECKING:
     from srt.planning.candidates import Candidate
     from srt.planning.conditions import Conditions
     from srt.planning.fixture_kinematics import FixtureKinematics
-    from srt.types import Array
+    from srt.planning.selection import AccuracyCriterion
+    from srt.types import Array, Indices
 
 
 WEAK_PRIOR: Final = 1e-9
@@ -109,9 +112,9 @@ def predict(
     scale = unknown_scales(wanted)
     n = len(signatures)
     H = signatures.H.reshape(n * N_ROWS, -1) * scale
-    R, within, common = _whole_covariance(signatures, windows_s)
-    d = 1.0 / np.sqrt(np.diag(R))
-    WH = np.linalg.solve(R * np.outer(d, d), H * d[:, None]) * d[:, None]
+    which, moves_s = np.arange(n), [fixture.move_s(a.end_deg, b.start_deg) for a, b in pairwise(candidates)]
+    R, within, common = _whole_covariance(signatures, which, windows_s, np.array(moves_s))
+    WH = _weighted(R, H)
     prior = prior_information(conditions, scale, known)
     P = equilibrated_inverse(prior + H.T @ WH)
     gain = P @ WH.T
@@ -136,11 +139,40 @@ def predict(
     )
 
 
-def _whole_covariance(signatures: Signatures, windows_s: Array) -> tuple[Array, dict[str, Array], dict[str, Array]]:
+def variances_of_test(criterion: AccuracyCriterion, which: Indices, windows_s: Array, moves_s: Array) -> Array:
+    """Variances over squared targets of the sequences of a criterion, run in an order, by the covariance of all.
+
+    Parameters
+    ----------
+    which : ndarray of int, shape (n,)
+    windows_s : ndarray, shape (n, 2), s
+    moves_s : ndarray, shape (n - 1,), s
+        Time between the sequences.
+
+    Returns
+    -------
+    ndarray, shape (q,)
+    """
+    own = criterion.signatures
+    H = own.H[which].reshape(len(which) * N_ROWS, -1) * criterion.scale
+    R, _, _ = _whole_covariance(own, which, windows_s, moves_s)
+    M = criterion.prior + H.T @ _weighted(R, H)
+    return target_variances(M, criterion.targets, np.zeros(len(criterion.targets)))[0]
+
+
+def _weighted(R: Array, H: Array) -> Array:
+    """``R⁻¹ H`` for a covariance whose rows have different units."""
+    d = 1.0 / np.sqrt(np.diag(R))
+    return np.asarray(np.linalg.solve(R * np.outer(d, d), H * d[:, None]) * d[:, None])
+
+
+def _whole_covariance(
+    signatures: Signatures, which: Indices, windows_s: Array, moves_s: Array
+) -> tuple[Array, dict[str, Array], dict[str, Array]]:
     """Covariance of all measurements of a test: n sequences in their order, without loss of time.
 
     Bias instability is one process over the whole test, correlated over all windows and rotations; the other sources
-    act within sequences.
+    act within sequences. Parameters as those of :func:`variances_of_test`.
 
     Returns
     -------
@@ -150,21 +182,42 @@ def _whole_covariance(signatures: Signatures, windows_s: Array) -> tuple[Array, 
     common : dict of str to ndarray, shape (10 n, 10 n)
         Parts by bias instability.
     """
-    c, n = signatures.conditions, len(signatures)
-    within = signatures.covariances(windows_s[:, 0], windows_s[:, 1], drift=False)
-    borders = window_borders(signatures.candidates, windows_s, signatures.fixture)
+    c, n = signatures.conditions, len(which)
+    within = signatures.covariances(windows_s[:, 0], windows_s[:, 1], which, drift=False)
+    borders = window_borders(signatures.between_windows_s[which], windows_s, moves_s)
     K = flicker_covariance(borders[:, :3].ravel(), borders[:, 1:].ravel(), correlation_times(float(borders[-1, 3])))
     K = K.reshape(n, 3, n, 3)
     common = {}
-    for sensor, floor, effect, of_biases in (
-        ("gyro", c.gyro_instability, signatures.by_bias, K),
-        ("accel", c.accel_instability, signatures.by_force, K[:, ::2, :, ::2]),
+    for sensor, floor, by_bias, intervals in (
+        ("gyro", c.gyro_instability, signatures.by_bias, slice(None)),
+        ("accel", c.accel_instability, signatures.by_force, slice(None, None, 2)),
     ):
-        by_biases = np.einsum("kiac,kilj,ljbc->kalb", effect, floor**2 * of_biases, effect, optimize=True)
-        common[f"{sensor}_bias_instability"] = by_biases.reshape(n * N_ROWS, -1)
+        of_biases = floor**2 * K[:, intervals, :, intervals]
+        by_axis = (_by_biases(of_biases, by_bias[which][..., axis]) for axis in range(3))
+        common[f"{sensor}_bias_instability"] = np.asarray(sum(by_axis))
     R = np.asarray(sum(common.values())).reshape(n, N_ROWS, n, N_ROWS)
     R[np.arange(n), :, np.arange(n)] += np.asarray(sum(within.values()))
     return R.reshape(n * N_ROWS, -1), within, common
+
+
+def _by_biases(K: Array, effect: Array) -> Array:
+    """Covariance of the measurements by the biases of one axis.
+
+    Parameters
+    ----------
+    K : ndarray, shape (n, i, n, i)
+        Covariance of the biases in i intervals of n sequences.
+    effect : ndarray, shape (n, i, 10)
+        Derivatives of the measurements of a sequence.
+
+    Returns
+    -------
+    ndarray, shape (10 n, 10 n)
+    """
+    n, i = effect.shape[:2]
+    # One product for each sequence instead of one for each pair: a large matrix by a small one.
+    left = (np.swapaxes(effect, 1, 2) @ K.reshape(n, i, n * i)).reshape(n * N_ROWS, n, i)
+    return np.asarray((left.transpose(1, 0, 2) @ effect).transpose(1, 0, 2).reshape(n * N_ROWS, -1))
 
 
 def _needs(
@@ -184,5 +237,5 @@ def _needed_for(without: Array, P: Array, targets: Array) -> tuple[tuple[str, fl
     rest = np.sqrt(np.maximum(np.diag(equilibrated_inverse(without)), 0.0))[counted]
     growth = np.where(rest > OBSERVED_LIMIT, math.inf, rest / np.sqrt(np.diag(P))[counted])
     growth = np.where(np.sqrt(np.diag(P))[counted] > OBSERVED_LIMIT, 1.0, growth)
-    first = np.argsort(-growth, kind="stable")[:_MOST_LISTED]
+    first = ranked(growth)[:_MOST_LISTED]
     return tuple((NAMES[counted[i]], float(growth[i])) for i in first if growth[i] > _LEAST_GROWTH)

@@ -10,6 +10,7 @@ from scipy.optimize import minimize
 
 from srt.planning.continuous_design import remembered, smallest_maximum
 from srt.planning.information import target_variances
+from srt.ranking import ranked, rounded
 
 if TYPE_CHECKING:
     from srt.planning.information import Signatures
@@ -26,6 +27,8 @@ _FACTORS: Final = np.geomspace(0.03, 2.0, 9)
 """Common factors of the windows for which the information is computed; it is interpolated between them."""
 _STEP: Final = 1e-3
 """Relative step of a window length for the derivative of its information: the error of a central difference is 1e-6."""
+_LEAST_CHANGE: Final = 1e-6
+"""Decrease of the logarithm of the criterion for which a selection is changed: far above rounding errors."""
 _LEAST_GAIN: Final = 1e-5
 """Decrease of the logarithm of the criterion in a pass below which the search ends."""
 
@@ -83,7 +86,7 @@ class AccuracyCriterion:
     def best_windows(self, which: Indices, windows_s: Array, budget_s: float) -> Array:
         """Lengths of the windows, shape (n, 2), with the smallest ratio in a time for all, from initial ones."""
         limits = self.shortest_s, self.longest_s
-        first = _filled(np.clip(windows_s, *limits), budget_s, *limits)
+        first = filled(np.clip(windows_s, *limits), budget_s, *limits)
         found = smallest_maximum(
             lambda x: self.log_variances(which, x.reshape(-1, 2)),
             first.ravel(),
@@ -91,7 +94,7 @@ class AccuracyCriterion:
             limits,
             1e-6,
         )
-        full = _filled(found.reshape(-1, 2), budget_s, *limits)
+        full = filled(found.reshape(-1, 2), budget_s, *limits)
         return min(full, first, key=lambda windows: self.log_variances(which, windows)[0].max())
 
     def shortest_windows(self, which: Indices, windows_s: Array) -> Array:
@@ -110,7 +113,7 @@ class AccuracyCriterion:
         return np.asarray(np.clip(found.x, self.shortest_s, self.longest_s).reshape(-1, 2))
 
 
-def _filled(windows: Array, budget_s: float, low: float, high: float) -> Array:
+def filled(windows: Array, budget_s: float, low: float, high: float) -> Array:
     """Windows scaled by one factor, within their limits, to fill a time; at the limits if no factor can."""
     # The sum is linear in the factor between those at which a window reaches a limit.
     factors = np.sort(np.concatenate([low / windows, high / windows], axis=None))
@@ -159,42 +162,19 @@ class SelectionSearch:
         information = np.stack([criterion.information(pool.which, w) for w in self._windows])
         self.information = np.pad(information, ((0, 0), (0, 1), (0, 0), (0, 0)))
 
-    def best(
-        self, criterion: AccuracyCriterion, starts: tuple[Indices, ...], per_sequence_s: float
-    ) -> tuple[Indices, Array] | None:
-        """Select sequences: they are added, taken out and exchanged as long as that helps, from several starts.
+    def selections(self, per_sequence_s: float) -> list[Indices]:
+        """Selections as positions in the pool, from every start; those of which nothing fits are left out.
+
+        Sequences are added, taken out and exchanged as long as that helps.
 
         Parameters
         ----------
-        criterion : AccuracyCriterion
-            That of the search, with other corrections.
-        starts : tuple of ndarray of int
-            Initial selections, as positions in the pool.
         per_sequence_s : float
             Time that a sequence takes beside its windows and rotations (moves, waits), s.
-
-        Returns
-        -------
-        (ndarray of int, ndarray) or None
-            Positions in the pool, and the best windows, shape (n, 2), s; None if nothing of any start fits.
         """
-        self.criterion = criterion
-        fixed = criterion.signatures.between_windows_s[self.pool.which] + per_sequence_s
+        fixed = self.criterion.signatures.between_windows_s[self.pool.which] + per_sequence_s
         self.cost = np.pad(self._windows.sum(axis=2) + fixed, ((0, 0), (0, 1)))
-        found = []
-        for chosen in map(self._improved, starts):
-            if chosen.size:
-                which, budget_s = self.pool.which[chosen], self.total_s - float(fixed[chosen].sum())
-                windows_s = criterion.best_windows(which, self._filling(chosen), budget_s)
-                found.append((criterion.log_variances(which, windows_s)[0].max(), chosen, windows_s))
-        return min(found, key=lambda each: each[0])[1:] if found else None
-
-    def _filling(self, chosen: Indices) -> Array:
-        """Windows of a selection that fill the time, shape (n, 2), s."""
-        level, share = self._level(self.cost[:, chosen].sum(axis=1)[:, None])
-        factor = _FACTORS[level[0]] * (_FACTORS[level[0] + 1] / _FACTORS[level[0]]) ** share[0]
-        limits = self.criterion.shortest_s, self.criterion.longest_s
-        return np.asarray(np.clip(factor * self.pool.windows_s[chosen], *limits))
+        return [chosen for chosen in map(self._improved, self.pool.starts) if chosen.size]
 
     def _improved(self, start: Indices) -> Indices:
         """Improve a selection; empty if nothing of it fits into the time."""
@@ -256,9 +236,9 @@ class SelectionSearch:
                 cost, information = cost - self.cost[:, chosen[i]], information - self.information[:, chosen[i]]
             near = self._promising(cost, information)
             values = self.values(cost, information, np.append(near, self.nothing))
-            k = int(np.argmin(values[:-1]))
+            k = int(np.argmin(rounded(values[:-1], scale=1.0)))
             without = float(values[-1]) if rest and i < len(chosen) else np.inf
-            if min(values[k], without) < now - 1e-9:
+            if min(values[k], without) < now - _LEAST_CHANGE:
                 chosen, now, total = rest, without, (cost, information)
                 if without >= values[k]:
                     chosen, now = [*rest, int(near[k])], float(values[k])
@@ -274,4 +254,4 @@ class SelectionSearch:
         weight = own.correction * (wanted / wanted.max()) ** (self.power - 1.0) / wanted.max()
         gain = self.information[level[0], :-1].reshape(self.nothing, -1) @ ((X * weight) @ X.T).ravel()
         by_time = gain / self.cost[level[0], :-1]
-        return np.union1d(np.argsort(-gain)[:_PROMISING], np.argsort(-by_time)[:_PROMISING]).astype(np.intp)
+        return np.union1d(ranked(gain)[:_PROMISING], ranked(by_time)[:_PROMISING]).astype(np.intp)

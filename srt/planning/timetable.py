@@ -32,22 +32,26 @@ def timetable(
     candidates: Sequence[Candidate], windows_s: Array, fixture: FixtureKinematics
 ) -> tuple[ScheduledSequence, ...]:
     """Times of sequences that are run in this order, if no time is lost."""
-    borders = window_borders(candidates, windows_s, fixture).tolist()
+    moves = [fixture.move_s(before.end_deg, after.start_deg) for before, after in pairwise(candidates)]
+    between = np.array([c.between_windows_s(fixture) for c in candidates])
+    borders = window_borders(between, windows_s, np.array(moves)).tolist()
     return tuple(ScheduledSequence((a, b), (c, d)) for a, b, c, d in borders)
 
 
-def window_borders(candidates: Sequence[Candidate], windows_s: Array, fixture: FixtureKinematics) -> Array:
-    """Start and end of the start window, then of the end window, of every sequence, shape (n, 4), s.
+def window_borders(between_s: Array, windows_s: Array, moves_s: Array) -> Array:
+    """Start and end of the start window, then of the end window, of n sequences, shape (n, 4), s.
 
     Parameters
     ----------
-    windows_s : ndarray, shape (n, 2)
-        Lengths of the start and of the end window.
+    between_s : ndarray, shape (n,), s
+        Time between the windows of each sequence.
+    windows_s : ndarray, shape (n, 2), s
+        Length of the start and of the end window.
+    moves_s : ndarray, shape (n - 1,), s
+        Time between the sequences.
     """
-    moves = [fixture.move_s(before.end_deg, after.start_deg) for before, after in pairwise(candidates)]
-    between = np.array([c.between_windows_s(fixture) for c in candidates])
     # Start of the first window; then each sequence is its windows, what lies between them, and the move to the next.
-    steps = np.column_stack([windows_s[:, 0], between, windows_s[:, 1], [*moves, 0.0]])
+    steps = np.column_stack([windows_s[:, 0], between_s, windows_s[:, 1], np.append(moves_s, 0.0)])
     return np.concatenate([[0.0], np.cumsum(steps)])[:-1].reshape(-1, 4)
 
 

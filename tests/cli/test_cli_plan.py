@@ -9,7 +9,7 @@ import sims
 from srt.cli import main
 from srt.sensor_errors import NAMES
 
-pytestmark = pytest.mark.usefixtures("plain_layout")
+pytestmark = pytest.mark.usefixtures("plain_layout", "short_search")
 
 PLAN = """
 [imu]
@@ -18,6 +18,7 @@ from = "tactical-fog"
 from = "lab-1mrad"
 [site]
 from = "latitude-45"
+
 [stand]
 settle_s = 0.5
 {stand}

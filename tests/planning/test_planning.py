@@ -25,6 +25,8 @@ from srt.planning.planner import make_plan, table_1_plan
 from srt.planning.prediction import predict
 from srt.sensor_errors import GROUP_SLICES, INDEX, NAMES
 
+pytestmark = pytest.mark.usefixtures("short_search")
+
 QUICK = PlanLimits(shortest_window_s=4.0, longest_window_s=30.0, largest_turn_deg=360, most_legs=2, most_sequences=12)
 FEW = PlanLimits(shortest_window_s=2.0, longest_window_s=30.0, largest_turn_deg=360, most_legs=2, most_sequences=14)
 ONE = replace(FEW, most_legs=1, most_sequences=4)

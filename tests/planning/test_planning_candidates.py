@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import replace
-from itertools import pairwise, permutations
 
 import numpy as np
 import pytest
@@ -18,7 +17,7 @@ from srt.model.table1 import SEQUENCES, RotationSequence
 from srt.planning.candidates import Candidate, executable_candidates, from_catalogue, turn_patterns
 from srt.planning.conditions import Conditions
 from srt.planning.fixture_kinematics import INNER, OUTER, AxisKinematics, FixtureKinematics
-from srt.planning.order import best_order
+from srt.planning.order import moves_between, nearest_angles
 from srt.planning.plan import Plan
 from srt.planning.plan_figure import plan_figure
 from srt.planning.prediction import predict
@@ -90,31 +89,14 @@ def test_turning_time_is_the_simulators(turn_deg):
     assert axis.turn_s(turn_deg) == pytest.approx(profile.duration_s(math.radians(turn_deg)), rel=1e-12)
 
 
-def test_order_is_the_best_of_all_orders():
-    rng = np.random.default_rng(5)
-    every = executable_candidates(
-        FixtureKinematics(settle_s=1.0, pause_s=0.5), turn_patterns(largest_turn_deg=180, most_legs=2)
-    )
-    stand = FixtureKinematics(settle_s=1.0, pause_s=0.5)
-    for _ in range(4):
-        chosen = [every[k] for k in rng.choice(len(every), 6)]
-        order, ways, moves_s = best_order(chosen, stand)
-        assert sorted(order) == list(range(6))
-        assert [w.key for w in ways] == [chosen[k].key for k in order]
-        shortest = min(
-            sum(stand.move_s(chosen[a].end_deg, chosen[b].start_deg) for a, b in pairwise(p))
-            for p in permutations(range(6))
-        )
-        assert moves_s == pytest.approx(shortest, abs=1e-9)
-
-
-def test_order_uses_the_nearest_of_several_angles():
+def test_moves_use_the_nearest_of_several_angles():
     there = Candidate((0, -180), ((1, 180),))
     again = Candidate((0, 180), ((1, -180),))
-    _, ways, moves_s = best_order([there, again], LIMITED)
+    ways, moves_s = nearest_angles([there, again], LIMITED)
     # From 0 either end of the travel is as far; the two sequences can follow each other with one half turn between.
     assert moves_s == pytest.approx(LIMITED.outer.turn_s(180.0))
     assert all(w.obstacle(LIMITED) is None for w in ways)
+    assert moves_between([there, again], LIMITED)[0, 1] == moves_s
 
 
 @pytest.mark.parametrize(

@@ -18,6 +18,8 @@ from srt.cli import main
 from srt.planning.planner import table_1_plan
 from srt.sensor_errors import NAMES
 
+pytestmark = pytest.mark.usefixtures("short_search")
+
 QUICK = {"dwell_s": 4.0, "moves": "skipped", "settle_s": 0.5}
 
 
