@@ -138,10 +138,9 @@ class AnnealedSearch:
         """Best of some orders of a selection, random but for one, shortened until it fits; None if nothing does."""
         chosen = selection.tolist()
         while chosen:
-            orders = [
-                Schedule(tuple(self._rng.permutation(chosen).tolist()), (0,) * len(chosen)) for _ in range(_ORDERS)
-            ]
-            best = self._promising(orders, np.ones(len(self.chain.criterion.targets)))
+            orders = [self._short_order(chosen), *(self._rng.permutation(chosen).tolist() for _ in range(_ORDERS))]
+            tests = [Schedule(tuple(order), (0,) * len(order)) for order in orders]
+            best = self._promising(tests, np.ones(len(self.chain.criterion.targets)))
             if math.isfinite(best[0]):
                 return best
             if not self.most:

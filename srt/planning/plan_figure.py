@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from srt.planning.fixture_kinematics import AXIS_NAMES
+from srt.planning.plan import MET
 from srt.planning.timetable import clock
 from srt.reports.figures.style import (
     BLUE,
@@ -214,7 +215,7 @@ def _accuracy(axes: Axes, plan: Plan) -> None:
     handles = [Line2D([], [], color=INK, linewidth=1.2, label="target")]
     if math.isfinite(plan.bound):
         axes.axhline(plan.bound, color=GREY, linewidth=1.2, linestyle="--")
-        label = f"lower bound for plans of this length: {plan.bound:.2g}"
+        label = f"lower bound for plans of this length: {plan.bound:.3f}"
         handles.append(Line2D([], [], color=GREY, linewidth=1.2, linestyle="--", label=label))
     axes.vlines(place[seen], np.minimum(ratios[seen], 1.0), np.maximum(ratios[seen], 1.0), color=FAINT, linewidth=3.0)
     for name in (*_SOURCES, *dict.fromkeys(s for s in largest if s not in _SOURCES)):
@@ -225,6 +226,10 @@ def _accuracy(axes: Axes, plan: Plan) -> None:
                 place[mine], ratios[mine], marker, color=colour, markersize=8.0, label=name.replace("_", " ")
             )
             handles.append(dots)
+    missed = seen & (ratios > MET)
+    if missed.any():
+        ring = {"color": VERMILION, "markersize": 14.0, "markerfacecolor": "none", "linestyle": "none"}
+        handles += axes.plot(place[missed], ratios[missed], "o", label="target missed", **ring)
     shown = np.concatenate([ratios[seen], [1.0], [plan.bound] if math.isfinite(plan.bound) else []])
     low, high = float(shown.min()) / 1.2, float(shown.max()) * 1.2
     axes.set_ylim(low, high)

@@ -85,7 +85,7 @@ _BISECTIONS: Final = 4
 _CLOSE: Final = 0.03
 """Relative distance of those two times at which the bisection ends."""
 _QUICK: Final = 0.25
-"""Share of the search for each of the lengths that are tried for the shortest test."""
+"""Share of the search for each of the lengths that are tried for the shortest test, and for the order of Table 1."""
 _RESERVES: Final = 4
 """Searches for one length, each with more time kept for the moves than the one before."""
 
@@ -146,7 +146,8 @@ def table_1_plan(
     candidates = [from_catalogue(s, fixture) for s in SEQUENCES.values()]
     criterion = accuracy_criterion(Signatures(candidates, fixture, conditions), targets, limits)
     every = np.arange(len(candidates))
-    search = AnnealedSearch(DriftChain(criterion, every, moves_between(candidates, fixture), total_s), most=0)
+    chain = DriftChain(criterion, every, moves_between(candidates, fixture), total_s)
+    search = AnnealedSearch(chain, most=0, share=_QUICK)
     found = search.best([every])
     if found is None:
         raise too_short(criterion, every, total_s)
