@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from scipy.special import chdtri
 
+from srt.conditioning import has_inverse
+
 if TYPE_CHECKING:
     from srt.noise.drift_forms import Statistics
     from srt.types import Array, Mask
@@ -71,6 +73,13 @@ class RestrictedLikelihood:
         self._parts = [contrasts.T @ C @ contrasts for C in components]
         self._square = float(np.sum((z * scale) ** 2))
         self._traces = [float(np.diag(C) @ scale**2) for C in components]
+
+    @property
+    def separable(self) -> bool:
+        """True if the residuals can tell all components apart: one contrast shows only the sum of three."""
+        P = np.linalg.inv(self._known)
+        weighted = [P @ C for C in self._parts]
+        return bool(has_inverse(np.array([[np.sum(A * B.T) for B in weighted] for A in weighted])))
 
     def variances(self, used: Mask | None = None) -> Array:
         """Variances of the components, at least zero; of those not in ``used`` zero, shape (number of components,)."""
