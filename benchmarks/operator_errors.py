@@ -58,8 +58,10 @@ class Trial:
     before: Recording
 
 
-def scenario(grade: str, seed: int, order: Sequence[str], custom: Sequence[dict[str, Any]] = ()) -> sims.Scenario:
-    """A test with recorded moves and windows of 8 s."""
+def scenario(
+    grade: str, seed: int, order: Sequence[str], custom: Sequence[dict[str, Any]] = (), moves: str = "recorded"
+) -> sims.Scenario:
+    """A test with windows of 8 s."""
     return sims.scenario_from_dict(
         {
             "seed": seed,
@@ -67,7 +69,7 @@ def scenario(grade: str, seed: int, order: Sequence[str], custom: Sequence[dict[
             "fixture": {"from": "lab-1mrad"},
             "site": {"from": "latitude-45"},
             "schedule": {
-                "moves": "recorded", "dwell_s": 8.0, "settle_s": 0.5,
+                "moves": moves, "dwell_s": 8.0, "settle_s": 0.5,
                 "sequences": tuple(order), "custom": tuple(custom),
             },
             "recording": {"sample_rate_hz": 100.0},

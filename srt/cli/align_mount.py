@@ -37,7 +37,7 @@ RESULT_SUFFIXES = (".json",)
     metavar="MRAD",
     help="1-sigma of tilt and squareness of the axis; default: 1, or alignment_sigma_mrad of the recording.",
 )
-@click.option("--force", is_flag=True, help="Accept any status of the calibration and any serial.")
+@click.option("--force", is_flag=True, help="Accept an inconsistent calibration and any serial.")
 @click.option("--trust", is_flag=True, help="Accept a calibration file that was changed after it was written.")
 @overwrite_option()
 @click.option("-q", "--quiet", is_flag=True, help="No table; warnings and errors only.")

@@ -41,7 +41,7 @@ _USUAL = (
 @click.option("--samples-format", type=click.Choice(SAMPLES_FORMATS), help="Default: as in RECORDING.")
 @click.option("--c-header", type=PATH, metavar="FILE.h", help="Also write the correction as C99.")
 @stream_options
-@click.option("--force", is_flag=True, help="Accept any status of the calibration, serial, size of readings and rest.")
+@click.option("--force", is_flag=True, help="Accept an inconsistent calibration, any serial, readings and rest.")
 @click.option("--trust", is_flag=True, help="Accept a calibration file that was changed after it was written.")
 @overwrite_option(folder=True)
 @click.option("-q", "--quiet", is_flag=True, help="No summary.")
@@ -188,14 +188,18 @@ def load_fit(path: Path, *, force: bool, trust: bool) -> Calibration:
     Raises
     ------
     InputError
-        A file that cannot be read; unless forced, a status other than "converged" and "partial", or errors outside the
-        sensor model.
+        A file that cannot be read, or without values; unless forced, a status other than "converged" and "partial", or
+        errors outside the sensor model.
     """
     from srt.model.sensor_model import outside_model
     from srt.result.calibration import load_calibration
     from srt.result.verdict import USABLE
 
     calibration = load_calibration(path, trust=trust)
+    if not calibration.has_values:
+        raise InputError(
+            f"The calibration {path} has the status {calibration.status} and no values: give one that converged."
+        )
     if force:
         return calibration
     if calibration.status not in USABLE:

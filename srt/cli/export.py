@@ -83,7 +83,7 @@ def _list(context: click.Context, _: click.Parameter, wanted: bool) -> None:
     metavar="FORMAT:FILE",
     help="Correction that the readings had before they were logged, or none; default: that in the recording.",
 )
-@click.option("--force", is_flag=True, help="Accept any status of the calibration and any serial.")
+@click.option("--force", is_flag=True, help="Accept an inconsistent calibration and any serial.")
 @click.option("--trust", is_flag=True, help="Accept a calibration file that was changed after it was written.")
 @overwrite_option()
 @click.option("-q", "--quiet", is_flag=True, help="No report.")

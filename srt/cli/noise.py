@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 @click.option("-o", "--output", "json_file", cls=RenamedOption, earlier=("--json",), type=PATH,
               metavar="FILE", help="Result: FILE.json.")  # fmt: skip
 @click.option("--plot", type=PATH, metavar="FILE", help="Figure: FILE.png, .pdf or .svg.")
-@click.option("--force", is_flag=True, help="Accept any status of the calibration and any serial.")
+@click.option("--force", is_flag=True, help="Accept an inconsistent calibration and any serial.")
 @click.option("--trust", is_flag=True, help="Accept a calibration file that was changed after it was written.")
 @overwrite_option()
 @click.option("-q", "--quiet", is_flag=True, help="No table.")

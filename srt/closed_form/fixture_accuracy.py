@@ -99,8 +99,8 @@ def verticals_disagree(data: PreparedRecording, measurements: SrtMeasurements, c
 def fixture_excess(data: PreparedRecording, measurements: SrtMeasurements, covariance: Array) -> UnmodelledErrors:
     """Errors of start angles, alignment and wobble beyond the stated accuracy of the fixture.
 
-    Zero if the stated accuracy explains the verticals, if one sequence alone contradicts it, or if no accuracy of the
-    fixture explains them.
+    Zero if the stated accuracy explains the verticals, if one sequence alone contradicts it, if no accuracy of the
+    fixture explains them, or if the sequences are too few to tell the three errors apart.
 
     Parameters
     ----------
@@ -124,6 +124,8 @@ def fixture_excess(data: PreparedRecording, measurements: SrtMeasurements, covar
         return NO_ERRORS
     roots = wobble, angles, aligned
     likelihood = RestrictedLikelihood(z, mounting, R, roots)
+    if not likelihood.separable:
+        return NO_ERRORS
     used = likelihood.significant(np.ones(3, dtype=np.bool_), np.array([False, True, True]), MISFIT_PROBABILITY)
     excess = likelihood.variances(used)
     found = tests(R + sum(v * _squared(L) for v, L in zip(excess, roots, strict=True)))

@@ -178,7 +178,7 @@ class Comparison(Presented):
     def error_over_sigma(self, name: str) -> Array:
         """Error of an estimate over its sigma, shape (27,); NaN where fixed, or without a truth."""
         true = np.nan if self.truth is None else self.truth.vector
-        return ratio_of(self.calibrations[name].errors.vector - true, self.calibrations[name].sigma)
+        return ratio_of(self.calibrations[name].values - true, self.calibrations[name].sigma)
 
     def rms_error(self, name: str) -> float:
         """Root mean square of error over sigma of an estimate; NaN without a truth."""
@@ -222,7 +222,7 @@ class Comparison(Presented):
             "playbacks": len(calibration.corrections),
             "seconds": self.seconds.get(name),
             "observed": int(calibration.observed.sum()),
-            "value": calibration.errors.vector.tolist(),
+            "value": finite(calibration.values),
             "sigma": finite(calibration.sigma),
             "held": dict(calibration.held),
             "error_over_sigma": None if self.truth is None else finite(self.error_over_sigma(name)),
@@ -276,7 +276,7 @@ def compare(
                 name, other, chosen, calibrations[chosen], shared=shared[name], tests=count, estimators=len(others)
             )
     return Comparison(
-        calibrations=dict(calibrations),
+        calibrations={name: c.as_written for name, c in calibrations.items()},
         reference=chosen,
         differences=pairs,
         seconds=dict(seconds or {}),

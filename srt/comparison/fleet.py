@@ -128,7 +128,7 @@ class Fleet:
             if unit.calibration is None:
                 yield dict.fromkeys(COLUMNS) | about
                 continue
-            values, sigma = unit.calibration.errors.vector, unit.calibration.sigma
+            values, sigma = unit.calibration.values, unit.calibration.sigma
             for i, name in enumerate(NAMES):
                 numbers = {
                     "value": values[i],
@@ -326,7 +326,7 @@ def calibrate_unit(task: UnitTask) -> tuple[int, FleetUnit]:
             DataError.exit_code,
         )
     code = 0 if result.status in USABLE else DataError.exit_code
-    return task.number, unit(serial, result.status, result.message, code, result)
+    return task.number, unit(serial, result.status, result.message, code, result.as_written)
 
 
 def _run(tasks: Sequence[UnitTask], engine: Engine | None) -> Iterator[tuple[int, FleetUnit]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -25,6 +26,12 @@ _PARTS: Final = 10
 """Number of parts of a recording whose mean intervals are compared."""
 _LEAST_DRIFT: Final = 1e-3
 """Smallest relative change of the interval for a finding: crystals are stable to 1e-4 over all temperatures."""
+_SAME_UNIT: Final = math.log(2.0)
+"""Largest logarithm of the ratio of rotation angles with the declared unit of time: others differ by 60 or more."""
+_SLOW: Final = (
+    "The samples are {interval:.3g} s apart, but at most {longest:g} s is expected, and no rotation shows another time "
+    "unit: record at 10 Hz or more; if the stamps are in another unit, correct time_unit in recording.toml."
+)
 _BURSTS: Final = 0.05
 """Share of long steps above which these are not gaps, but pauses between bursts of samples."""
 
@@ -34,6 +41,11 @@ def time_unit(evidence: Evidence) -> Iterator[Finding]:
     interval = evidence.dt
     if SHORTEST_INTERVAL_S <= interval <= LONGEST_INTERVAL_S:
         yield from scale_findings(evidence, {TIME_UNIT.name: TIME_UNIT})
+        return
+    scales = evidence.gyro_scales if evidence.recording.kind == "rate" else evidence.accel_scales
+    # Without rotation angles, or where they agree with the stamps, nothing shows a wrong unit: the log is slow.
+    if interval > LONGEST_INTERVAL_S and not (scales.known and abs(math.log(scales.typical)) > _SAME_UNIT):
+        yield replace(TIME_UNIT, message=_SLOW).found(interval=interval, longest=LONGEST_INTERVAL_S)
         return
     _, unit, declared = _unit(evidence)
     why = f"but {SHORTEST_INTERVAL_S:g} to {LONGEST_INTERVAL_S:g} s is expected"

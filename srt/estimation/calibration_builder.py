@@ -416,6 +416,6 @@ def _warnings(
             "the remainder; record with a finer resolution."
         )
     fixed = int(N_PARAMETERS - observed.sum())
-    if fixed:
+    if fixed and result.status != "outside_model":
         messages.append(f"{fixed} of {N_PARAMETERS} parameters are not observed; they are fixed.")
     return tuple(messages)

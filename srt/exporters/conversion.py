@@ -144,6 +144,7 @@ def export(
         raise InputError(
             f"Asymmetry cannot be fitted for {target}, as {reason}: leave the fit out, or give a recording."
         )
+    calibration.require_values()
     reason_outside = outside_model(calibration.errors)
     if reason_outside is not None:
         raise InputError(f"This calibration cannot be exported: {reason_outside}; calibrate the unit again.")

@@ -125,6 +125,7 @@ def find_poses(recording: Recording, calibration: Calibration, *, level_sigma_ra
 
     Raises InputError, DataError as :func:`mount_from_recording`.
     """
+    calibration.require_values()
     reason = outside_model(calibration.errors)
     if reason is not None:
         raise InputError(f"The calibration cannot be applied: {reason}; calibrate the unit again.")

@@ -14,6 +14,8 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.special import chdtri
 
+from srt.conditioning import has_inverse
+
 if TYPE_CHECKING:
     from srt.noise.drift_forms import Statistics
     from srt.types import Array, Mask
@@ -75,6 +77,11 @@ class RestrictedLikelihood:
         self._set(whitened[0], whitened[1:])
         self._square = float(np.sum((z * scale) ** 2))
         self._traces = [float(np.sum((scale[:, None] * L) ** 2)) for L in roots]
+
+    @property
+    def separable(self) -> bool:
+        """True if the residuals can tell all components apart: one contrast shows only the sum of three."""
+        return bool(has_inverse(np.array([[np.sum((A.T @ B) ** 2) for B in self._roots] for A in self._roots])))
 
     def variances(self, used: Mask | None = None) -> Array:
         """Variances of the components, at least zero; of those not in ``used`` zero, shape (number of components,)."""

@@ -37,10 +37,10 @@ def parameter_frame(calibration: Calibration) -> pd.DataFrame:
     """Parameters of a calibration by name: symbol, value, sigma, unit, and the reason of fixed ones."""
     return frame_by_parameter(
         symbol=list(SYMBOLS),
-        value=calibration.errors.vector * _FACTORS,
-        sigma=calibration.sigma * _FACTORS,
+        value=calibration.values * _FACTORS,
+        sigma=calibration.as_written.sigma * _FACTORS,
         unit=list(DISPLAY_UNITS),
-        fixed=[calibration.held.get(name, "") for name in NAMES],
+        fixed=[calibration.as_written.held.get(name, "") for name in NAMES],
     )
 
 
@@ -48,7 +48,7 @@ def comparison_frame(comparison: Comparison) -> pd.DataFrame:
     """Parameters by name: value and sigma of every estimator, and differences over their expected sigma."""
     columns: dict[str, Any] = {"unit": list(DISPLAY_UNITS)}
     for name, calibration in comparison.calibrations.items():
-        columns[f"{name} value"] = calibration.errors.vector * _FACTORS
+        columns[f"{name} value"] = calibration.values * _FACTORS
         columns[f"{name} sigma"] = calibration.sigma * _FACTORS
     columns |= {f"{name} difference / sigma": pair.normalised for name, pair in comparison.differences.items()}
     return frame_by_parameter(**columns)

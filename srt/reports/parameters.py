@@ -54,7 +54,7 @@ def units_for(*values: Array) -> Units:
     A group with a value of 10 mg or 1000 °/h and more is in mg or °/s, as data sheets of such units state it.
     """
     names, factors = list(DISPLAY_UNITS), list(DISPLAY_FACTORS)
-    largest = np.max(np.abs(np.vstack(values)), axis=0) * DISPLAY_FACTORS
+    largest = np.fmax.reduce(np.abs(np.vstack(values)), axis=0) * DISPLAY_FACTORS  # NaN: no value
     for part in GROUP_SLICES.values():
         coarse = _COARSE.get(DISPLAY_UNITS[part.start])
         if coarse is not None and np.max(largest[part]) >= coarse[2]:
@@ -83,15 +83,20 @@ def sigma_text(i: int, sigma: float, units: Units = FINE) -> str:
 
 
 def parameter_cells(calibration: Calibration) -> list[list[Cell]]:
-    """Symbol, name, value, sigma and unit of the 27 parameters; "fixed" in place of the sigma of a fixed one."""
-    values, sigmas = calibration.errors.vector.tolist(), calibration.sigma.tolist()
-    units = units_for(calibration.errors.vector)
+    """Symbol, name, value, sigma and unit of the 27 parameters; "fixed" in place of the sigma of a fixed one.
+
+    Values and sigmas of a calibration without a solution are "-".
+    """
+    values, sigmas = calibration.values.tolist(), calibration.as_written.sigma.tolist()
+    units = units_for(calibration.values)
     return [
         [
             Cell(SYMBOLS[i]),
             Cell(name),
-            Cell(value_text(i, values[i], sigmas[i], units), values[i]),
-            Cell("fixed", mark="held")
+            Cell(value_text(i, values[i], sigmas[i], units), values[i] if calibration.has_values else None),
+            Cell("-")
+            if not calibration.has_values
+            else Cell("fixed", mark="held")
             if name in calibration.held
             else Cell(sigma_text(i, sigmas[i], units), sigmas[i]),
             Cell(units.names[i]),

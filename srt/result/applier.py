@@ -56,6 +56,10 @@ _ORTHOGONAL_WITHIN: Final = 1e-6
 class ErrorsInFrames(CalibratedErrors, Protocol):
     """Sensor errors in MARS with the rotation from the table frame; :class:`srt.Calibration` is one."""
 
+    def require_values(self) -> None:
+        """Raise InputError if there are no errors to correct."""
+        ...
+
     @property
     def U(self) -> Array | None:
         """T to MARS components, shape (3, 3); None without a fixture."""
@@ -112,6 +116,7 @@ class Applier:
     ) -> None:
         require_type("An Applier", "a calibration", calibration, ErrorsInFrames)
         require_type("block=", "a whole number", block, Integral)
+        calibration.require_values()
         if frame == "table" and calibration.U is None:
             raise InputError("This calibration was made without a fixture and knows no table frame; use frame='mars'.")
         if frame not in ("mars", "table"):

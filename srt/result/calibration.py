@@ -6,7 +6,7 @@ The JSON form is versioned and complete: reading a file restores the written cal
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any, Final, Literal
@@ -23,7 +23,7 @@ from srt.result.document import from_document, to_document
 from srt.result.json_file import load_json_file, require_format, require_json, save_json_file
 from srt.result.noise_figures import NoiseFigures
 from srt.result.provenance import Alignment, Provenance, StatedSite, Temperature
-from srt.result.verdict import Verdict, verdict_on
+from srt.result.verdict import WITHOUT_VALUES, Verdict, verdict_on
 from srt.sensor_errors import INDEX, N_PARAMETERS, NAMES, SYMBOLS, UNITS, SensorErrors
 from srt.types import Array
 
@@ -58,6 +58,8 @@ FORMULA_G_SENSITIVE: Final = (
 )
 
 
+NO_VALUES: Final = "the iteration ended without a solution"
+"""Reason why a result that did not converge has no values."""
 _CORRELATION_WITHIN: Final = 1e-6
 """Rounding of a correlation, whose size is at most 1."""
 
@@ -66,7 +68,7 @@ _CORRELATION_WITHIN: Final = 1e-6
 class _Parameter:
     """Numbers of one parameter in a file."""
 
-    value: float
+    value: float | None
     sigma: float | None
     observed: bool
 
@@ -104,6 +106,7 @@ class Calibration(Presented):
     message : str
         The status in a sentence.
     errors : SensorErrors
+        Of a result that did not converge, those of the last iteration; files and reports do not contain them.
     covariance : ndarray, shape (27, 27)
         Zero in the rows and columns of fixed parameters.
     corrections : tuple of float
@@ -184,6 +187,40 @@ class Calibration(Presented):
         return out
 
     @property
+    def has_values(self) -> bool:
+        """False if the iteration ended without a solution: status "not_converged" or "outside_model"."""
+        return self.status not in WITHOUT_VALUES
+
+    @property
+    def values(self) -> Array:
+        """Values of the parameters as reports show them, SI, shape (27,); NaN without a solution."""
+        return self.errors.vector if self.has_values else np.full(N_PARAMETERS, np.nan)
+
+    @property
+    def as_written(self) -> Calibration:
+        """The calibration as files and reports contain it: without a solution, no value and no sigma."""
+        if self.has_values:
+            return self
+        return replace(
+            self,
+            errors=SensorErrors(),
+            covariance=np.zeros((N_PARAMETERS, N_PARAMETERS)),
+            held=dict.fromkeys(NAMES, NO_VALUES),
+            contributions={},
+            U=None,
+            U_sigma_rad=None,
+            noise=replace(
+                self.noise, gyro_bias_by_sequence_rad_s=None, gravity_effect=None, held_values_covariance=None
+            ),
+            diagnostics=replace(self.diagnostics, g_sensitivity=None, asymmetry=None, not_shown=None),
+        )
+
+    def require_values(self) -> None:
+        """Raise InputError if the calibration did not converge, so that there is nothing to apply."""
+        if not self.has_values:
+            raise InputError(f"The calibration has the status {self.status} and no values: calibrate the unit again.")
+
+    @property
     def judgement(self) -> Verdict:
         """Verdict in words: sound, partial, doubtful or failed, with the reason."""
         return verdict_on(self)
@@ -237,8 +274,8 @@ class Calibration(Presented):
         Raises
         ------
         InputError
-            Shapes that do not fit, values that are not finite, ``dt`` missing or given with rates, no table frame, or
-            errors so large that a reading has no single true value.
+            A calibration that did not converge, shapes that do not fit, values that are not finite, ``dt`` missing or
+            given with rates, no table frame, or errors so large that a reading has no single true value.
 
         Notes
         -----
@@ -258,13 +295,16 @@ class Calibration(Presented):
 
     def to_dict(self) -> dict[str, Any]:
         """JSON form as a dictionary, without NaN."""
+        return self.as_written._document()
+
+    def _document(self) -> dict[str, Any]:
         sigma, observed = self.sigma, self.observed
         parameters = []
         for i, name in enumerate(NAMES):
             row: dict[str, Any] = {
                 "name": name,
                 "symbol": SYMBOLS[i],
-                "value": float(self.errors.vector[i]),
+                "value": float(self.errors.vector[i]) if self.has_values else None,
                 "sigma": float(sigma[i]) if observed[i] else None,
                 "unit": UNITS[i],
                 "observed": bool(observed[i]),
@@ -281,7 +321,7 @@ class Calibration(Presented):
             "warnings": list(self.warnings),
             "iterations": [{"max_correction": c} for c in self.corrections],
             "parameters": parameters,
-            "covariance": self.covariance.tolist(),
+            "covariance": self.covariance.tolist() if self.has_values else None,
             "frame": {
                 "name": "MARS",
                 "U": None if self.U is None else self.U.tolist(),
@@ -329,9 +369,13 @@ def _from_dict(document: dict[str, Any]) -> Calibration:
     names = tuple(p["name"] for p in parameters)
     if names != NAMES:
         raise InputError("its parameters are not the 27 sensor errors in their order.")
-    covariance = from_document(Array, document["covariance"], "covariance")
+    status, covariance = from_document(str, document["status"], "status"), np.zeros((N_PARAMETERS, N_PARAMETERS))
+    if document["covariance"] is not None or status not in WITHOUT_VALUES:
+        covariance = from_document(Array, document["covariance"], "covariance")
     for i, p in enumerate(parameters):
         from_document(_Parameter, {key: p.get(key) for key in ("value", "sigma", "observed")}, f"parameters.{i}")
+        if p["value"] is None and (status not in WITHOUT_VALUES or p["observed"]):
+            raise InputError(f"{p['name']} has no value, though the status is {status}.")
         if p["observed"] and not math.isclose(p["sigma"], math.sqrt(covariance[i, i]), rel_tol=1e-6, abs_tol=1e-300):
             raise InputError(f"the sigma of {p['name']} does not agree with the covariance.")
     noise, verdict = (dict(document.get(key, {})) for key in ("noise", "verdict"))
@@ -342,9 +386,9 @@ def _from_dict(document: dict[str, Any]) -> Calibration:
     frame, temperature = from_document(_Frame, document["frame"], "frame"), document["temperature"]
     return Calibration(
         estimator=from_document(str, document["estimator"], "estimator"),
-        status=from_document(str, document["status"], "status"),
+        status=status,
         message=from_document(str, document["message"], "message"),
-        errors=SensorErrors(np.array([p["value"] for p in parameters], dtype=np.float64)),
+        errors=SensorErrors(np.array([p["value"] or 0.0 for p in parameters], dtype=np.float64)),
         covariance=covariance,
         corrections=tuple(from_document(float, s["max_correction"], "iterations") for s in document["iterations"]),
         held={p["name"]: from_document(str, p["held_reason"], p["name"]) for p in parameters if not p["observed"]},

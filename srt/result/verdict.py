@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
 USABLE: Final = ("converged", "partial")
 """Statuses with valid values and sigmas; the verdict on all others is "failed"."""
+WITHOUT_VALUES: Final = ("not_converged", "outside_model")
+"""Statuses of an iteration that ended without a solution: its last values say nothing about the unit."""
 SOUND, PARTIAL, DOUBTFUL, FAILED = "sound", "partial", "doubtful", "failed"
 MISFIT_PROBABILITY: Final = 1e-3
 """p-value of chi-square below which residuals count as larger than the noise: one false alarm in 1000 recordings."""

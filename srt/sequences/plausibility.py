@@ -51,9 +51,10 @@ def check_interval(recording: Recording) -> None:
     """
     interval = recording.nominal_interval_s
     if not SHORTEST_INTERVAL_S <= interval <= LONGEST_INTERVAL_S:
+        faster = "record at 10 Hz or more, or " if interval > LONGEST_INTERVAL_S else ""
         raise DataError(
             f"The samples are {interval:.3g} s apart, but {SHORTEST_INTERVAL_S:g} to "
-            f"{LONGEST_INTERVAL_S:g} s is expected: check the time unit (key time_unit of recording.toml)."
+            f"{LONGEST_INTERVAL_S:g} s is expected: {faster}check the time unit (key time_unit of recording.toml)."
         )
 
 

@@ -46,6 +46,7 @@ class ErrorVariable:
     __slots__ = ("_center", "root")
 
     def __init__(self, calibration: Calibration) -> None:
+        calibration.require_values()
         self._center = calibration.errors.vector.copy()
         P = calibration.covariance
         sigma = np.sqrt(np.maximum(np.diag(P), 0.0))

@@ -132,6 +132,6 @@ def test_refusals_are_one_sentence_and_write_nothing(folder, tmp_path, arguments
     assert (folder / "unit.json").read_bytes() == before
 
 
-def test_force_takes_another_serial_and_any_status(folder, tmp_path, shell):
-    unit = calibrated(tmp_path / "failed.json", status="not_converged")
+def test_force_takes_another_serial_and_an_inconsistent_calibration(folder, tmp_path, shell):
+    unit = calibrated(tmp_path / "failed.json", status="inconsistent")
     assert shell("align-mount", folder / "other", "--calibration", unit, "--force", "-q") == ("", "")

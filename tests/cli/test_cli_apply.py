@@ -131,10 +131,17 @@ def require_force(line, tmp_path, shell, refused, code=2):
     return sentence
 
 
+def test_an_inconsistent_calibration_needs_force(line, raw, tmp_path, shell, refused):
+    calibrated(status="inconsistent").save(tmp_path / "bad.json")
+    assert "inconsistent" in require_force(line(tmp_path / "bad.json", raw), tmp_path, shell, refused)
+
+
 @pytest.mark.parametrize("status", ["not_converged", "outside_model"])
-def test_a_calibration_that_did_not_converge_needs_force(line, raw, tmp_path, status, shell, refused):
+def test_a_calibration_that_did_not_converge_has_no_values_to_force(line, raw, tmp_path, status, refused):
     calibrated(status=status).save(tmp_path / "bad.json")
-    assert status in require_force(line(tmp_path / "bad.json", raw), tmp_path, shell, refused)
+    for force in ([], ["--force"]):
+        assert f"has the status {status} and no values" in refused(*line(tmp_path / "bad.json", raw), *force)
+        assert not list(tmp_path.glob("OUT*"))
 
 
 def test_held_parameters_are_a_warning(line, raw, tmp_path, shell):

@@ -135,3 +135,16 @@ def test_a_correction_that_hides_coarse_steps_makes_no_drift_of_them(tmp_path, u
     assert "The bias of gyro" not in raw + corrected
     assert "rounded to steps" not in raw
     assert "Not looked for: gyro_bias_drift. The rates were rounded to steps of 1800 °/h before they were" in corrected
+
+
+@pytest.mark.parametrize("rate_hz", [1.0, 1.9])
+@pytest.mark.parametrize("command", ["inspect", "calibrate"])
+def test_a_slow_log_is_told_to_record_faster_and_no_unit_is_named(tmp_path, rate_hz, command, shell):
+    """At rest for 20 min: nothing turns, so that nothing tells the unit of time."""
+    rng, n = np.random.default_rng(6), int(1200 * rate_hz)
+    gyro, accel = 1e-3 * rng.standard_normal((n, 3)), [0.0, 0.0, -9.80665] + 0.02 * rng.standard_normal((n, 3))
+    slow = srt.Recording(np.arange(1, n + 1) / rate_hz, gyro, accel, srt.Site(9.80665, latitude_rad=0.785))
+    srt.write_recording(slow, tmp_path / "slow")
+    said = " ".join("".join(shell(command, tmp_path / "slow", code=1)).split())
+    assert "record at 10 Hz or more" in said
+    assert "look like" not in said

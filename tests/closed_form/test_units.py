@@ -9,7 +9,9 @@ import pytest
 from worse_recordings import CASES, unit_of
 
 import srt
+from sims.physics.fixture import draw_fixture
 from sims.physics.imu import ImuModel, read_out
+from sims.physics.sequences import table_sequences
 from sims.physics.table_motion import table1_motion
 from srt.closed_form.fixture_accuracy import fixture_excess
 from srt.closed_form.formulas import SelectedFormulas
@@ -228,3 +230,17 @@ def test_bias_instability_of_the_accelerometers_does_not_accuse_the_fixture():
     drawn = np.random.default_rng(4).normal(0.0, 1e-3 * 9.80665, (solved()[0].K, 3))
     assert excess(np.zeros_like(drawn), drawn, accel_instability=1e-3 * 9.80665) == NO_ERRORS
     assert excess(np.zeros_like(drawn), drawn) != NO_ERRORS
+
+
+@pytest.mark.parametrize("ids", [("1", "2"), ("4", "5")])
+def test_two_sequences_that_contradict_the_fixture_add_no_error_of_it(ids):
+    """One contrast of two verticals cannot tell start angles, alignment and wobble apart."""
+    rng, size = np.random.default_rng(4), 3e-3  # the verticals of this draw contradict 1 mrad
+    kinds = ("level", "north", "mounting", "rotation")
+    draw = draw_fixture(rng, table_sequences(ids), **{f"{kind}_sigma_rad": size for kind in kinds})
+    motion = table1_motion(
+        site=Site(9.80665, 5e-6, 0.8), stated_fixture=Fixture(0.0, 1e-3, 1e-3), sample_rate_hz=50.0, dwell_s=4.0,
+        sequences=ids, fixture_draw=draw,
+    )  # fmt: skip
+    found = srt.calibrate(read_out(motion, SensorErrors(), IMU, rng), "closed-form")
+    assert (found.status, found.verdict.added_noise) == ("partial", None)

@@ -16,6 +16,8 @@ from srt.model.gyro_stream import moving_average
 from srt.sequences.manoeuvres import MOVING
 
 if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
     from srt.recording.recording import Recording
     from srt.types import Array, Indices
 
@@ -66,14 +68,18 @@ class RestMotion:
     angle_rad: float
 
 
-def rests(recording: Recording) -> Indices:
-    """Rests between rotations, first sample and one past the last, shape (n, 2), without settling."""
+def rests(recording: Recording, breaks: ArrayLike = ()) -> Indices:
+    """Rests between rotations, first sample and one past the last, shape (n, 2), without settling.
+
+    ``breaks`` are samples before which the unit was moved without a record: a rest ends there.
+    """
     dt = recording.nominal_interval_s
     rate = recording.gyro if recording.kind == "rate" else recording.gyro * recording.rates_factor
     # The constant bias of a poor unit is no rotation: its median counts as rest.
     smooth = moving_average((rate - np.median(rate, axis=0)).T, max(1, round(_SMOOTH_S / dt))).T
     speed = np.sqrt(np.einsum("na,na->n", smooth, smooth))
     turning = np.concatenate([[True], speed > max(MOVING * float(speed.max()), _SLOWEST_RAD_S), [True]])
+    turning[1 + np.asarray(breaks, dtype=np.intp)] = True
     edges = np.flatnonzero(np.diff(turning.astype(np.int8)))
     spans = edges.reshape(-1, 2)  # a rest begins and ends at every change
     first = spans[:, 0] + np.where(spans[:, 0] > 0, round(_SETTLING_S / dt), 0)
@@ -82,12 +88,12 @@ def rests(recording: Recording) -> Indices:
     return np.stack([first, last], axis=1)[long]
 
 
-def rest_motions(recording: Recording) -> tuple[RestMotion, ...]:
-    """Motions within rests, at most one each."""
+def rest_motions(recording: Recording, breaks: ArrayLike = ()) -> tuple[RestMotion, ...]:
+    """Motions within rests, at most one each; ``breaks`` as for :func:`rests`."""
     dt = recording.nominal_interval_s
     size = max(1, round(BLOCK_S / dt))
     scale = recording.rates_factor
-    spans = rests(recording)
+    spans = rests(recording, breaks)
     blocks = [(_means(recording.gyro[a:b], size) * scale, _means(recording.accel[a:b], size) * scale) for a, b in spans]
     if not blocks:
         return ()

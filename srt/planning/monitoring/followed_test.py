@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from srt.planning.monitoring.accuracy import accuracy_after, best_repetition
-from srt.planning.monitoring.progress_text import next_text, progress_text, sequence_line
+from srt.planning.monitoring.progress_text import next_text, progress_text, sequence_line, unrecorded_text
 from srt.planning.monitoring.run_monitor import run_state, sequence_order
 
 if TYPE_CHECKING:
@@ -56,6 +56,7 @@ class FollowedTest:
         self.advice = ""
         self._named: set[tuple[str, str, int]] = set()
         self._next: str | None = None
+        self._moves_told = False
 
     @property
     def open_errors(self) -> tuple[OperatorError, ...]:
@@ -83,6 +84,9 @@ class FollowedTest:
         for number in range(len(self.history), len(state.labels)):
             self.history.append(accuracy_after(bare, state.labels[: number + 1], self.estimator))
             news.append((sequence_line(state, number, self.history[-1]), False))
+        if state.unrecorded_s is not None and not self._moves_told:
+            self._moves_told = True
+            news.append((unrecorded_text(state), False))
         for error in state.errors:
             key = (error.kind, error.sequence, round(error.time_s))
             if not any((error.kind, error.sequence, key[2] + d) in self._named for d in (-1, 0, 1)):

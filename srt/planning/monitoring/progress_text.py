@@ -36,11 +36,19 @@ def progress_text(state: RunState, history: Sequence[SequenceAccuracy], targets:
     heads = ["seq.", "", *group_heads()]
     lines = ["Largest 1-sigma of each group after each sequence (-: not all observed)"]
     lines += [text_table(heads, rows, "ll" + "r" * len(GROUP_SLICES), gap=1), ""]
+    lines += wrap(unrecorded_text(state))
     for error in state.errors:
         lines += wrap(f"! {error.sentence}")
     lines += wrap(next_text(state))
     lines += wrap(targets_text(history, targets)) if targets else []
     return "\n".join(lines)
+
+
+def unrecorded_text(state: RunState) -> str:
+    """Sentence on moves that the recording does not contain; empty if it contains all."""
+    if state.unrecorded_s is None:
+        return ""
+    return f"The moves between the sequences are not recorded (first after {state.unrecorded_s:.1f} s): none is judged."
 
 
 def next_text(state: RunState) -> str:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -20,6 +21,7 @@ from srt.model.table1 import AXES, SEQUENCES, axis_vector
 from srt.planning.monitoring.dwells import rest_motions
 from srt.sequences.manoeuvres import end_attitude, quarter_turn, quarters
 from srt.sequences.recognition import labelled, recognise
+from srt.sequences.stationary_windows import no_turn_between
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -27,7 +29,7 @@ if TYPE_CHECKING:
     from srt.model.table1 import RotationSequence
     from srt.recording.recording import Recording, SequenceLabel
     from srt.sequences.recognition import RecognisedManoeuvre, Recognition
-    from srt.types import Array
+    from srt.types import Array, Indices
 
 _SETTLED: Final = 0.7
 """Length of the last stationary window over the typical one, from which the manoeuvre before it counts as complete."""
@@ -84,6 +86,9 @@ class RunState:
         True while a manoeuvre is not complete.
     time_s : float
         Time of the last sample.
+    unrecorded_s : float or None
+        Time of the first move between sequences that the recording does not contain; None if it contains all. Then no
+        move is judged.
     """
 
     order: tuple[str, ...]
@@ -92,6 +97,7 @@ class RunState:
     next: str | None
     turning: bool
     time_s: float
+    unrecorded_s: float | None = None
 
     @property
     def done(self) -> tuple[str, ...]:
@@ -144,7 +150,8 @@ def run_state(recording: Recording, order: Sequence[str] = ()) -> RunState:
         found = recognise(bare, renaming=False)  # an operator who turns the other way looks like other axes
     except DataError:  # fewer than two stationary windows
         return RunState(planned, (), (), planned[0], turning=False, time_s=now)
-    follower = _Follower(planned, found, bare)
+    breaks, unrecorded_s = _unrecorded_moves(found, bare)
+    follower = _Follower(planned, found, bare, breaks if unrecorded_s is not None else breaks[:0])
     attempts = _attempts(found, bare)
     typical = float(np.median([b - a for a, b in found.windows.tolist()[:-1]])) if len(found.windows) > 1 else 0.0
     last = int(found.windows[-1, 1] - found.windows[-1, 0])
@@ -158,19 +165,32 @@ def run_state(recording: Recording, order: Sequence[str] = ()) -> RunState:
                 break
         follower.take(attempt)
     labels = tuple(follower.labels)
-    errors = [*follower.errors, *_moved(bare, attempts, follower.next), *_window_errors(bare, labels)]
+    moved = _moved(bare, attempts, follower.next, breaks, unrecorded=unrecorded_s is not None)
+    errors = [*follower.errors, *moved, *_window_errors(bare, labels)]
     errors.sort(key=lambda error: error.time_s)
-    return RunState(planned, labels, tuple(_open(errors, labels)), follower.next, turning, now)
+    return RunState(planned, labels, tuple(_open(errors, labels)), follower.next, turning, now, unrecorded_s)
+
+
+def _unrecorded_moves(found: Recognition, recording: Recording) -> tuple[Indices, float | None]:
+    """First samples after interruptions and joins, and the time of the first that changes the attitude, else None."""
+    apart = [pair for pair in pairwise(found.windows.tolist()) if no_turn_between(recording, *pair)]
+    breaks = np.union1d(recording.gaps, [second for (_, first), (second, _) in apart if first == second])
+    for (a, b), (c, d) in apart:
+        before, after = recording.accel[a:b].mean(axis=0), recording.accel[c:d].mean(axis=0)
+        if before @ after < math.cos(_SMALL_TURN) * np.linalg.norm(before) * np.linalg.norm(after):
+            return breaks.astype(np.intp), float(recording.time[b - 1])
+    return breaks.astype(np.intp), None
 
 
 class _Follower:
-    """Attitude and order of a test, manoeuvre by manoeuvre."""
+    """Attitude and order of a test, manoeuvre by manoeuvre; ``breaks`` are samples after unrecorded moves."""
 
-    def __init__(self, order: tuple[str, ...], found: Recognition, recording: Recording) -> None:
+    def __init__(self, order: tuple[str, ...], found: Recognition, recording: Recording, breaks: Indices) -> None:
         self.remaining = list(order)
         self.missed: list[str] = []
         self.found = found
         self.recording = recording
+        self.breaks = breaks
         self.errors: list[OperatorError] = []
         self.labels: list[SequenceLabel] = []
         self.pose: Array | None = _start_pose(SEQUENCES[order[0]])
@@ -189,6 +209,10 @@ class _Follower:
 
     def take(self, attempt: _Attempt) -> None:
         """Compare one attempt with the order of the test."""
+        passed = int(np.searchsorted(self.breaks, attempt.first.first, side="right"))
+        if passed and self.next is not None:  # an attitude after an unrecorded move is taken for the expected one
+            self.pose = _start_pose(SEQUENCES[self.next])
+        self.breaks = self.breaks[passed:]
         if attempt.label is not None:
             self._take_sequence(attempt, attempt.label)
         elif float(np.linalg.norm(attempt.legs, axis=1).sum()) > _SMALL_TURN:
@@ -298,10 +322,15 @@ def _attempts(found: Recognition, recording: Recording) -> list[_Attempt]:
     return sorted(out, key=lambda each: each.start_s)
 
 
-def _moved(recording: Recording, attempts: list[_Attempt], following: str | None) -> list[OperatorError]:
-    """Motions in rests: after a sequence they are in its end window, after a move in the next start window."""
-    errors = []
-    for motion in rest_motions(recording):
+def _moved(
+    recording: Recording, attempts: list[_Attempt], following: str | None, breaks: Indices, *, unrecorded: bool
+) -> list[OperatorError]:
+    """Motions in rests: after a sequence they are in its end window, after a move in the next start window.
+
+    If moves are not recorded, a rest between two sequences without a break holds a move about the vertical.
+    """
+    errors, cuts = [], recording.time[breaks]
+    for motion in rest_motions(recording, breaks):
         start, end = motion.rest_s
         if any(each.start_s < start and end < each.end_s for each in attempts):
             continue  # a pause between the rotations of a sequence
@@ -309,9 +338,12 @@ def _moved(recording: Recording, attempts: list[_Attempt], following: str | None
         before = max((each for each in turns if each.start_s < start), key=lambda each: each.start_s, default=None)
         after = min((each for each in turns if each.start_s >= start), key=lambda each: each.start_s, default=None)
         sides = [each.label for each in (before, after) if each is not None and each.label is not None]
-        if len(sides) == 2 and not _within(motion.time_s, sides):
-            continue  # the fixture is set to the next start attitude again, without a move
         own = next((each for each in (before, after) if each is not None and each.label is not None), None)
+        if len(sides) == 2 and before is not None and after is not None:
+            own = after if np.any((cuts > before.end_s) & (cuts <= start)) else before
+            cut = np.any((cuts > before.end_s) & (cuts < after.start_s))
+            if not cut and (unrecorded or not _within(motion.time_s, sides)):
+                continue  # the fixture is set to the next start attitude again, without a recorded move
         name = following if own is None or own.label is None else own.label.id
         if name is not None:
             sentence = (

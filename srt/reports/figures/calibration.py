@@ -93,6 +93,7 @@ def calibration_figure(
     ``truth`` is marked beside the values; the error bars then stand at estimate minus truth. The figure is not known to
     pyplot; :func:`save_figure` writes it.
     """
+    calibration = calibration.as_written
     layout = ConstrainedLayoutEngine(h_pad=0.07, w_pad=0.05, hspace=0.03, wspace=0.02)
     figure = Figure(figsize=_SIZE_INCHES, dpi=DPI, layout=layout)
     units = list(dict.fromkeys(DISPLAY_UNITS))
@@ -127,7 +128,7 @@ def calibration_figure(
 
 def _scaled(calibration: Calibration, which: Indices, *vectors: Array) -> tuple[str, Iterator[Array]]:
     """Unit of some parameters, and vectors of all parameters as those in it."""
-    units = units_for(calibration.errors.vector)
+    units = units_for(calibration.values)
     factors = np.array(units.factors)[which]
     return units.names[int(which[0])], (vector[which] * factors for vector in vectors)
 
@@ -137,7 +138,7 @@ def draw_values(axes: Axes, calibration: Calibration, truth: SensorErrors | None
     style(axes)
     at = np.arange(len(which))
     seen = calibration.observed[which]
-    shown = calibration.errors.vector, calibration.sigma, (truth or calibration.errors).vector
+    shown = calibration.values, calibration.sigma, (truth or calibration.errors).vector
     unit, (values, sigma, true) = _scaled(calibration, which, *shown)
     axes.axhline(0.0, color=GREY, linewidth=0.8)
     if truth is not None:
@@ -155,7 +156,7 @@ def draw_errors(axes: Axes, calibration: Calibration, truth: SensorErrors | None
     style(axes)
     at = np.arange(len(which))
     seen = calibration.observed[which]
-    difference = calibration.errors.vector - (truth or calibration.errors).vector
+    difference = calibration.values - (truth or calibration.errors).vector
     unit, (error, sigma) = _scaled(calibration, which, difference, calibration.sigma)
     axes.axhline(0.0, color=VERMILION if truth is not None else GREY, linewidth=0.8)
     axes.errorbar(at[seen], error[seen], sigma[seen], fmt="o" if truth is not None else "none", color=BLUE,
@@ -184,7 +185,7 @@ def _header(figure: SubFigure, calibration: Calibration, truth: SensorErrors | N
     if truth is not None:
         hollow = {"marker": "D", "markersize": 8.0, "markeredgecolor": VERMILION, "markerfacecolor": "none"}
         handles.append(Line2D([], [], color=VERMILION, linewidth=0.8, label="truth", **hollow))  # type: ignore[arg-type]
-    if calibration.held:
+    if calibration.held and calibration.has_values:
         handles.append(Line2D([], [], color="none", marker="x", markeredgecolor=GREY, label="fixed, not observed"))
     figure.legend(handles=handles, loc="center right", ncols=len(handles), fontsize=SMALL, frameon=False)
 

@@ -72,6 +72,7 @@ def report(
     ``budget`` shows all sources of error as columns instead of the three largest; ``verdict`` adds the verdict by
     parameter.
     """
+    calibration = calibration.as_written
     parts = [
         "\n".join(_heading(calibration, title)),
         parameter_table(calibration, truth).text(gap=1 if truth is not None else 2),
@@ -88,13 +89,13 @@ def report(
 
 def parameter_table(calibration: Calibration, truth: SensorErrors | None = None) -> Table:
     """Table of the 27 values; the truth adds columns of it, of the error, and of the error over sigma."""
-    rows, units = parameter_cells(calibration), units_for(calibration.errors.vector)
+    rows, units = parameter_cells(calibration), units_for(calibration.values)
     if truth is None:
         return table(("symbol", "parameter", "value", "sigma", "unit"), rows, "llrrl", breaks=GROUP_STARTS)
     compared: list[list[Cell | str]] = []
     for i, row in enumerate(rows):
         true, sigma = float(truth.vector[i]), float(calibration.sigma[i])
-        error = float(calibration.errors.vector[i]) - true
+        error = float(calibration.values[i]) - true
         over = math.nan if NAMES[i] in calibration.held or sigma == 0.0 else error / sigma
         shown = fixed(error * units.factors[i], decimals_of(i, sigma, units))
         compared.append([*row, value_text(i, true, sigma, units), shown, fixed(over, 2)])
@@ -262,7 +263,7 @@ def _heading(calibration: Calibration, title: str) -> Iterable[str]:
 
 
 def _held(calibration: Calibration) -> Iterable[str]:
-    reasons = fixed_by_reason(calibration)
+    reasons = fixed_by_reason(calibration) if calibration.has_values else {}
     if reasons:
         yield "Fixed, not observed"
     for reason, names in reasons.items():

@@ -54,6 +54,7 @@ def calibration_summary(
     ``title`` is the path of the recording; ``truth`` adds columns of the truth, the error, and the error over sigma;
     ``source`` is the path of the recording for the command that looks for faults; empty: none.
     """
+    calibration = calibration.as_written
     head = [line for text in verdict_lines(calibration, title) for line in wrap(text)]
     advice = [line for text in _advice(calibration, source) for line in wrap(text)]
     notes = [line for text in _notes(calibration) for line in _shortened(wrap(text), _NOTE_LINES)]
@@ -84,6 +85,7 @@ def calibration_text(
 
 def calibration_html(calibration: Calibration) -> str:
     """Status and verdict of a calibration, and the table of its parameters."""
+    calibration = calibration.as_written
     lines = "<br>".join(map(escape, verdict_lines(calibration, "Calibration")))
     return f"<p>{lines}</p>{parameter_table(calibration).html()}"
 
@@ -143,7 +145,7 @@ def verdict_lines(calibration: Calibration, title: str) -> Iterator[str]:
 
 def _notes(calibration: Calibration) -> Iterator[str]:
     """Warnings, and the parameters that are fixed with the reason."""
-    if calibration.held:
+    if calibration.held and calibration.has_values:
         yield f"Fixed, not observed: {held_summary(calibration)}."
     yield from (f"Note: {sentence}" for sentence in calibration.warnings)
 

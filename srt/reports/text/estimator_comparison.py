@@ -92,8 +92,8 @@ def parameter_table(comparison: Comparison, *, details: bool) -> str:
     for i, name in enumerate(NAMES):
         row = [name, units.names[i]]
         for calibration in shown.values():
-            value, sigma = float(calibration.errors.vector[i]), float(calibration.sigma[i])
-            known = " fixed" if math.isnan(sigma) else f"±{sigma_text(i, sigma, units)}"
+            value, sigma = float(calibration.values[i]), float(calibration.sigma[i])
+            known = "" if math.isnan(value) else " fixed" if math.isnan(sigma) else f"±{sigma_text(i, sigma, units)}"
             row.append(f"{value_text(i, value, sigma, units)}{known}")
         for pair in comparison.differences.values():
             value = float(pair.normalised[i])
@@ -105,7 +105,7 @@ def parameter_table(comparison: Comparison, *, details: bool) -> str:
 
 
 def _units(comparison: Comparison) -> Units:
-    return units_for(*(calibration.errors.vector for calibration in comparison.calibrations.values()))
+    return units_for(*(calibration.values for calibration in comparison.calibrations.values()))
 
 
 def truth_table(comparison: Comparison) -> str:

@@ -122,7 +122,7 @@ def _largest(fleet: Fleet, number: int, unit: FleetUnit, group: str) -> str:
     where = np.arange(len(NAMES))[GROUP_SLICES[group]]
     where = where[unit.calibration.observed[where]]
     if not len(where):
-        return "fixed"
+        return "fixed" if unit.calibration.has_values else "-"
     values = unit.calibration.errors.vector[where]
     i = int(where[np.argmax(np.abs(values))])
     value, sigma = float(unit.calibration.errors.vector[i]), float(unit.calibration.sigma[i])
@@ -134,7 +134,7 @@ def _units(fleet: Fleet) -> Units:
     """Units for the values of all units that are sound; of all, where none is."""
     found = [unit for unit in fleet.units if unit.calibration is not None]
     shown = [unit for unit in found if unit.sound] or found
-    return units_for(*(unit.calibration.errors.vector for unit in shown if unit.calibration is not None))
+    return units_for(*(unit.calibration.values for unit in shown if unit.calibration is not None))
 
 
 def _failures(fleet: Fleet) -> str:

@@ -1,5 +1,7 @@
 """The monitor of a running test names operator's errors in time, and nothing else; a repetition repairs them."""
 
+from dataclasses import replace
+
 import numpy as np
 import operator_errors as study
 import pytest
@@ -70,6 +72,35 @@ def test_a_repetition_repairs_an_error():
     assert "turned -450° y, expected -360° y" in error.sentence
     repaired = run_state(truncated(run.recording, last), order)
     assert (repaired.done, repaired.errors, repaired.next) == (("1", "2", "1a"), (), "3")
+
+
+def unrecorded(order, joined, custom=()):
+    """Simulate a test whose moves are replaced by gaps; or joined, with stamps without gaps."""
+    recording = sims.simulate(study.scenario("navigation-rlg", 5, order, custom, "skipped")).recording
+    time = np.arange(1, len(recording.time) + 1) * recording.nominal_interval_s
+    return replace(recording.with_sequences(()), time=time) if joined else recording.with_sequences(())
+
+
+@pytest.mark.parametrize("joined", [False, True])
+def test_moves_that_are_not_recorded_are_told_once_and_not_judged(joined):
+    order = ("1", "2", "3", "1a", "4", "5", "7", "8")
+    recording, followed = unrecorded(order, joined), FollowedTest(order)
+    half = truncated(recording, 0.5 * recording.time[-1])
+    news = [line for part in (half, recording) for line, _ in followed.take(part)]
+    assert sum("moves between the sequences are not recorded" in line for line in news) == 1
+    assert "The moves between the sequences are not recorded" in followed.text()
+    assert (followed.state.done, followed.open_errors) == (order, ())
+
+
+def test_errors_of_a_test_without_recorded_moves():
+    """A knock at the end of sequence 3, and another turn in place of sequence 4, at unknown attitudes."""
+    back = [{"id": "back", "down": "z", "along_outer": "y", "rotations": (("y", 180.0), ("z", 90.0))}]
+    order = ("1", "2", "3", "back", "5")
+    recording = unrecorded(order, False, back)
+    found = run_state(recording, order[:3]).labels[2]
+    knocked = recording.gyro + 0.03 * (np.abs(recording.time - found.end_static_s[1] + 4.0) < 0.05)[:, None]
+    errors = run_state(replace(recording, gyro=knocked), ("1", "2", "3", "4", "5")).errors
+    assert [(e.kind, e.sequence) for e in errors] == [("moved", "3"), ("wrong turn", "4"), ("skipped", "4")]
 
 
 def test_rests_and_their_motions_without_rotations():
