@@ -373,3 +373,8 @@ def test_swapped_axes_are_corrected_by_the_option_that_is_named(recording, tmp_p
     option = sentence.rpartition(" with ")[2].rstrip(".\n").split()
     shell("convert", log, "-o", tmp_path / "right", *given, *option)
     assert "No fault found." in shell("inspect", tmp_path / "right").out
+    assert "exchange the names of the two columns in its samples file; otherwise" in sentence
+    samples = tmp_path / "swapped" / "samples.csv"
+    head, _, rest = samples.read_text().partition("\n")
+    samples.write_text(head.replace("accel_x,accel_y", "accel_y,accel_x") + "\n" + rest)
+    assert "No fault found." in shell("inspect", tmp_path / "swapped").out
