@@ -134,6 +134,9 @@ def test_bad_counts(parse, text):
         ("0.125 degrees per second", "gyro", DEG / 8),
         ("0.125dps", "gyro", DEG / 8),
         ("0.125", "gyro", 0.125),
+        ("0.1 arcsec", "gyro", 0.1 * DEG / 3600.0),
+        ("10 ug", "accel", 10e-6 * STANDARD_GRAVITY_M_S2),
+        ("10 µg/LSB", "accel", 10e-6 * STANDARD_GRAVITY_M_S2),
     ],
 )
 def test_a_value_of_a_count_as_data_sheets_write_it(text, sensor, value):
