@@ -362,6 +362,14 @@ def test_a_folder_and_a_file_named_twice_are_called_so(log, tmp_path, unit, refu
         assert "it is a folder, and a file is expected" in shell(*words, code=2).err
 
 
+def test_a_column_that_the_log_lacks_is_not_read_from_another(tmp_path, refused):
+    log = written(tmp_path / "log.csv", "time,gx,gy,gz,ax,ay", TIME, GYRO, ACCEL[:, :2])
+    sentence = refused(tmp_path / "rec", log, *SI, *SITE)
+    assert "no column was recognised as accel_z, and the file lacks it: all columns are read as others" in sentence
+    sentence = refused(tmp_path / "rec", log, *SI, *SITE, "--columns", "accel_z=ay")
+    assert "column 6 would be read as accel_z and as accel_y" in sentence
+
+
 def test_swapped_axes_are_corrected_by_the_option_that_is_named(recording, tmp_path, shell):
     loaded = srt.read(recording)
     accel = loaded.accel[:, [1, 0, 2]]
