@@ -114,6 +114,11 @@ def test_a_full_disk_leaves_neither_page_nor_pdf(tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_the_residual_table_tells_redundant_from_dof(saved):
+    note = make_certificate(saved(with_verdict(calibration()))).residuals.note
+    assert "Redundant counts the residuals that are not zero, dof the combinations" in note
+
+
 def test_a_sigma_that_nobody_stated_is_called_assumed(saved):
     lab = Laboratory(references={"gravity": "report G-17"})
     for origin, shown in ((None, "0.0029 m/s²"), ("assumed", "0.0029 m/s² (assumed)")):
