@@ -17,7 +17,7 @@ from srt.cli.output_paths import (
     recording_folder,
 )
 from srt.cli.overwriting import check_replaceable
-from srt.cli.recording_arguments import file_name, unit_names
+from srt.cli.recording_arguments import file_name, load_stated, unit_names
 from srt.exceptions import InputError
 
 if TYPE_CHECKING:
@@ -74,11 +74,9 @@ class Display:
 
     def load(self, job: Job) -> Recording:
         """Load a recording, made of its log if it is to be, with the protocol that replaces its labels."""
-        from srt.recording.folder import load_recording
-
         log = job.log
         if log is None:
-            recording = load_recording(job.recording)
+            recording = load_stated(job.recording)
         elif job.recording == log.path:
             recording = log.read(force=self.force, quiet=self.quiet)
         else:

@@ -69,6 +69,8 @@ def certificate(
     made = srt.certificate(calibration_file, recording_path, limits=limits, against=against, laboratory=lab)
     make_directory(page.parent)
     write_certificate(made, page)
+    if not made.source.serial:
+        warn(f"{calibration_file}: the certificate names no unit: state serial in recording.toml, and calibrate again.")
     if made.change is not None and made.change.names:
         warn(f"{calibration_file}: changed significantly: {', '.join(made.change.names)}.")
     if not quiet:

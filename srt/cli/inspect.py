@@ -11,6 +11,7 @@ from srt.cli.messages import announce, figure_title, is_seen, say, show
 from srt.cli.output_paths import RESULT_SUFFIXES, check_file, check_plot, recording_folder
 from srt.cli.overwriting import overwrite_option
 from srt.cli.path_type import PATH
+from srt.cli.recording_arguments import load_stated
 from srt.exceptions import DataError
 
 if TYPE_CHECKING:
@@ -35,12 +36,11 @@ def inspect(recording: Path, deep: bool, json_file: Path | None, plot: Path | No
     """
     check_file(json_file, RESULT_SUFFIXES, "The inspection")
     check_plot(plot)
-    from srt.recording.folder import load_recording
     from srt.reports import inspection
     from srt.reports.text.inspection import inspection_report
     from srt.result.json_file import save_json_file
 
-    samples = load_recording(recording)
+    samples = load_stated(recording)
     found = inspection.inspect(samples, deep=deep)
     if not quiet:
         show(inspection_report(found, title=str(recording)))

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from srt.cli.messages import warn
 from srt.cli.output_paths import recording_folder
 from srt.cli.overwriting import TOML
 from srt.exceptions import InputError
@@ -100,6 +101,18 @@ def unit_names(paths: Sequence[Path]) -> tuple[str, ...]:
 def file_name(unit: str) -> str:
     """Name of the files of a unit, without an ending."""
     return unit.replace("/", "-")
+
+
+def load_stated(path: Path) -> Recording:
+    """Load a recording; warn of the standard gravity without a sigma. Raises InputError."""
+    from srt.recording.folder import load_recording
+    from srt.recording.reading import gravity_warning
+
+    recording = load_recording(path)
+    doubt = gravity_warning(recording.site, of_file=True)
+    if doubt is not None:
+        warn(f"{path}: {doubt}")
+    return recording
 
 
 def median_force(recording: Recording) -> float:

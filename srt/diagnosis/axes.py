@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 
 
 _EYE: Final = np.eye(len(AXES))
+_REMEDY: Final = "if the recording was written by hand, {} in its samples file; otherwise convert the log again with"
+"""What to do, where a recording has no log that could be converted."""
+_BOTH: Final = _REMEDY.format("rename the columns and change their signs")
 
 
 def axis_permutations(evidence: Evidence) -> Iterator[Finding]:
@@ -47,8 +50,8 @@ SIGN_CONVENTION: Final = by_sensor(
     "[signs of the measured rotation angles; rotation|direction] of gravity in [the accelerometers against the "
     "gyros|each static pose]",
     "All three [gyros measure rotations with|accelerometers have] the wrong sign[| (at rest, their vector points "
-    "down)]: the unit [uses the opposite sign convention|outputs gravity instead of specific force]; convert the log "
-    "again with --map-[gyro|accel] {mapping}.",
+    "down)]: the unit [uses the opposite sign convention|outputs gravity instead of specific force]; "
+    f"{_REMEDY.format('change the sign of the three columns')} --map-[gyro|accel] {{mapping}}.",
     "exit 1",
     axis_permutations,
 )
@@ -56,8 +59,8 @@ AXIS_FLIPPED: Final = by_sensor(
     "axis_flipped",
     "One [gyro|accelerometer] axis has the wrong sign",
     "[rotation angles by axis|direction of gravity in each static pose]",
-    "[Gyro|Accelerometer] axis {axis} [measures rotations with|has] the wrong sign, which makes the triad left-handed:"
-    " convert the log again with --map-[gyro|accel] {mapping}.",
+    "[Gyro|Accelerometer] axis {axis} [measures rotations with|has] the wrong sign, which makes the triad left-handed: "
+    f"{_REMEDY.format('change the sign of the column')} --map-[gyro|accel] {{mapping}}.",
     "exit 1",
     axis_permutations,
 )
@@ -65,7 +68,8 @@ AXES_SWAPPED: Final = by_sensor(
     "axes_swapped",
     "Two [gyro|accelerometer] axes are swapped",
     "[rotation angles by axis|direction of gravity in each static pose]",
-    "[Gyro|Accelerometer] axes {axes} are swapped: convert the log again with --map-[gyro|accel] {mapping}.",
+    "[Gyro|Accelerometer] axes {axes} are swapped: "
+    f"{_REMEDY.format('exchange the names of the two columns')} --map-[gyro|accel] {{mapping}}.",
     "exit 1",
     axis_permutations,
 )
@@ -73,8 +77,8 @@ LEFT_HANDED: Final = Fault(
     "left_handed",
     "Gyros and accelerometers share a left-handed frame",
     "rotation angles and static poses together",
-    "Gyros and accelerometers agree with each other, but their frame is left-handed: convert the log again with "
-    "--map-gyro {gyro_mapping} --map-accel {accel_mapping}.",
+    "Gyros and accelerometers agree with each other, but their frame is left-handed: "
+    f"{_BOTH} --map-gyro {{gyro_mapping}} --map-accel {{accel_mapping}}.",
     "exit 1",
     axis_permutations,
 )
@@ -82,8 +86,8 @@ FRAME_TURNED: Final = Fault(
     "frame_turned",
     "The axes of the unit are rotated by multiples of 90°",
     "rotation angles and static poses together",
-    "Gyros and accelerometers agree with each other, but not with the axes of the labels: convert the log again "
-    "with --map-gyro {mapping} --map-accel {mapping}, or mount the unit along the axes of the table.",
+    "Gyros and accelerometers agree with each other, but not with the axes of the labels: mount the unit along "
+    f"the axes of the table; or, {_BOTH} --map-gyro {{mapping}} --map-accel {{mapping}}.",
     "exit 1",
     axis_permutations,
 )
@@ -91,8 +95,7 @@ FRAMES_DISAGREE: Final = Fault(
     "frames_disagree",
     "Gyro and accelerometer frames disagree",
     "rotation of gravity in the accelerometers against the gyros",
-    "Gyros and accelerometers use different axes: convert the log again with --map-gyro {gyro_mapping} "
-    "--map-accel {accel_mapping}.",
+    f"Gyros and accelerometers use different axes: {_BOTH} --map-gyro {{gyro_mapping}} --map-accel {{accel_mapping}}.",
     "exit 1",
     axis_permutations,
 )

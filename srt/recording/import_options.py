@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final, get_args
 import numpy as np
 
 from srt.arguments import real_array, require_type
-from srt.constants import DEG
+from srt.constants import ARCSEC, DEG, MICRO_G
 from srt.exceptions import InputError, did_you_mean
 from srt.model.table1 import AXES
 from srt.recording.recording import Kind
@@ -36,6 +36,7 @@ Triple = tuple[float, float, float]
 
 _WORDS = {
     "radian": "rad", "radians": "rad", "°": "deg", "degree": "deg", "degrees": "deg", "g0": "g", "milli-g": "mg",
+    "µg": "ug", "μg": "ug", "micro-g": "ug", "arcsecond": "arcsec", "arcseconds": "arcsec", "arc-sec": "arcsec",
     "sec": "s", "second": "s", "seconds": "s", "hr": "h", "hour": "h", "s2": "s^2", "sec^2": "s^2",
     "msec": "ms", "milliseconds": "ms", "µs": "us", "μs": "us", "usec": "us", "microseconds": "us",
     "nsec": "ns", "nanoseconds": "ns", "lsb": COUNTS, "count": COUNTS, "digit": COUNTS, "raw": COUNTS,
@@ -48,6 +49,9 @@ _RAISED = str.maketrans({"²": "^2", "⁻": "-", "¹": "1"})
 
 _NEGATIVE_POWER = re.compile(r"[\s*·.]*s(?:\^?-|-\^)([12])(?=$|/)")
 """Seconds in the denominator, as in "rad s^-1" and "m s-2"."""
+
+_LSB_UNITS: Final = {"gyro": {"arcsec": ARCSEC}, "accel": {"ug": MICRO_G}}
+"""Units of the value of a count in data sheets, beside those of files."""
 
 _LSB = re.compile(r"([\d.,/eE+\- ]*[\d.])\s*(.*)")  # numbers of the value of a count, and its unit
 
@@ -241,12 +245,14 @@ def parse_lsb(text: str, sensor: str) -> Triple:
     """Read the scale factor of counts, SI units per count.
 
     The text has one number or three, each also as 1/N, and a unit: "1/131 deg/s", "1/415,1/413,1/415 m/s^2", "0.061
-    mg/LSB". The units are those of ``gyro_unit`` and ``accel_unit``; the default is SI. Raises InputError.
+    mg/LSB". The units are those of ``gyro_unit`` and ``accel_unit``, arcsec and ug; the default is SI. Raises
+    InputError.
     """
     name = f"{sensor}_lsb"
     split = _LSB.fullmatch(text.strip())
     numbers, unit_text = split.groups() if split else (text.strip(), "")
     factors = {unit: factor for units in SENSOR_UNITS[sensor].values() for unit, factor in units.items()}
+    factors |= _LSB_UNITS[sensor]
     unit = normal_unit(unit_text).removesuffix(f"/{COUNTS}")
     if unit and unit not in factors:
         raise InputError(f"{option(name)}: the unit {unit_text!r} is not one of {', '.join(factors)}.")

@@ -304,8 +304,8 @@ def in_imu_axes(imported: ImportedSamples, options: ImportOptions) -> ImportedSa
             notes.append(f"{sensor} x, y, z are {getattr(options, f'map_{sensor}')} of the file.")
     if handedness[0] * handedness[1] < 0.0:
         notes.append(
-            "The axis maps make one triad of gyros and accelerometers right-handed and the other left-handed: check "
-            "their signs."
+            "The axis maps change the handedness of one triad: right if two of its axes are exchanged in the file, or "
+            "one has the wrong sign; srt inspect checks it."
         )
     if not changes:
         return imported

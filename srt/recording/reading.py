@@ -22,7 +22,7 @@ from srt.arguments import real_array, require_type
 from srt.constants import STANDARD_GRAVITY_M_S2
 from srt.exceptions import InputError, NotStatedError, did_you_mean
 from srt.recording.folder import TOML_NAME, load_recording, read_document, read_metadata, sha256_of
-from srt.recording.import_options import CHANNELS, TRIADS, ImportOptions
+from srt.recording.import_options import CHANNELS, TRIADS, ImportOptions, option
 from srt.recording.imported_samples import StatedUnits, in_imu_axes, samples_in_si, to_recording
 from srt.recording.importer_registry import AUTO, import_file
 from srt.recording.recording import GRAVITY_SIGMA_M_S2, Recording
@@ -227,15 +227,28 @@ def sigma_of_digits(gravity_m_s2: float) -> float:
     return max(10.0**last / math.sqrt(12.0), GRAVITY_SIGMA_M_S2)
 
 
-def gravity_warning(site: Site) -> str | None:
-    """Sentence on a gravity that is the standard value and that nobody stated a sigma of; None for any other."""
+def gravity_warning(site: Site, *, of_file: bool = False) -> str | None:
+    """Sentence on a gravity that is the standard value and that nobody stated a sigma of; None for any other.
+
+    With ``of_file``, only if ``recording.toml`` states none: a sigma that ``srt convert`` assumed was told then.
+    """
     if site.gravity_m_s2 != STANDARD_GRAVITY_M_S2 or site.gravity_sigma_origin is None:
         return None
+    sigma, names = site.gravity_sigma_m_s2, ("latitude_deg", "height_m", "gravity_sigma_m_s2")
+    unstated = sigma == GRAVITY_SIGMA_M_S2  # the default of a file, not that of the digits
+    if of_file and not unstated:
+        return None
+    latitude, height, key = names if unstated else map(option, names)
+    place = height if site.latitude_rad is not None else f"{latitude} and {height}"
+    taken = (
+        f"recording.toml states no {key}: {sigma:g} m/s² is assumed, which is that of a measured value"
+        if unstated
+        else f"its sigma is taken as {sigma:g} m/s², {1e6 * sigma / site.gravity_m_s2:.0f} ppm of every accelerometer "
+        "scale factor"
+    )
     return (
-        f"Gravity is {STANDARD_GRAVITY_M_S2} m/s², the standard value, which is that of no place: its sigma is taken "
-        f"as {site.gravity_sigma_m_s2:g} m/s², {1e6 * site.gravity_sigma_m_s2 / site.gravity_m_s2:.0f} ppm of every "
-        "accelerometer scale factor. Give --latitude-deg and --height-m, or the gravity of the site, or "
-        "--gravity-sigma-m-s2 if it is right."
+        f"Gravity is {STANDARD_GRAVITY_M_S2} m/s², the standard value, which is that of no place: {taken}. "
+        f"In its place, give {place}, or the gravity of the site; or {key} if it is right."
     )
 
 

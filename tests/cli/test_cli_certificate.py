@@ -6,13 +6,14 @@ import shutil
 import sys
 
 import pytest
-from small_units import simulated
+from small_units import calibrated, simulated
 
 import srt
 import srt.reports.certificate.html_page
 import srt.reports.certificate.pdf
 from srt.cli import main
 from srt.result.json_file import json_text
+from srt.result.provenance import Provenance
 
 pytestmark = pytest.mark.usefixtures("plain_layout")
 
@@ -78,6 +79,13 @@ def test_places(lab, tmp_path, monkeypatch, shell):
     assert (tmp_path / "x.html").read_bytes() == (tmp_path / "new-certificate.html").read_bytes()
     assert out.count("Written: ") == 1
     assert err == ""
+
+
+@pytest.mark.usefixtures("no_pictures")
+def test_a_unit_without_a_serial_is_warned_of(tmp_path, shell):
+    calibrated(provenance=Provenance(data_sha256="0" * 64, software="test")).save(tmp_path / "unit.json")
+    err = shell("certificate", tmp_path / "unit.json", "-o", tmp_path / "out", "-q").err
+    assert "the certificate names no unit: state serial in recording.toml" in err
 
 
 @pytest.mark.usefixtures("no_pictures")

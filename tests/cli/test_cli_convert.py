@@ -118,6 +118,10 @@ def test_a_gravity_without_a_sigma_has_that_of_its_digits(log, tmp_path, shell, 
     assert (site.gravity_sigma_m_s2, site.gravity_sigma_origin) == (pytest.approx(sigma), "assumed")
     assert ("the standard value, which is that of no place" in said) == (typed == "9.80665")
     assert not said or "its sigma is taken as 0.02 m/s², 2039 ppm" in said
+    # What is stated already is not asked for.
+    given = ("--gravity-m-s2", typed, "--latitude-deg", "45", "--force", "--overwrite")
+    again = shell("convert", log, "-o", tmp_path / "rec", "-q", *SI, *given).err
+    assert ("In its place, give --height-m, or the gravity of the site" in again) == (typed == "9.80665")
     # A sigma that is stated is no assumption any more.
     stated = srt.read(tmp_path / "rec", gravity_sigma_m_s2=1e-5).site
     assert (stated.gravity_sigma_m_s2, stated.gravity_sigma_origin) == (1e-5, None)
@@ -362,6 +366,14 @@ def test_a_folder_and_a_file_named_twice_are_called_so(log, tmp_path, unit, refu
         assert "it is a folder, and a file is expected" in shell(*words, code=2).err
 
 
+def test_a_column_that_the_log_lacks_is_not_read_from_another(tmp_path, refused):
+    log = written(tmp_path / "log.csv", "time,gx,gy,gz,ax,ay", TIME, GYRO, ACCEL[:, :2])
+    sentence = refused(tmp_path / "rec", log, *SI, *SITE)
+    assert "no column was recognised as accel_z, and the file lacks it: all columns are read as others" in sentence
+    sentence = refused(tmp_path / "rec", log, *SI, *SITE, "--columns", "accel_z=ay")
+    assert "column 6 would be read as accel_z and as accel_y" in sentence
+
+
 def test_swapped_axes_are_corrected_by_the_option_that_is_named(recording, tmp_path, shell):
     loaded = srt.read(recording)
     accel = loaded.accel[:, [1, 0, 2]]
@@ -373,3 +385,8 @@ def test_swapped_axes_are_corrected_by_the_option_that_is_named(recording, tmp_p
     option = sentence.rpartition(" with ")[2].rstrip(".\n").split()
     shell("convert", log, "-o", tmp_path / "right", *given, *option)
     assert "No fault found." in shell("inspect", tmp_path / "right").out
+    assert "exchange the names of the two columns in its samples file; otherwise" in sentence
+    samples = tmp_path / "swapped" / "samples.csv"
+    head, _, rest = samples.read_text().partition("\n")
+    samples.write_text(head.replace("accel_x,accel_y", "accel_y,accel_x") + "\n" + rest)
+    assert "No fault found." in shell("inspect", tmp_path / "swapped").out

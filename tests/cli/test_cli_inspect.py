@@ -48,6 +48,22 @@ def shelf(tmp_path_factory):
     return path
 
 
+def test_standard_gravity_without_a_sigma_is_warned_of(shelf, tmp_path, shell):
+    assert shell("inspect", shelf, "-q").err == ""  # this program wrote it, with the sigma
+    by_hand = tmp_path / "by_hand"
+    shutil.copytree(shelf, by_hand)
+    toml = by_hand / "recording.toml"
+    lines = [line for line in toml.read_text().splitlines() if "gravity_sigma" not in line]
+    toml.write_text("\n".join(lines))
+    # A minute at rest is no test, and calibrate refuses it after the warning.
+    inspected, calibrated = shell("inspect", by_hand, "-q").err, shell("calibrate", by_hand, code=1).err
+    assert calibrated.startswith(inspected)
+    assert "no gravity_sigma_m_s2: 5e-06 m/s² is assumed" in inspected
+    assert "In its place, give height_m, or the gravity of the site; or gravity_sigma_m_s2 if" in inspected
+    toml.write_text("\n".join(line for line in lines if "latitude" not in line))
+    assert "give latitude_deg and height_m, or" in shell("inspect", by_hand, "-q").err
+
+
 def test_the_table_says_what_the_recording_is(folder, shell):
     out, err = shell("inspect", folder)
     assert err == ""

@@ -132,6 +132,17 @@ def test_the_page_of_files_lists_the_keys_of_a_recording(section):
     assert first_column("docs/reference/files.md", heading) == {k.name for k in (*schema.SECTIONS[section], *poses)}
 
 
+def test_the_recording_on_the_page_of_files_can_be_read(tmp_path):
+    block = re.search(r"^```toml\n(\[recording\].*?)^```$", TEXTS["docs/reference/files.md"], re.M | re.S)[1]
+    (tmp_path / "recording.toml").write_text(block)
+    rows = [f"{100 * k},12,-7,3,0,0,16384" for k in range(1, 271)]
+    (tmp_path / "samples.csv").write_text("\n".join(["time,gyro_x,gyro_y,gyro_z,accel_x,accel_y,accel_z", *rows]))
+    recording = srt.load_recording(tmp_path)
+    assert not recording.gyro.any()
+    assert recording.sequences[0].id == "1"
+    np.testing.assert_allclose(recording.accel[0], [0.0, 0.0, 9.80665], rtol=1e-6)  # the value of a count has 7 digits
+
+
 def test_the_page_of_files_lists_the_keys_of_a_calibration():
     unit = srt.Calibration("hand", "converged", "", srt.SensorErrors(), np.zeros((27, 27)))
     assert first_column("docs/reference/files.md", "Calibration") == set(unit.to_dict()) | set(STATUSES)

@@ -18,6 +18,7 @@ from srt.reports.certificate import calibration_file, html_page, load_acceptance
 from srt.reports.certificate.calibration_file import FALSE_ALARM, changes_since
 from srt.reports.certificate.figures import certificate_figures
 from srt.reports.certificate.issue import write_certificate
+from srt.reports.certificate.laboratory import Laboratory
 from srt.result.calibration import Residual
 from srt.result.consistency import Consistency, LeaveOneOut
 from srt.result.json_file import json_text
@@ -113,11 +114,18 @@ def test_a_full_disk_leaves_neither_page_nor_pdf(tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_the_residual_table_tells_redundant_from_dof(saved):
+    note = make_certificate(saved(with_verdict(calibration()))).residuals.note
+    assert "Redundant counts the residuals that are not zero, dof the combinations" in note
+
+
 def test_a_sigma_that_nobody_stated_is_called_assumed(saved):
+    lab = Laboratory(references={"gravity": "report G-17"})
     for origin, shown in ((None, "0.0029 m/s²"), ("assumed", "0.0029 m/s² (assumed)")):
         site = StatedSite(gravity_m_s2=9.81, gravity_sigma_m_s2=0.01 / 12**0.5, gravity_sigma_origin=origin)
-        made = make_certificate(saved(calibration(site=site)))
-        assert made.references.rows[0][2].text == shown
+        made = make_certificate(saved(calibration(site=site)), laboratory=lab)
+        stated_there = "report G-17" + (" (the value; its uncertainty is assumed, not stated)" if origin else "")
+        assert [cell.text for cell in made.references.rows[0][2:]] == [shown, stated_there]
         assert ("gravity 9.81 ± 0.0029 m/s² (assumed)" in str(made.description)) == (origin is not None)
 
 

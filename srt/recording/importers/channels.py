@@ -192,6 +192,7 @@ def assign(
             )
         if found:
             columns[channel] = found[0]
+    _require_once(path, columns)
     _require_all(path, names, width, columns, arrays=arrays)
     if both:
         read, other = ("increments", "rates") if kind == "increment" else ("rates", "increments")
@@ -226,7 +227,7 @@ def with_temperature(
 def _all_given(
     path: Path, names: Sequence[str], width: int, wanted: Mapping[str, str | int], *, arrays: bool
 ) -> dict[str, int]:
-    """Positions of the channels given by the user. Raises InputError on columns that are absent or read twice."""
+    """Positions of the channels given by the user. Raises InputError on columns that are absent."""
     given: dict[str, str | int] = {}
     for channel, column in wanted.items():
         given.update(_given(names, channel, column, arrays=arrays))
@@ -242,14 +243,17 @@ def _all_given(
             columns[channel] = place
     if absent:
         raise InputError(f"{path} has no column {', '.join(absent)} (found: {_all_listed(names)}): name one of those.")
+    return columns
+
+
+def _require_once(path: Path, columns: Mapping[str, int]) -> None:
     owner: dict[int, str] = {}
     for channel, place in columns.items():
         if owner.setdefault(place, channel) != channel:
             raise InputError(
-                f"{path}: {option('columns')} reads both {owner[place]} and {channel} from column {place + 1}: give "
-                "each channel a column of its own (channels without one count from column 1)."
+                f"{path}: column {place + 1} would be read as {owner[place]} and as {channel}: give each channel a "
+                f"column of its own with {option('columns')} (channels without one count from column 1)."
             )
-    return columns
 
 
 def _given(names: Sequence[str], channel: str, column: str | int, *, arrays: bool) -> dict[str, str | int]:
@@ -295,8 +299,14 @@ def _require_all(path: Path, names: Sequence[str], width: int, columns: Mapping[
         )
     channels = [*([] if TIME in columns else [TIME]), *missing]
     line = ",".join(f"{channel}=NAME" for channel in channels)
+    start = f"{path}: no column was recognised as {', '.join(channels)}"
+    if width and not unread(names, columns):
+        raise InputError(
+            f"{start}, and the file lacks it: all columns are read as others ({_all_listed(names)}); log it, or "
+            f"correct a wrong column with {option('columns')}."
+        )
     raise InputError(
-        f"{path}: no column was recognised as {', '.join(channels)} (columns found: {_all_listed(names)}): give "
+        f"{start} (columns found: {_all_listed(names)}): give "
         f"{option('columns')} '{line}' with a name found, or its number from 1, for each NAME"
         f"{f' (leave {TIME} out if there are no stamps)' if TIME in channels else ''}."
     )

@@ -246,7 +246,8 @@ def residual_table(calibration: Calibration) -> Table | None:
     if judged:
         note += (
             " Chi-square tests the sequence against its prediction from all others; p is the probability that noise "
-            "alone gives a larger value."
+            "alone gives a larger value. Redundant counts the residuals that are not zero, dof the combinations of the "
+            "sequence's measurements that the other sequences predict."
         )
     head = ["sequence", "residuals", "redundant", "rms / sigma", "largest / sigma", "component"]
     head += ["chi-square / dof", "p"] if judged else []

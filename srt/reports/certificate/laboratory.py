@@ -138,9 +138,11 @@ def references_table(calibration: Calibration, laboratory: Laboratory) -> Table:
         "time_base": ("clock of the recording", _number(clock, "ppm", 2)),
     }
     columns = 4 if laboratory.references else 3
-    rows = (
-        (label, *known[key], laboratory.references.get(key, NOT_STATED))[:columns] for key, label in _REFERENCES.items()
-    )
+    origins = dict(laboratory.references)
+    if origin and "gravity" in origins:
+        # The origin that the laboratory states is not that of a sigma which nobody stated.
+        origins["gravity"] += " (the value; its uncertainty is assumed, not stated)"
+    rows = ((label, *known[key], origins.get(key, NOT_STATED))[:columns] for key, label in _REFERENCES.items())
     return table(
         ("quantity", "value", "standard uncertainty", "origin")[:columns],
         rows,
