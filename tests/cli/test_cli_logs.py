@@ -11,6 +11,7 @@ import pytest
 from small_units import recorded, simulated
 
 import srt
+from srt.cli.convert import log_remedy
 from srt.constants import DEG, STANDARD_GRAVITY_M_S2
 from srt.exporters import load
 
@@ -93,6 +94,54 @@ def test_options_that_change_make_the_recording_again_and_never_replace_an_edite
     assert "edited" in sentence
     assert "--serial" in sentence
     assert {path: path.read_bytes() for path in again.rglob("*") if path.is_file()} == before
+
+
+def test_a_wrong_unit_is_mended_by_the_option_of_the_log(log, tmp_path, capsys):
+    from srt.cli import main
+
+    def failed(*words):
+        stated = {**UNITS, **SITE, **dict(zip(words[::2], words[1::2], strict=False))}
+        more = ["--force"] * (len(words) % 2)
+        assert main(["calibrate", str(log), "-o", str(tmp_path / "out"), *more, *sum(stated.items(), ())]) == 1
+        read = capsys.readouterr()
+        assert "correct gyro_unit" not in " ".join(read.out.split())
+        return read.err.splitlines()[-1]
+
+    sentence = failed("--gyro-unit", "deg/h")
+    assert sentence.endswith("gyro readings look like deg/s, declared as deg/h; run again with --gyro-unit deg/s.")
+    assert failed("--gyro-unit", "deg/h", "--force").endswith(sentence.removeprefix("srt: "))
+    assert failed("--accel-unit", "m/s^2").endswith("look like g, declared as m/s²; run again with --accel-unit g.")
+    assert failed("--accel-unit", "m/s^2", "--force").count("At rest the accelerometers read") == 1
+    toml = tmp_path / "out" / "recording" / "recording.toml"
+    toml.write_text(toml.read_text().replace('gyro_unit = "rad/s"', 'gyro_unit = "deg/s"'))
+    assert main(["calibrate", str(log), "-o", str(tmp_path / "out"), "--accel-unit", "g"]) == 2
+    assert "name another folder, and repeat the edit there; these samples are in SI units" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "kind", "expected"),
+    [
+        ("x: the readings look like degrees, declared as radians; correct gyro_unit.", None, "--gyro-unit deg/s."),
+        ("x: look like degrees, declared as radians; correct gyro_unit or kind.", "increment", "--gyro-unit deg."),
+        ("look like m/s², declared as g; correct accel_unit.", None, "--accel-unit m/s^2."),
+        ("look like g, declared as m/s²; correct accel_unit.", "increment", "--accel-unit g*s."),
+        (
+            "look like ft/s², declared as m/s²; correct accel_unit.",
+            None,
+            "--accel-unit counts and the value of the unit as --accel-lsb.",
+        ),
+        ("no known unit explains it; correct accel_unit or kind.", None, "--accel-unit of another value, or --kind."),
+        (
+            "the time stamps look like ms, declared as s; correct time_unit in recording.toml.",
+            None,
+            "run again with --time-unit ms.",
+        ),
+        ('set gyro_unit = "counts" and gyro_lsb.', None, "run again with --gyro-unit counts and --gyro-lsb."),
+        ('as for increments; set kind = "increment".', None, "run again with --kind increment."),
+    ],
+)
+def test_remedies_name_options(words, kind, expected):
+    assert log_remedy(words, kind).endswith(expected)
 
 
 def test_another_log_or_a_foreign_folder_is_refused(log, again, tmp_path, refused):
