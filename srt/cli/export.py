@@ -187,7 +187,7 @@ def write_targets(
 ) -> int:
     """Write a calibration in the formats of other tools, as kalibr.yaml; give the worst exit code.
 
-    A format that cannot hold it is told on standard error, and the others are written.
+    A format that cannot hold it, or of which nothing is measured, is told on standard error; the others are written.
 
     Parameters
     ----------
@@ -202,8 +202,15 @@ def write_targets(
     from srt.reports.text.exported_calibration import export_summary
 
     codes = [0]
+    empty = [target for target in targets if not exporter(target).measured(calibration.observed)]
+    if empty:
+        warn(
+            f"{', '.join(empty)} {'was' if len(empty) == 1 else 'were'} not written: the log is too short or has too "
+            "few turns, so that nothing of what such a file holds (scale factors, misalignments) is measured; record "
+            "20 to 30 turns between rests."
+        )
     readings = Readings.of(recording, "the recording")
-    for target in targets:
+    for target in (each for each in targets if each not in empty):
         chosen = exporter(target)
         rate_hz = 1.0 / recording.nominal_interval_s if "rate_hz" in chosen.options else None
         try:

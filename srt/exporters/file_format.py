@@ -11,12 +11,13 @@ import numpy as np
 from srt.exceptions import InputError, optional
 from srt.exporters.export_model import origin
 from srt.result.json_file import parse_json
+from srt.sensor_errors import INDEX
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from srt.exporters.export_model import ExportModel
-    from srt.types import Array
+    from srt.types import Array, Mask
 
     Texts = Mapping[str, str]
     Fields = dict[str, Array]
@@ -71,6 +72,11 @@ class Exporter:
     def imports(self) -> bool:
         """True if it can be read as a pre-calibration: it holds the linear part, and not a whole calibration."""
         return self.within is not None and not self.asymmetry
+
+    def measured(self, observed: Mask) -> bool:
+        """True if any of the parameters that the file holds is among the observed ones, shape (27,)."""
+        lacking = ("asymmetry",) * (not self.asymmetry) + ("bias",) * (not self.biases)
+        return any(observed[k] for name, k in INDEX.items() if not any(word in name for word in lacking))
 
 
 def heading(item: Exporter, model: ExportModel) -> list[str]:

@@ -237,7 +237,7 @@ OPENVINS: Final = Exporter(
         "the uncertainty of the intrinsics: OpenVINS starts each with a sigma of 1e-3 that no file sets",
     ),
     advice=(
-        "Extrinsics (T_imu_cam) are those of the axes named above; they must be estimated or turned in the same.",
+        "Extrinsics (T_imu_cam) are those of these axes (line axes: of the file); estimate or turn them in the same.",
         "If it is to estimate the intrinsics (calib_imu_intrinsics), 1e-3 is far from the sigmas of this calibration: "
         "leave that off to keep these values, or set the prior in its source (State.cpp).",
     ),

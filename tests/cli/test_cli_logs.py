@@ -212,6 +212,27 @@ def test_what_does_not_go_with_a_log_is_refused(log, raw, tmp_path, words, fragm
 
 
 def test_a_recording_is_written_for_other_tools_too(recording, tmp_path, shell):
-    shell("calibrate", recording, "-o", tmp_path / "out", "-q", "--to", "c-header")
+    out, _ = shell("calibrate", recording, "-o", tmp_path / "out", "--to", "c-header", "--to", "imu_tk")
     names = {path.name for path in (tmp_path / "out").iterdir()}
-    assert names - {"calibration.png"} == {"calibration.json", "c-header.h"}
+    assert names - {"calibration.png", "imu_tk_gyro.calib", "imu_tk_acc.calib"} == {"calibration.json", "c-header.h"}
+    # The axes are told as srt export tells them.
+    exported = shell("export", tmp_path / "out" / "calibration.json", "--to", "imu_tk").out
+    axes = exported[exported.index("axes:") : exported.index("\n\n")].splitlines()
+    assert len(axes) == 5
+    assert "\n".join(f"  {line}" for line in axes) in out
+
+
+def test_files_of_which_nothing_is_measured_are_not_written(tmp_path, shell):
+    """One turn about the vertical shows three biases at most, and the matrices of Kalibr would be identity."""
+    rng = np.random.default_rng(5)
+    time = np.arange(1, 1001) / 100.0
+    gyro, accel = rng.normal(0.0, 1e-4, (1000, 3)), rng.normal([0.0, 0.0, 9.8066], 1e-3, (1000, 3))
+    gyro[400:600, 2] += 0.25
+    np.savetxt(tmp_path / "log.csv", np.column_stack([time, gyro, accel]), delimiter=",")
+    columns = ["--columns", "time,gyro,accel", "--gyro-unit", "rad/s", "--accel-unit", "m/s^2", "--time-unit", "s"]
+    targets = ["--to", "kalibr", "--to", "openvins", "--to", "pyins"]
+    _, err = shell("calibrate", tmp_path / "log.csv", "-o", tmp_path / "out", "-q", *targets, *columns, *STATED[-4:])
+    assert "kalibr, openvins were not written: the log is too short or has too few turns" in err
+    assert "record 20 to 30 turns between rests" in err
+    assert not list((tmp_path / "out").glob("*.yaml"))
+    assert "parameters are measured" in (tmp_path / "out" / "pyins.json").read_text()
