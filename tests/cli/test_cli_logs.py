@@ -2,6 +2,7 @@
 
 import io
 import json
+import re
 import shutil
 import sys
 import tomllib
@@ -69,11 +70,13 @@ def test_a_log_becomes_a_recording_a_calibration_and_the_files_asked_for(log, ma
     np.testing.assert_allclose(found.errors.vector[scale], calibration.errors.vector[scale], atol=1e-5)
 
 
-def test_the_second_run_reads_the_recording_with_what_was_entered_in_it(log, again, shell):
+def test_the_second_run_reads_the_recording_with_what_was_entered_in_it(log, made, again, shell):
     toml = again / "recording" / "recording.toml"
     toml.write_text(toml.read_text() + "\n[imu]\ngyro_noise_deg_per_sqrt_h = 0.002\n")
     edited = toml.read_bytes()
-    out, _ = shell("calibrate", log, "-o", again, *STATED)
+    shutil.copy(made / "calibration.json", again)
+    out, err = shell("calibrate", log, "-o", again, *STATED)
+    assert re.search(r"calibration.json was replaced.* 'srt export' .* 'srt noise --into' are not kept", err)
     assert "which was made of" in out
     assert toml.read_bytes() == edited
     noise = srt.load_calibration(again / "calibration.json").noise
