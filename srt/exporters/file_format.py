@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     Texts = Mapping[str, str]
     Fields = dict[str, Array]
 
+ABSENT: Final = "there is no"
+"""Opening of the refusal of a file without a field: it may well be of another format."""
 ROUNDING: Final = 1e-11
 """Relative rounding of two orders of the same operations in double precision (condition numbers reach 10)."""
 SINGLE: Final = 2e-6
@@ -142,7 +144,7 @@ def field(document: Any, path: str, shape: tuple[int, ...]) -> Array:
     found = document
     for key in path.split("."):
         if not isinstance(found, dict) or key not in found:
-            raise InputError(f"there is no {path} in it: it was truncated, or is of another format.")
+            raise InputError(f"{ABSENT} {path} in it: it was truncated, or is of another format.")
         found = found[key]
     return numbers(found, path, shape)
 
