@@ -22,8 +22,8 @@ def export_summary(made: ExportedCalibration) -> str:
         *made.limits,
         *made.format.advice,
     )
-    lines = [line for text in (*_composed(made), *sentences) for line in wrap(text, "  ")]
-    return "\n".join([made.format.title, *(f"  {line}" for line in _axes(made)), *lines])
+    composed, lines = ([line for text in texts for line in wrap(text, "  ")] for texts in (_composed(made), sentences))
+    return "\n".join([made.format.title, *composed, *(f"  {line}" for line in _axes(made)), *lines])
 
 
 def _axes(made: ExportedCalibration) -> list[str]:
