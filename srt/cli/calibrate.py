@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -10,6 +11,7 @@ import click
 from srt.cli.calibration_jobs import Display, Job, draw, plan, plan_fleet, plan_folder, plan_merging
 from srt.cli.convert import GROUPS as LOG_GROUPS
 from srt.cli.convert import log_options, log_remedy
+from srt.cli.export import writable_targets
 from srt.cli.fleet import FLEET_FROM, FleetEngine, run_fleet
 from srt.cli.grouped_command import GroupedCommand
 from srt.cli.logs import take_log
@@ -294,6 +296,7 @@ def run_each(jobs: Sequence[Job], estimator: str, options: Options, display: Dis
             recording = display.load(job)
             if job.log is not None and not display.quiet:
                 show(f"{inspected(job, recording)}\n")
+            targets, refused = writable_targets(job.targets, recording)
             calibration = run_job(job, estimator, options, display, recording)
         except SrtError as error:
             sentence = reworded(job, str(error))
@@ -302,8 +305,8 @@ def run_each(jobs: Sequence[Job], estimator: str, options: Options, display: Dis
             codes.append(error.exit_code)
         else:
             seen = is_seen(quiet=display.quiet)
-            files = write_files(job, calibration, recording, display)
-            codes.append(max(report_problems(job, calibration, seen=seen), files))
+            files = write_files(replace(job, targets=targets), calibration, recording, display)
+            codes.append(max(report_problems(job, calibration, seen=seen), files, refused))
     if not display.quiet and min(codes) == 0:
         more = "" if display.complete else "--details shows more. "
         rest = "Nothing was written: -o FILE.json keeps the result." if output is None else ""

@@ -227,6 +227,29 @@ def write_targets(
     return max(codes)
 
 
+def writable_targets(targets: Sequence[str], recording: Recording) -> tuple[tuple[str, ...], int]:
+    """Targets whose files do not lack the correction that the log was made under; exit code for the others.
+
+    Those are told on standard error. Raises InputError if no target is left.
+    """
+    from srt.exporters.conversion import replaced_correction
+    from srt.exporters.registry import exporter
+
+    kept, refused = [], {}
+    for target in targets:
+        try:
+            replaced_correction(exporter(target), recording.applied)
+        except InputError as error:
+            refused[target] = error
+        else:
+            kept.append(target)
+    if refused and not kept:
+        raise next(iter(refused.values()))
+    for target, reason in refused.items():
+        say(f"{target} will not be written: {reason}")
+    return tuple(kept), InputError.exit_code if refused else 0
+
+
 def target_path(folder: Path, chosen: Exporter) -> Path:
     """Path of the file of a format beside a calibration, as kalibr.yaml."""
     return folder / f"{chosen.name}{chosen.suffixes[0]}"

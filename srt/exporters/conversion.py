@@ -151,7 +151,8 @@ def export(
     frame = frame or chosen.frames[0]
     measured_on = readings or Readings.standard(calibration)
     gyro, accel = _linear_parts(calibration, measured_on if asymmetry == "fit" else None)
-    replaced = _replaced(chosen, calibration, applied)
+    known = applied or applied_correction("The calibration", calibration.provenance.applied)
+    replaced = replaced_correction(chosen, known)
     C_FB = _axes(calibration, chosen, frame, accel, replaced)
     alone = ExportModel(
         calibration, gyro.turned(C_FB), accel.turned(C_FB), frame, C_FB, settings, _g_sensitivity(calibration, C_FB)
@@ -309,9 +310,11 @@ def part_paths(chosen: Exporter, path: str | PathLike[str]) -> dict[str, Path]:
     }
 
 
-def _replaced(chosen: Exporter, calibration: Calibration, stated: AppliedCorrection | None) -> AppliedCorrection | None:
-    """Correction of the log that the file replaces; None if it works on the readings as they were logged."""
-    known = stated or applied_correction("The calibration", calibration.provenance.applied)
+def replaced_correction(chosen: Exporter, known: AppliedCorrection | None) -> AppliedCorrection | None:
+    """Correction of the log that the file replaces; None if it works on the readings as they were logged.
+
+    Raises InputError for one that must be known and is not, or that a file of the format does not replace.
+    """
     if known is not None and known.system == chosen.name:
         return known
     if not chosen.find_applied or (known is not None and known.system == NOTHING):

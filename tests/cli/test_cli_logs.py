@@ -70,6 +70,12 @@ def test_a_log_becomes_a_recording_a_calibration_and_the_files_asked_for(log, ma
     np.testing.assert_allclose(found.errors.vector[scale], calibration.errors.vector[scale], atol=1e-5)
 
 
+def test_the_correction_of_a_log_is_asked_for_before_the_calculation(log, tmp_path, shell):
+    words = ("calibrate", log, "-o", tmp_path / "out", "-q", "--to", "px4", *STATED)
+    assert "add --applied px4:FILE, or --applied none" in shell(*words, code=2).err
+    assert not (tmp_path / "out" / "calibration.json").exists()
+
+
 def test_the_second_run_reads_the_recording_with_what_was_entered_in_it(log, made, again, shell):
     toml = again / "recording" / "recording.toml"
     toml.write_text(toml.read_text() + "\n[imu]\ngyro_noise_deg_per_sqrt_h = 0.002\n")
