@@ -34,6 +34,8 @@ UNCHECKED = (
     "are taken as stated."
 )
 """Warning of a calibration without checks."""
+_OPENING = 30
+"""Characters by which two sentences on the same readings are known: "At rest the accelerometers read"."""
 _IN_RESULT = frozenset({"accel_bias_drift", "sequence_missing"})
 """Faults that the result itself states: what drifts, and what is fixed, with the sequences to record."""
 
@@ -162,7 +164,9 @@ def _refused(diagnosis: Diagnosis) -> DataError:
 
 
 def _caused(sentence: str, cause: Finding) -> DataError:
-    return DataError(f"{sentence} The likely cause: {cause.sentence}", fault=cause.fault)
+    # The estimator refuses readings at rest in the words of the fault.
+    same = sentence[:_OPENING] == cause.sentence[:_OPENING]
+    return DataError(cause.sentence if same else f"{sentence} The likely cause: {cause.sentence}", fault=cause.fault)
 
 
 def noise_terms(source: Any, **stated: Any) -> NoiseTerms:

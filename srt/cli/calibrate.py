@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from srt.cli.calibration_jobs import Display, Job, draw, plan, plan_fleet, plan_folder, plan_merging
 from srt.cli.convert import GROUPS as LOG_GROUPS
-from srt.cli.convert import log_options
+from srt.cli.convert import log_options, log_remedy
+from srt.cli.export import writable_targets
 from srt.cli.fleet import FLEET_FROM, FleetEngine, run_fleet
 from srt.cli.grouped_command import GroupedCommand
 from srt.cli.logs import take_log
@@ -16,7 +19,7 @@ from srt.cli.merge import run_merging
 from srt.cli.messages import announce, is_seen, say, show, warn
 from srt.cli.names import Name
 from srt.cli.output_paths import RESULT_SUFFIXES, make_directory, require_matplotlib
-from srt.cli.overwriting import overwrite_option
+from srt.cli.overwriting import TOML, is_unchanged, overwrite_option
 from srt.cli.path_type import PATH
 from srt.cli.recording_arguments import find_recordings
 from srt.exceptions import DataError, InputError, SrtError
@@ -293,16 +296,17 @@ def run_each(jobs: Sequence[Job], estimator: str, options: Options, display: Dis
             recording = display.load(job)
             if job.log is not None and not display.quiet:
                 show(f"{inspected(job, recording)}\n")
+            targets, refused = writable_targets(job.targets, recording)
             calibration = run_job(job, estimator, options, display, recording)
         except SrtError as error:
-            sentence = str(error)
+            sentence = reworded(job, str(error))
             named = len(jobs) == 1 or str(job.recording) in sentence
             say(sentence if named else f"{job.recording}: {sentence}")
             codes.append(error.exit_code)
         else:
             seen = is_seen(quiet=display.quiet)
-            files = write_files(job, calibration, recording, display)
-            codes.append(max(report_problems(job, calibration, seen=seen), files))
+            files = write_files(replace(job, targets=targets), calibration, recording, display)
+            codes.append(max(report_problems(job, calibration, seen=seen), files, refused))
     if not display.quiet and min(codes) == 0:
         more = "" if display.complete else "--details shows more. "
         rest = "Nothing was written: -o FILE.json keeps the result." if output is None else ""
@@ -392,7 +396,15 @@ def inspected(job: Job, recording: Recording) -> str:
     from srt.reports.inspection import inspect
     from srt.reports.text.inspection import inspection_summary
 
-    return inspection_summary(inspect(recording), title=str(job.recording))
+    return inspection_summary(inspect(recording), title=str(job.recording), reworded=partial(reworded, job))
+
+
+def reworded(job: Job, sentence: str) -> str:
+    """Sentence on a fault; for a recording that is as it was made of a log, with the option in place of the key."""
+    toml = job.recording / TOML
+    if job.log is None or (toml.exists() and not is_unchanged(toml)):
+        return sentence
+    return log_remedy(sentence, job.log.given.get("kind"))
 
 
 def write_files(job: Job, calibration: Calibration, recording: Recording, display: Display) -> int:

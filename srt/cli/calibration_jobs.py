@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
+
+import click
 
 from srt.cli.messages import figure_title
 from srt.cli.output_paths import (
@@ -16,7 +18,7 @@ from srt.cli.output_paths import (
     picture_in,
     recording_folder,
 )
-from srt.cli.overwriting import check_replaceable
+from srt.cli.overwriting import LOSS, check_replaceable
 from srt.cli.recording_arguments import file_name, load_stated, unit_names
 from srt.exceptions import InputError
 
@@ -28,6 +30,10 @@ if TYPE_CHECKING:
     from srt.recording.recording import Recording
     from srt.result.calibration import Calibration
     from srt.sensor_errors import SensorErrors
+
+_LOSS: Final = (
+    " Options of an earlier 'srt export' (as --inflate, --topic) and terms of 'srt noise --into' are not kept."
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,6 +184,7 @@ def plan_folder(
         if path.parent.is_dir() or path is plot:
             check_place(path, suffixes, what)
     check_replaceable(*(path for path, _, _ in written))
+    click.get_current_context().meta[LOSS] = _LOSS
     return (Job(place, name, file, picture, log, tuple(formats)),)
 
 

@@ -87,7 +87,8 @@ def compare(
     same axes, with the residuals at rest and over the turns of RECORDING that both leave, and those of raw readings.
 
     Exit codes: 0 all that ran converged (or partial) and agree; 1 they disagree, some are doubtful and others sound,
-    one failed or did not converge, or fewer than two can run; 2 wrong usage or unreadable input.
+    one failed or did not converge, or fewer than two can run; 2 wrong usage or unreadable input. With --with: 0
+    compared, whatever the differences; 1 fewer than two rests in RECORDING; 2 wrong usage or unreadable input.
     """
     # Whatever can be refused without the samples is refused before they are read.
     if other is not None:

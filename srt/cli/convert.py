@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING, Any, Final, Self
 
 import click
@@ -253,7 +254,7 @@ def read_source(source: Path, second: Path | None, given: Mapping[str, Any], *, 
         rest["applied"] = applied_of(rest["applied"], rest.get("instance"))
     recording, imported, importer = read_log(source, rest, format=name, like=like)
     if not force:
-        check_gravity(recording, source, rest.get("accel_lsb"))
+        check_gravity(recording, source, rest.get("accel_lsb"), rest.get("kind"))
     doubt = gravity_warning(recording.site)
     if doubt is not None:
         warn(f"{source}: {doubt}")
@@ -277,13 +278,55 @@ def check_target(folder: Path, source: Path, second: Path | None, samples_format
             raise InputError(f"{path} would be replaced by its own conversion: name another folder than {folder}.")
 
 
-def check_gravity(recording: Recording, source: Path, accel_lsb: str | None = None) -> None:
+_UNIT: Final = re.compile(
+    r"(?P<found>look like (?P<unit>[^,;]+), declared as [^,;]+)?; correct (?P<sensor>gyro|accel|time)_unit"
+    r"(?: or kind| in recording\.toml)?"
+)
+_KEYS: Final = (
+    (re.compile(r"set (gyro|accel)_unit = \"counts\" and \w+_lsb"), r"run again with --\1-unit counts and --\1-lsb"),
+    (re.compile(r"correct (gyro|accel)_lsb"), r"run again with another --\1-lsb"),
+    (re.compile(r'set kind = "(\w+)"'), r"run again with --kind \1"),
+)
+"""Remedies of faults in keys of recording.toml, and as options of a log."""
+
+
+def log_remedy(sentence: str, kind: str | None = None) -> str:
+    """Sentence of a fault whose remedy is an option of the log.
+
+    The samples of a recording that is made of a log are in SI units: another unit in its recording.toml would be wrong.
+
+    Parameters
+    ----------
+    kind : str, optional
+        Kind of the samples as stated; default: rate.
+    """
+    from srt.recording.import_options import normal_unit
+
+    known = {"gyro": _GYRO_UNITS, "accel": _ACCEL_UNITS, "time": _TIME_UNITS}
+
+    def named(fault: re.Match[str]) -> str:
+        sensor, unit = fault["sensor"], normal_unit(fault["unit"] or "")
+        # Messages call both degrees per second and degrees "degrees".
+        forms = (f"{unit}*s", unit.removesuffix("^2")) if kind == "increment" else (f"{unit}/s", unit)
+        unit = next((form for form in forms if form in known[sensor]), "")
+        if not unit:
+            own = "counts and the value of the unit as --{0}-lsb" if fault["found"] else "of another value, or --kind"
+            unit = "of another value" if sensor == "time" else own.format(sensor)
+        return f"{fault['found'] or ''}; run again with --{sensor}-unit {unit}"
+
+    sentence = _UNIT.sub(named, sentence)
+    for key, option in _KEYS:
+        sentence = key.sub(option, sentence)
+    return sentence
+
+
+def check_gravity(recording: Recording, source: Path, accel_lsb: str | None = None, kind: str | None = None) -> None:
     """Refuse accelerometers that do not read gravity: a unit, or the kind of the samples, is wrong.
 
     Parameters
     ----------
-    accel_lsb : str, optional
-        Value of a count as stated, which is then the first cause.
+    accel_lsb, kind : str, optional
+        Value of a count as stated, which is then the first cause, and kind of the samples.
 
     Raises
     ------
@@ -292,7 +335,9 @@ def check_gravity(recording: Recording, source: Path, accel_lsb: str | None = No
     try:
         check_median_force(recording)
     except DataError as error:
-        reason = f"{str(error).rstrip('.')}, or add --force."
+        reason = log_remedy(str(error), kind)
+        if "look like" not in reason:
+            reason = f"{reason.rstrip('.')}, or add --force."
         if accel_lsb is not None:
             ratio = median_force(recording) / recording.site.gravity_m_s2
             reason = (

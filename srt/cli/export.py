@@ -187,7 +187,7 @@ def write_targets(
 ) -> int:
     """Write a calibration in the formats of other tools, as kalibr.yaml; give the worst exit code.
 
-    A format that cannot hold it is told on standard error, and the others are written.
+    A format that cannot hold it, or of which nothing is measured, is told on standard error; the others are written.
 
     Parameters
     ----------
@@ -202,8 +202,15 @@ def write_targets(
     from srt.reports.text.exported_calibration import export_summary
 
     codes = [0]
+    empty = [target for target in targets if not exporter(target).measured(calibration.observed)]
+    if empty:
+        warn(
+            f"{', '.join(empty)} {'was' if len(empty) == 1 else 'were'} not written: the log is too short or has too "
+            "few turns, so that nothing of what such a file holds (scale factors, misalignments) is measured; record "
+            "20 to 30 turns between rests."
+        )
     readings = Readings.of(recording, "the recording")
-    for target in targets:
+    for target in (each for each in targets if each not in empty):
         chosen = exporter(target)
         rate_hz = 1.0 / recording.nominal_interval_s if "rate_hz" in chosen.options else None
         try:
@@ -218,6 +225,29 @@ def write_targets(
             show(f"\n{export_summary(made)}")
         announce(*written, quiet=quiet)
     return max(codes)
+
+
+def writable_targets(targets: Sequence[str], recording: Recording) -> tuple[tuple[str, ...], int]:
+    """Targets whose files do not lack the correction that the log was made under; exit code for the others.
+
+    Those are told on standard error. Raises InputError if no target is left.
+    """
+    from srt.exporters.conversion import replaced_correction
+    from srt.exporters.registry import exporter
+
+    kept, refused = [], {}
+    for target in targets:
+        try:
+            replaced_correction(exporter(target), recording.applied)
+        except InputError as error:
+            refused[target] = error
+        else:
+            kept.append(target)
+    if refused and not kept:
+        raise next(iter(refused.values()))
+    for target, reason in refused.items():
+        say(f"{target} will not be written: {reason}")
+    return tuple(kept), InputError.exit_code if refused else 0
 
 
 def target_path(folder: Path, chosen: Exporter) -> Path:

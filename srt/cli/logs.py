@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 _PARAMETERS: Final = {each.name: each for each in convert_command.params if isinstance(each, click.Option)}
 _NAMES: Final = ("like", *(name for names in GROUPS.values() for name in names))
 """Names of the options that describe a log."""
+_READING: Final = frozenset(next(iter(GROUPS.values())))
+"""Those that the samples were read by."""
 _RECORDING: Final = "recording"
 _CONVERSION: Final = "conversion.json"
 """Recording that was made of a log, and the file beside it with the digests of both and the options."""
@@ -90,10 +92,12 @@ class Log:
                     show(f"{place}, which was made of {self.path} before, is read as it is now\n")
                 return load_recording(place)
             if not is_unchanged(place / TOML_NAME):
-                changed = ", ".join(_flag(name) for name in self.given if given[name] != before["options"].get(name))
+                changed = [name for name in self.given if given[name] != before["options"].get(name)]
+                remedy = "enter the value there and leave the option out, or name another folder"
+                if not set(changed).isdisjoint(_READING):
+                    remedy = "name another folder, and repeat the edit there; these samples are in SI units already"
                 raise InputError(
-                    f"{place / TOML_NAME} was edited, and {changed} would replace it: enter the value there and leave "
-                    "the option out, or name another folder."
+                    f"{place / TOML_NAME} was edited, and {', '.join(map(_flag, changed))} would replace it: {remedy}."
                 )
         check_recording_target(place, overwrite=before is not None)
         recording, given = self._read(given, force=force, quiet=quiet)

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 _KEY: Final = "srt.overwrite"
 _OLD: Final = "srt.old"  # files that may be replaced, with their versions
+LOSS: Final = "srt.loss"  # sentence on what replaced files may have held that the new ones do not
 TOML: Final = "recording.toml"
 """Name of the description of a recording, by which its folder is known."""
 _METADATA: Final = {
@@ -81,7 +82,8 @@ def report_replaced(context: click.Context) -> None:
     if replaced:
         more = f" and {len(replaced) - _NAMED} more" if len(replaced) > _NAMED else ""
         were = "was" if len(replaced) == 1 else "were"
-        say(f"{', '.join(map(str, replaced[:_NAMED]))}{more} {were} replaced: earlier results, unchanged since.")
+        loss = context.meta.get(LOSS, "")
+        say(f"{', '.join(map(str, replaced[:_NAMED]))}{more} {were} replaced: earlier results, unchanged since.{loss}")
 
 
 def _version(path: Path) -> tuple[int, int] | None:

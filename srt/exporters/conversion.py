@@ -12,6 +12,7 @@ import numpy as np
 from srt.exceptions import DataError, InputError, SrtError
 from srt.exporters.correction_difference import CorrectionDifference, Readings, compare_corrections
 from srt.exporters.export_model import ExportModel, ExportSettings, unknown
+from srt.exporters.file_format import ABSENT
 from srt.exporters.linear_model import ASYMMETRY, FACTORS, LinearModel, linear_part
 from srt.exporters.registry import exporter, exporters
 from srt.model.sensor_model import Triad, accel_triad, gyro_triad, outside_model, to_mars
@@ -151,7 +152,8 @@ def export(
     frame = frame or chosen.frames[0]
     measured_on = readings or Readings.standard(calibration)
     gyro, accel = _linear_parts(calibration, measured_on if asymmetry == "fit" else None)
-    replaced = _replaced(chosen, calibration, applied)
+    known = applied or applied_correction("The calibration", calibration.provenance.applied)
+    replaced = replaced_correction(chosen, known)
     C_FB = _axes(calibration, chosen, frame, accel, replaced)
     alone = ExportModel(
         calibration, gyro.turned(C_FB), accel.turned(C_FB), frame, C_FB, settings, _g_sensitivity(calibration, C_FB)
@@ -265,17 +267,22 @@ def load_any(text: str) -> tuple[str, ImportedCalibration]:
     candidates = [item for item in readable if Path(text).suffix.lower() in item.suffixes]
     if not any(place.exists() for item in candidates or readable for place in part_paths(item, text).values()):
         raise InputError(f"There is no file {text} to read: check the path.")
-    found = {}
+    found, closest = {}, ""
     for item in candidates:
-        with suppress(SrtError):
+        try:
             item.read(read_texts(item, text))
+        except SrtError as error:
+            if not (closest or str(error).startswith((ABSENT, "it ", "The file "))):
+                closest = f"; read as {item.title}, {str(error).rstrip('.')}"
+        else:
             found[item.name] = item
     if len(found) == 1:
         name = found.popitem()[0]
         return name, load(text, name)
     names = ", ".join(found or [item.name for item in readable])
     which = "may be of more than one format" if found else "is of no format that can be read back"
-    raise InputError(f"{text} {which} ({names}): name it with its format, as {readable[0].name}:{text}.")
+    reason = "" if found else closest
+    raise InputError(f"{text} {which} ({names}){reason}: name it with its format, as {readable[0].name}:{text}.")
 
 
 def read_texts(chosen: Exporter, path: str | PathLike[str]) -> dict[str, str]:
@@ -304,9 +311,11 @@ def part_paths(chosen: Exporter, path: str | PathLike[str]) -> dict[str, Path]:
     }
 
 
-def _replaced(chosen: Exporter, calibration: Calibration, stated: AppliedCorrection | None) -> AppliedCorrection | None:
-    """Correction of the log that the file replaces; None if it works on the readings as they were logged."""
-    known = stated or applied_correction("The calibration", calibration.provenance.applied)
+def replaced_correction(chosen: Exporter, known: AppliedCorrection | None) -> AppliedCorrection | None:
+    """Correction of the log that the file replaces; None if it works on the readings as they were logged.
+
+    Raises InputError for one that must be known and is not, or that a file of the format does not replace.
+    """
     if known is not None and known.system == chosen.name:
         return known
     if not chosen.find_applied or (known is not None and known.system == NOTHING):

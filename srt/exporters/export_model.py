@@ -15,6 +15,7 @@ from srt.noise.allan import FLAT, TERMS
 from srt.noise.stated_figures import stated_term, white_noise
 from srt.recording.file_marks import UNSIGNED
 from srt.recording.schema import LARGEST_ELEMENT
+from srt.sensor_errors import N_PARAMETERS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -146,11 +147,12 @@ def origin(calibration: Calibration) -> list[str]:
     Texts keep only characters that cannot end a comment.
     """
     known, source = calibration.temperature, calibration.provenance
+    measured = f", {int(calibration.observed.sum())} of {N_PARAMETERS} parameters are measured"
     words = {
         "serial": source.serial,
         "date": source.date,
         "software": source.software,
-        "status": f"{calibration.status} ({calibration.estimator})",
+        "status": f"{calibration.status} ({calibration.estimator}){measured if calibration.held else ''}",
         "temperature": known and f"mean {known.mean_c:.1f} degC, range {known.range_c:.1f} degC in the test",
         "SHA-256": source.data_sha256,
     }

@@ -11,16 +11,19 @@ import numpy as np
 from srt.exceptions import InputError, optional
 from srt.exporters.export_model import origin
 from srt.result.json_file import parse_json
+from srt.sensor_errors import INDEX
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from srt.exporters.export_model import ExportModel
-    from srt.types import Array
+    from srt.types import Array, Mask
 
     Texts = Mapping[str, str]
     Fields = dict[str, Array]
 
+ABSENT: Final = "there is no"
+"""Opening of the refusal of a file without a field: it may well be of another format."""
 ROUNDING: Final = 1e-11
 """Relative rounding of two orders of the same operations in double precision (condition numbers reach 10)."""
 SINGLE: Final = 2e-6
@@ -71,6 +74,11 @@ class Exporter:
     def imports(self) -> bool:
         """True if it can be read as a pre-calibration: it holds the linear part, and not a whole calibration."""
         return self.within is not None and not self.asymmetry
+
+    def measured(self, observed: Mask) -> bool:
+        """True if any of the parameters that the file holds is among the observed ones, shape (27,)."""
+        lacking = ("asymmetry",) * (not self.asymmetry) + ("bias",) * (not self.biases)
+        return any(observed[k] for name, k in INDEX.items() if not any(word in name for word in lacking))
 
 
 def heading(item: Exporter, model: ExportModel) -> list[str]:
@@ -136,7 +144,7 @@ def field(document: Any, path: str, shape: tuple[int, ...]) -> Array:
     found = document
     for key in path.split("."):
         if not isinstance(found, dict) or key not in found:
-            raise InputError(f"there is no {path} in it: it was truncated, or is of another format.")
+            raise InputError(f"{ABSENT} {path} in it: it was truncated, or is of another format.")
         found = found[key]
     return numbers(found, path, shape)
 

@@ -37,6 +37,7 @@ from srt.constants import DEG
 from srt.exceptions import InputError
 from srt.exporters.export_model import DEFAULT_TOPIC, OPTIONS, comment, named, statement
 from srt.exporters.file_format import (
+    ABSENT,
     Exporter,
     each_sensor,
     field,
@@ -87,7 +88,9 @@ def _chain_fields(model: ExportModel) -> dict[str, object]:
 
 def _model_of_chain(document: dict[str, Any], known: Collection[str]) -> str:
     imu = document.get("imu0")
-    model = str(imu.get("model")) if isinstance(imu, dict) else "None"
+    if not isinstance(imu, dict):
+        raise InputError(f"{ABSENT} imu0 in it: it was truncated, or is of another format.")
+    model = str(imu.get("model"))
     if model not in known:
         expected = f"{'one of ' * (len(known) > 1)}{', '.join(known)}"
         raise InputError(f"the model of imu0 is {model[:40]!r}, but {expected} is expected: export that one.")
@@ -237,7 +240,7 @@ OPENVINS: Final = Exporter(
         "the uncertainty of the intrinsics: OpenVINS starts each with a sigma of 1e-3 that no file sets",
     ),
     advice=(
-        "Extrinsics (T_imu_cam) are those of the axes named above; they must be estimated or turned in the same.",
+        "Extrinsics (T_imu_cam) are those of these axes (line axes: of the file); estimate or turn them in the same.",
         "If it is to estimate the intrinsics (calib_imu_intrinsics), 1e-3 is far from the sigmas of this calibration: "
         "leave that off to keep these values, or set the prior in its source (State.cpp).",
     ),

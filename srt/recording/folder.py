@@ -204,7 +204,11 @@ def _conversion_advice(path: Path, what: str) -> str:
         title = find_importer(path).title
     except InputError:
         return f"name another {what}"
-    return f"convert the {what} ({title}): srt convert {path} -o DIR"
+    return (
+        f"convert the {what} ({title}): srt convert {path} -o DIR, with --latitude-deg and --height-m, and "
+        "--gyro-unit, --accel-unit and --time-unit where it states none; 'srt calibrate LOG -o FOLDER' keeps such a "
+        "recording as FOLDER/recording"
+    )
 
 
 def samples_inside(toml: Path, name: str) -> Path:

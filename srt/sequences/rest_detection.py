@@ -124,7 +124,8 @@ def blocks_of(recording: Recording) -> Blocks:
         variance.append(np.concatenate([v for _, v in both], axis=1) * factor**2)
     if not first:
         raise DataError(
-            f"The recording has {len(recording.time)} samples, too few to find stillness: at least {size} are needed."
+            f"The recording has {len(recording.time)} samples at {1.0 / dt:.6g} Hz, and no piece without a gap has the "
+            f"{size} that stillness needs: check the time stamps, their unit, or record for longer."
         )
     centre = np.concatenate(mean)
     floor = np.maximum(resolution_floor(recording), (_ROUNDING * np.abs(centre).max(axis=0)) ** 2)

@@ -2,6 +2,7 @@
 
 import io
 import json
+import re
 import shutil
 import sys
 import tomllib
@@ -11,6 +12,7 @@ import pytest
 from small_units import recorded, simulated
 
 import srt
+from srt.cli.convert import log_remedy
 from srt.constants import DEG, STANDARD_GRAVITY_M_S2
 from srt.exporters import load
 
@@ -68,11 +70,19 @@ def test_a_log_becomes_a_recording_a_calibration_and_the_files_asked_for(log, ma
     np.testing.assert_allclose(found.errors.vector[scale], calibration.errors.vector[scale], atol=1e-5)
 
 
-def test_the_second_run_reads_the_recording_with_what_was_entered_in_it(log, again, shell):
+def test_the_correction_of_a_log_is_asked_for_before_the_calculation(log, tmp_path, shell):
+    words = ("calibrate", log, "-o", tmp_path / "out", "-q", "--to", "px4", *STATED)
+    assert "add --applied px4:FILE, or --applied none" in shell(*words, code=2).err
+    assert not (tmp_path / "out" / "calibration.json").exists()
+
+
+def test_the_second_run_reads_the_recording_with_what_was_entered_in_it(log, made, again, shell):
     toml = again / "recording" / "recording.toml"
     toml.write_text(toml.read_text() + "\n[imu]\ngyro_noise_deg_per_sqrt_h = 0.002\n")
     edited = toml.read_bytes()
-    out, _ = shell("calibrate", log, "-o", again, *STATED)
+    shutil.copy(made / "calibration.json", again)
+    out, err = shell("calibrate", log, "-o", again, *STATED)
+    assert re.search(r"calibration.json was replaced.* 'srt export' .* 'srt noise --into' are not kept", err)
     assert "which was made of" in out
     assert toml.read_bytes() == edited
     noise = srt.load_calibration(again / "calibration.json").noise
@@ -93,6 +103,54 @@ def test_options_that_change_make_the_recording_again_and_never_replace_an_edite
     assert "edited" in sentence
     assert "--serial" in sentence
     assert {path: path.read_bytes() for path in again.rglob("*") if path.is_file()} == before
+
+
+def test_a_wrong_unit_is_mended_by_the_option_of_the_log(log, tmp_path, capsys):
+    from srt.cli import main
+
+    def failed(*words):
+        stated = {**UNITS, **SITE, **dict(zip(words[::2], words[1::2], strict=False))}
+        more = ["--force"] * (len(words) % 2)
+        assert main(["calibrate", str(log), "-o", str(tmp_path / "out"), *more, *sum(stated.items(), ())]) == 1
+        read = capsys.readouterr()
+        assert "correct gyro_unit" not in " ".join(read.out.split())
+        return read.err.splitlines()[-1]
+
+    sentence = failed("--gyro-unit", "deg/h")
+    assert sentence.endswith("gyro readings look like deg/s, declared as deg/h; run again with --gyro-unit deg/s.")
+    assert failed("--gyro-unit", "deg/h", "--force").endswith(sentence.removeprefix("srt: "))
+    assert failed("--accel-unit", "m/s^2").endswith("look like g, declared as m/s²; run again with --accel-unit g.")
+    assert failed("--accel-unit", "m/s^2", "--force").count("At rest the accelerometers read") == 1
+    toml = tmp_path / "out" / "recording" / "recording.toml"
+    toml.write_text(toml.read_text().replace('gyro_unit = "rad/s"', 'gyro_unit = "deg/s"'))
+    assert main(["calibrate", str(log), "-o", str(tmp_path / "out"), "--accel-unit", "g"]) == 2
+    assert "name another folder, and repeat the edit there; these samples are in SI units" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "kind", "expected"),
+    [
+        ("x: the readings look like degrees, declared as radians; correct gyro_unit.", None, "--gyro-unit deg/s."),
+        ("x: look like degrees, declared as radians; correct gyro_unit or kind.", "increment", "--gyro-unit deg."),
+        ("look like m/s², declared as g; correct accel_unit.", None, "--accel-unit m/s^2."),
+        ("look like g, declared as m/s²; correct accel_unit.", "increment", "--accel-unit g*s."),
+        (
+            "look like ft/s², declared as m/s²; correct accel_unit.",
+            None,
+            "--accel-unit counts and the value of the unit as --accel-lsb.",
+        ),
+        ("no known unit explains it; correct accel_unit or kind.", None, "--accel-unit of another value, or --kind."),
+        (
+            "the time stamps look like ms, declared as s; correct time_unit in recording.toml.",
+            None,
+            "run again with --time-unit ms.",
+        ),
+        ('set gyro_unit = "counts" and gyro_lsb.', None, "run again with --gyro-unit counts and --gyro-lsb."),
+        ('as for increments; set kind = "increment".', None, "run again with --kind increment."),
+    ],
+)
+def test_remedies_name_options(words, kind, expected):
+    assert log_remedy(words, kind).endswith(expected)
 
 
 def test_another_log_or_a_foreign_folder_is_refused(log, again, tmp_path, refused):
@@ -163,6 +221,27 @@ def test_what_does_not_go_with_a_log_is_refused(log, raw, tmp_path, words, fragm
 
 
 def test_a_recording_is_written_for_other_tools_too(recording, tmp_path, shell):
-    shell("calibrate", recording, "-o", tmp_path / "out", "-q", "--to", "c-header")
+    out, _ = shell("calibrate", recording, "-o", tmp_path / "out", "--to", "c-header", "--to", "imu_tk")
     names = {path.name for path in (tmp_path / "out").iterdir()}
-    assert names - {"calibration.png"} == {"calibration.json", "c-header.h"}
+    assert names - {"calibration.png", "imu_tk_gyro.calib", "imu_tk_acc.calib"} == {"calibration.json", "c-header.h"}
+    # The axes are told as srt export tells them.
+    exported = shell("export", tmp_path / "out" / "calibration.json", "--to", "imu_tk").out
+    axes = exported[exported.index("axes:") : exported.index("\n\n")].splitlines()
+    assert len(axes) == 5
+    assert "\n".join(f"  {line}" for line in axes) in out
+
+
+def test_files_of_which_nothing_is_measured_are_not_written(tmp_path, shell):
+    """One turn about the vertical shows three biases at most, and the matrices of Kalibr would be identity."""
+    rng = np.random.default_rng(5)
+    time = np.arange(1, 1001) / 100.0
+    gyro, accel = rng.normal(0.0, 1e-4, (1000, 3)), rng.normal([0.0, 0.0, 9.8066], 1e-3, (1000, 3))
+    gyro[400:600, 2] += 0.25
+    np.savetxt(tmp_path / "log.csv", np.column_stack([time, gyro, accel]), delimiter=",")
+    columns = ["--columns", "time,gyro,accel", "--gyro-unit", "rad/s", "--accel-unit", "m/s^2", "--time-unit", "s"]
+    targets = ["--to", "kalibr", "--to", "openvins", "--to", "pyins"]
+    _, err = shell("calibrate", tmp_path / "log.csv", "-o", tmp_path / "out", "-q", *targets, *columns, *STATED[-4:])
+    assert "kalibr, openvins were not written: the log is too short or has too few turns" in err
+    assert "record 20 to 30 turns between rests" in err
+    assert not list((tmp_path / "out").glob("*.yaml"))
+    assert "parameters are measured" in (tmp_path / "out" / "pyins.json").read_text()

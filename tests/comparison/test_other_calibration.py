@@ -13,6 +13,7 @@ from srt.constants import EARTH_RATE_RAD_S
 from srt.exporters import export, load, save
 from srt.exporters.conversion import load_any
 from srt.exporters.registry import exporters
+from srt.reports.text.other_calibration import conclusion
 from srt.sensor_errors import INDEX, NAMES, SensorErrors
 
 READABLE = sorted(name for name, item in exporters().items() if item.imports)
@@ -79,6 +80,30 @@ def test_an_error_of_the_other_file_is_seen_in_sigma_and_in_the_residual_that_it
         assert theirs.largest == pytest.approx(step * recording.site.gravity_m_s2, abs=1.05 * ours.largest)
 
 
+def test_the_conclusion_names_what_differs_and_whose_residual_is_smaller(folder):
+    unit, recording = srt.load_calibration(folder / "unit.json"), srt.load_recording(folder / "rec")
+    vector = unit.errors.vector.copy()
+    vector[INDEX["accel_scale_x"]] += 1e-3
+    found = compare_with(unit, replace(load(folder / "pyins.json", "pyins"), errors=SensorErrors(vector)), recording)
+    text = conclusion(found, "a.json", "b.json")
+    assert text.startswith(
+        "1 of 21 parameters differ by more than 3 sigma (accel_scale_x); smaller rms residual: a.json ("
+    )
+    assert "asymmetry" not in text
+    vector[INDEX["gyro_asymmetry_x"]] = 1e-5
+    asymmetric = replace(found, calibration=replace(unit, errors=SensorErrors(vector)))
+    assert "b.json has no place for the scale-factor asymmetry" in conclusion(asymmetric, "a.json", "b.json")
+
+
+def test_the_reason_of_the_closest_format_is_given(folder, tmp_path):
+    pytest.importorskip("yaml")
+    path = tmp_path / "chain.yaml"
+    save(export(srt.load_calibration(folder / "unit.json"), "kalibr"), path)
+    path.write_text(path.read_text().replace("model: scale-misalignment", "model: calibrated"))
+    with pytest.raises(srt.InputError, match="model of imu0 is 'calibrated', but scale-misalignment is expected"):
+        load_any(str(path))
+
+
 def test_the_command_shows_both_and_writes_json(folder, tmp_path, shell):
     words = ("compare", folder / "unit.json", "--with", folder / "pyins.json", folder / "rec")
     out, err = shell(*words, "-o", tmp_path / "pair.json")
@@ -89,6 +114,10 @@ def test_the_command_shows_both_and_writes_json(folder, tmp_path, shell):
     titles = [line[:16].strip() for line in out.splitlines()[3:6]]
     assert titles == ["unit.json", "pyins.json", "no calibration"]
     assert "was made from this recording" in " ".join(out.split())
+    assert (
+        "0 of 21 parameters differ by more than 3 sigma; smaller rms residual: neither (force, rate, turn)."
+        in " ".join(out.split())
+    )
     document = json.loads((tmp_path / "pair.json").read_text())
     assert document["residuals"]["none"]["turn"]["rms"] > 1e-4
     assert all(len(line) <= 80 for line in out.splitlines() if str(tmp_path) not in line)

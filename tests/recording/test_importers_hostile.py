@@ -325,7 +325,11 @@ def test_a_foreign_file_for_a_recording_folder(tmp_path):
         return _one_sentence(caught)
 
     euroc(tmp_path / "imu.csv")
-    assert f"convert the file (EuRoC CSV): srt convert {tmp_path / 'imu.csv'} -o DIR" in refusal(tmp_path / "imu.csv")
+    advice = (
+        f"convert the file (EuRoC CSV): srt convert {tmp_path / 'imu.csv'} -o DIR, with --latitude-deg and --height-m"
+    )
+    assert advice in refusal(tmp_path / "imu.csv")
+    assert "keeps such a recording as FOLDER/recording" in refusal(tmp_path / "imu.csv")
     (tmp_path / "imu0").mkdir()
     euroc(tmp_path / "imu0" / "data.csv")
     assert "convert the folder (EuRoC CSV)" in refusal(tmp_path / "imu0")

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 def export_summary(made: ExportedCalibration) -> str:
-    """Title, largest difference from ``srt apply``, what the file does not hold, and advice, in lines of 80."""
+    """Title, axes, largest difference from ``srt apply``, what the file does not hold, and advice; lines of 80."""
     # Programs whose file has no biases estimate them.
     difference = made.residuals[0] if made.format.biases else made.residuals[1]
     which = "" if made.format.biases else ", with the biases given beside the file"
@@ -22,8 +22,23 @@ def export_summary(made: ExportedCalibration) -> str:
         *made.limits,
         *made.format.advice,
     )
-    lines = [line for text in (*_composed(made), *sentences) for line in wrap(text, "  ")]
-    return "\n".join([made.format.title, *lines])
+    composed, lines = ([line for text in texts for line in wrap(text, "  ")] for texts in (_composed(made), sentences))
+    return "\n".join([made.format.title, *composed, *(f"  {line}" for line in _axes(made)), *lines])
+
+
+def _axes(made: ExportedCalibration) -> list[str]:
+    """Lines on the axes of the file; if they are not MARS axes, with the rotation to them."""
+    axes = {
+        "mars": "MARS axes, those of the calibration",
+        "table": "axes of the table-mounted frame",
+        "accel": "axes that its accelerometer matrix defines",
+    }[made.frame]
+    lines = [f"axes: {axes}"]
+    if made.frame != "mars":
+        x, y, z = made.turn_mrad
+        lines.append(f"turned from MARS axes by ({x:.4f}, {y:.4f}, {z:.4f}) mrad; v is C v there, C =")
+        lines += ["  " + "  ".join(f"{value: .12f}" for value in row) for row in made.C_FB.tolist()]
+    return lines
 
 
 def _composed(made: ExportedCalibration) -> list[str]:
@@ -44,16 +59,7 @@ def export_text(made: ExportedCalibration) -> str:
         for r in made.residuals
     ]
     headers = ("difference from srt apply", "gyro max\nrad/s", "rms\nrad/s", "accel. max\nm/s^2", "rms\nm/s^2")
-    axes = {
-        "mars": "MARS axes, those of the calibration",
-        "table": "axes of the table-mounted frame",
-        "accel": "axes that its accelerometer matrix defines",
-    }[made.frame]
-    lines = [f"{made.format.title}", f"formula: {made.format.formula}", f"axes: {axes}", *_composed(made)]
-    if made.frame != "mars":
-        x, y, z = made.turn_mrad
-        lines.append(f"turned from MARS axes by ({x:.4f}, {y:.4f}, {z:.4f}) mrad; v is C v there, C =")
-        lines += ["  " + "  ".join(f"{value: .12f}" for value in row) for row in made.C_FB.tolist()]
+    lines = [f"{made.format.title}", f"formula: {made.format.formula}", *_axes(made), *_composed(made)]
     lines += [
         "",
         f"Difference on {made.readings.title}:",

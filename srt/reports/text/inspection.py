@@ -10,7 +10,7 @@ from srt.noise.allan import CHANNELS, TERMS
 from srt.reports.tables import text_table, wrap
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Callable, Iterable
 
     from srt.reports.inspection import Inspection, ManoeuvreSummary
     from srt.result.diagnostics import RunnerUp
@@ -39,9 +39,9 @@ def inspection_report(inspection: Inspection, *, title: str = "Inspection") -> s
     return "\n\n".join(part for part in parts if part)
 
 
-def inspection_summary(inspection: Inspection, *, title: str) -> str:
-    """Overview of the recording and findings, without the tables, in lines of at most 80 characters."""
-    return "\n".join([*wrap(title), *_overview(inspection), *_findings(inspection)])
+def inspection_summary(inspection: Inspection, *, title: str, reworded: Callable[[str], str] = str) -> str:
+    """Overview of the recording and findings (``reworded``), without the tables, in lines of at most 80 characters."""
+    return "\n".join([*wrap(title), *_overview(inspection), *_findings(inspection, reworded)])
 
 
 def significant(value: float, digits: int = 3) -> str:
@@ -213,7 +213,7 @@ def runner_up_sentence(other: RunnerUp) -> str:
     return f"Nearly as likely (log-likelihood lower by {lower:.2g}): {FAULTS[other.fault].title}."
 
 
-def _findings(inspection: Inspection) -> Iterable[str]:
+def _findings(inspection: Inspection, reworded: Callable[[str], str] = str) -> Iterable[str]:
     findings = inspection.diagnosis.findings
     if not findings:
         yield "No fault found."
@@ -229,4 +229,4 @@ def _findings(inspection: Inspection) -> Iterable[str]:
         yield from wrap(f"Verdict: {inspection.diagnosis.judgement}")
     for finding in findings:
         beside = "" if finding.runner_up is None else f" {runner_up_sentence(finding.runner_up)}"
-        yield from wrap(f"{_EFFECTS[finding.effect]}: {finding.sentence}{beside}")
+        yield from wrap(f"{_EFFECTS[finding.effect]}: {reworded(finding.sentence)}{beside}")

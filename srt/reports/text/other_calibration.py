@@ -5,17 +5,23 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Final
 
+import numpy as np
+
 from srt.constants import DEG, DEG_PER_H
 from srt.exceptions import clipped
 from srt.reports.parameters import GROUP_STARTS, sigma_text, value_text
 from srt.reports.tables import fixed, table, text_table, wrap
-from srt.sensor_errors import DISPLAY_UNITS, NAMES
+from srt.sensor_errors import DISPLAY_UNITS, NAMES, collapse_names
 
 if TYPE_CHECKING:
     from srt.comparison.other_calibration import OtherCalibration
 
 _HEAD: Final = 16
 """Most characters of the name of a file in a table, so that its lines have at most 80."""
+_FAR: Final = 3.0
+"""Difference in sigma from which a parameter is named."""
+_EQUAL: Final = 0.02
+"""Relative difference of two residuals that counts as none."""
 
 
 def other_calibration_text(found: OtherCalibration, this: str, other: str, recording: str) -> str:
@@ -40,8 +46,31 @@ def other_calibration_text(found: OtherCalibration, this: str, other: str, recor
         "A '-' stands for what one of them does not hold."
     )
     heads = clipped(this, _HEAD), clipped(other, _HEAD)
+    notes.insert(0, conclusion(found, this, other))
     parts = [residual_table(found, *heads), *("\n".join(wrap(note)) for note in notes)]
     return "\n".join([*parts, "", parameter_table(found, *heads), "", *wrap(legend)])
+
+
+def conclusion(found: OtherCalibration, this: str, other: str) -> str:
+    """Parameters that differ beyond 3 sigma, and which calibration leaves the smaller residual."""
+    far = [name for name, z in zip(NAMES, found.normalised, strict=True) if abs(z) > _FAR]  # False for NaN
+    compared = int(np.isfinite(found.normalised).sum())
+    text = f"{len(far)} of {compared} parameters differ by more than {_FAR:g} sigma"
+    text += f" ({', '.join(collapse_names(far))})" if far else ""
+    ours, theirs = found.residuals["this"], found.residuals["other"]
+    smaller: dict[str, list[str]] = {this: [], other: [], "neither": []}
+    for part in ("force", "rate", "turn"):
+        a, b = getattr(ours, part).rms, getattr(theirs, part).rms
+        smaller["neither" if abs(a - b) <= _EQUAL * max(a, b) else this if a < b else other].append(part)
+    text += "; smaller rms residual: " + ", ".join(
+        f"{name} ({', '.join(parts)})" for name, parts in smaller.items() if parts
+    )
+    lacks = any("asymmetry" in group for group in found.absent) and any(
+        found.calibration.errors.group(group).any() for group in ("gyro_asymmetry", "accel_asymmetry")
+    )
+    if lacks and smaller[this]:
+        text += f". {other} has no place for the scale-factor asymmetry, which may be why its residuals are larger"
+    return f"{text}."
 
 
 def residual_table(found: OtherCalibration, this: str, other: str) -> str:
