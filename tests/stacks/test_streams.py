@@ -112,7 +112,7 @@ def test_units_of_the_names_are_those_of_the_lines(told):
         ("dtheta_x,dtheta_y,dtheta_z,dv_x,dv_y,dv_z", {}, "state increments: give --increments-s SECONDS"),
         ("gyro_x [rad],gyro_y [rad],gyro_z [rad],accel_x,accel_y,accel_z", {}, "does not fit samples of kind rate"),
         ("gyro_x [deg/s],gyro_y,gyro_z,accel_x,accel_y,accel_z", {}, "different units (deg/s, none): name the columns"),
-        ("t,rate 1,rate 2,rate 3,accel_x,accel_y,accel_z", {}, "(found: t, rate 1, rate 2, rate 3, accel_x, accel_y, "),
+        ("t,rate 1,rate 2,rate 3,accel_x,accel_y,accel_z", {}, "(columns found: t, rate 1, rate 2, rate 3, accel_x"),
         ("gyro_x [deg/s],gyro_y [deg/s],gyro_z [deg/s],a_x,a_y,a_z", {"counts": Counts((1.0,) * 6, (0.0,) * 6)},
          "state deg/s for gyro, but --gyro-lsb is given: leave it out"),
     ],
