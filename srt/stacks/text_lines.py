@@ -198,6 +198,7 @@ class LineCorrector:
         """Take names of columns, with their units. Raises InputError."""
         try:
             found = _assigned(names, increments=self._corrector.increments)
+            self._refuse_unknown_units(names, found.columns)
             scale = self._si_per_unit(found.stated)
         except InputError:
             if self._columns is None:
@@ -208,6 +209,19 @@ class LineCorrector:
             raise
         self._columns, self._width, self._guess, self._named = found.columns, len(names), None, True
         self._scale, self._second = scale, TIME_UNITS[found.stated.time or "s"]
+
+    def _refuse_unknown_units(self, names: list[str], columns: Mapping[str, int]) -> None:
+        """Raise InputError for names of readings with a unit that is not known, unless a unit is given."""
+        for name in _READINGS:
+            text, sensor = names[columns[name]], name.partition("_")[0]
+            meaning = meaning_of(text)
+            if meaning is not None and meaning.remark and sensor not in self._units:
+                known = SENSOR_UNITS[sensor]["increment" if self._corrector.increments else "rate"]
+                raise InputError(
+                    f"the name {clipped(text)} states {clipped(meaning.remark)}, which is not one of the known units "
+                    f"{', '.join(known)}: convert the readings, or give {option(f'{sensor}_unit')} if theirs is one of "
+                    "these"
+                )
 
     def _si_per_unit(self, stated: StatedUnits) -> tuple[float, ...]:
         """SI units per unit of the six readings, of their answers where the lines hold counts. Raises InputError."""
@@ -292,8 +306,11 @@ def _assigned(names: list[str], *, increments: bool) -> ColumnAssignment:
 
 def _cut_off(names: list[str]) -> tuple[str, ...]:
     """Order of columns whose names were cut off, if those left are the first of a usual order, without units."""
-    meanings = [meaning_of(name) for name in names[:-1]]  # the last name may be cut, too
-    channels = tuple(each.channel for each in meanings if each is not None and each.unit is each.kind is None)
+    *meanings, last = map(meaning_of, names)  # the last name may be cut, too
+    bare = [each for each in meanings if each is not None and each.unit is each.kind is each.remark is None]
+    channels = tuple(each.channel for each in bare)
+    if last is not None and (last.unit or last.remark):
+        return ()
     for order in (_NAMELESS, _NAMELESS[1:]):
         if channels and len(channels) == len(meanings) and channels == order[: len(channels)]:
             return order
