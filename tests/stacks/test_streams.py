@@ -325,7 +325,7 @@ def test_addresses():
 )
 def test_an_implausible_size_is_told_once_with_its_cause(told, scale, options, fragment):
     n = 700
-    rest = scale * np.tile([0.01, 0.02, -0.03, 0.3, -0.2, 9.8], (n, 1))
+    rest = np.tile([0.01, 0.02, -0.03, *(scale * np.array([0.3, -0.2, 9.8]))], (n, 1))
     lines = LineCorrector(corrector(told, gravity=9.80665, **options))
     for line in csv(rest, 0.01 * np.arange(n)):
         lines.correct(line)
@@ -363,6 +363,23 @@ def test_time_that_does_not_advance_is_told_and_losses_after_it_are_seen(told):
     counts = lines._corrector.counts
     assert (counts["with a time that does not advance"], counts["lost"]) == (2, 2)
     assert "line 4: the time goes from 0.03 to 0.01 s" in told[0]
+
+
+@pytest.mark.parametrize(
+    ("extra", "said"),
+    [
+        (["--gyro-lsb", "131"], "the gyros read 9.872e+05 rad/s, which no gyro measures: state their unit"),
+        (["--gyro-lsb", "1/131 deg/s"], None),
+        (["--gyro-lsb", "131", "--force"], None),
+        (["--gyro-lsb", "131", "--increments-s", "1"], "(a number without a unit is in rad/s)"),
+    ],
+)
+def test_the_command_tells_of_a_value_of_counts_without_its_unit(tmp_path, monkeypatch, extra, said, shell):
+    CALIBRATION.save(tmp_path / "unit.json")
+    monkeypatch.setattr(sys, "stdin", io.StringIO("0.01,0,0,7536,0,0,-16384\n"))
+    errors = shell("apply", tmp_path / "unit.json", "-", "--accel-lsb", "1/16384 g", *extra).err
+    assert ("1 faster than any gyro measures" in errors) == (said is not None)
+    assert said is None or said in errors
 
 
 @pytest.mark.parametrize(("extra", "said"), [([], True), (["--force"], False), (["--accel-unit", "g"], False)])
