@@ -197,7 +197,8 @@ class StreamCorrector:
         self.event(
             TOO_FAST,
             f"the gyros read {rate:.4g} rad/s, which no gyro measures: state their unit (--gyro-unit), the value of "
-            "counts with its unit, as --gyro-lsb '1/131 deg/s' (a number without a unit is in rad/s), or --increments-s",
+            "counts with its unit, as --gyro-lsb '1/131 deg/s' (a number without a unit is in rad/s), or "
+            "--increments-s",
         )
 
     def _sigma(self, gyro: Vector, accel: Vector) -> tuple[float, ...]:

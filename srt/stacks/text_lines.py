@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from srt.exceptions import InputError, SrtError, clipped
+from srt.model.table1 import AXES
 from srt.recording.import_options import CHANNELS, SENSOR_UNITS, TRIADS, option
 from srt.recording.imported_samples import StatedUnits
 from srt.recording.importers.channels import assign, meaning_of
@@ -72,7 +73,7 @@ class LineCorrector:
 
     __slots__ = (
         "_columns", "_corrector", "_counts", "_covariance", "_guess", "_json_scale", "_last", "_line", "_named",
-        "_order", "_other", "_others", "_refused", "_scale", "_second", "_step", "_units", "_width",
+        "_order", "_other", "_others", "_refused", "_scale", "_second", "_step", "_unit", "_units", "_width",
     )  # fmt: skip
 
     def __init__(
@@ -95,7 +96,8 @@ class LineCorrector:
         self._order: tuple[str, ...] = ()  # of columns by names that were cut off
         self._refused = ""  # reason why lines without names are not read
         self._second = 1.0  # seconds per unit of time
-        self._scale = self._json_scale = self._si_per_unit(StatedUnits())
+        self._unit = self._units_of(StatedUnits())
+        self._scale = self._json_scale = self._si_per(self._unit)
         self._last: float | None = None
         self._step: float | None = None
         self._line = 0
@@ -106,8 +108,8 @@ class LineCorrector:
         Returns
         -------
         str
-            The line with corrected values, without its end; column names and comments as they are; empty for an empty
-            line and for a malformed one, which is counted.
+            The line with corrected values, without its end; column names, with the units of the answers; comments as
+            they are; empty for an empty line and for a malformed one, which is counted.
         """
         self._line += 1
         text = line.strip()
@@ -128,7 +130,7 @@ class LineCorrector:
         if columns is None or len(cells) != self._width or cells[columns["gyro_x"]][:1] not in _NUMERIC:
             columns = self._without_known_columns(cells)
             if columns is None:
-                return ",".join([*cells, *(_SIGMAS if self._covariance else ())])
+                return ",".join([*self._answered(cells), *(_SIGMAS if self._covariance else ())])
         values = tuple(_of_cell(cells[columns[name]]) for name in _READINGS)
         time, temperature = (_of_cell(cells[columns[name]]) if name in columns else None for name in _OPTIONAL)
         corrected = self._corrected(values, temperature, self._scale)
@@ -199,7 +201,7 @@ class LineCorrector:
         try:
             found = _assigned(names, increments=self._corrector.increments)
             self._refuse_unknown_units(names, found.columns)
-            scale = self._si_per_unit(found.stated)
+            units = self._units_of(found.stated)
         except InputError:
             if self._columns is None:
                 self._order = _cut_off(names)
@@ -208,7 +210,17 @@ class LineCorrector:
                 )
             raise
         self._columns, self._width, self._guess, self._named = found.columns, len(names), None, True
-        self._scale, self._second = scale, TIME_UNITS[found.stated.time or "s"]
+        self._unit, self._scale = units, self._si_per(units)
+        self._second = TIME_UNITS[found.stated.time or "s"]
+
+    def _answered(self, names: list[str]) -> list[str]:
+        """Names of columns of the answer: the readings have their own name and unit where the names state another."""
+        result = list(names)
+        for name, i in (self._columns or {}).items():
+            meaning, unit = meaning_of(names[i]), self._unit.get(name.partition("_")[0])
+            if unit and meaning is not None and (meaning.unit or meaning.remark or unit) != unit:
+                result[i] = f"{name} [{unit}]"
+        return result
 
     def _refuse_unknown_units(self, names: list[str], columns: Mapping[str, int]) -> None:
         """Raise InputError for names of readings with a unit that is not known, unless a unit is given."""
@@ -216,19 +228,25 @@ class LineCorrector:
             text, sensor = names[columns[name]], name.partition("_")[0]
             meaning = meaning_of(text)
             if meaning is not None and meaning.remark and sensor not in self._units:
-                known = SENSOR_UNITS[sensor]["increment" if self._corrector.increments else "rate"]
                 raise InputError(
                     f"the name {clipped(text)} states {clipped(meaning.remark)}, which is not one of the known units "
-                    f"{', '.join(known)}: convert the readings, or give {option(f'{sensor}_unit')} if theirs is one of "
-                    "these"
+                    f"{', '.join(self._allowed(sensor))}: convert the readings, or give {option(f'{sensor}_unit')} if "
+                    "theirs is one of these"
                 )
 
-    def _si_per_unit(self, stated: StatedUnits) -> tuple[float, ...]:
-        """SI units per unit of the six readings, of their answers where the lines hold counts. Raises InputError."""
-        kind = "increment" if self._corrector.increments else "rate"
-        factors: list[float] = []
+    def _allowed(self, sensor: str) -> dict[str, float]:
+        """SI units per unit, by the units of a sensor."""
+        return SENSOR_UNITS[sensor]["increment" if self._corrector.increments else "rate"]
+
+    def _si_per(self, units: Mapping[str, str]) -> tuple[float, ...]:
+        """SI units per unit of the six readings."""
+        return tuple(self._allowed(sensor)[unit] for sensor, unit in units.items() for _ in AXES)
+
+    def _units_of(self, stated: StatedUnits) -> dict[str, str]:
+        """Unit of each sensor, of its answers where the lines hold counts. Raises InputError."""
+        units: dict[str, str] = {}
         for sensor in TRIADS:
-            own, given, allowed = getattr(stated, sensor), self._units.get(sensor), SENSOR_UNITS[sensor][kind]
+            own, given, allowed = getattr(stated, sensor), self._units.get(sensor), self._allowed(sensor)
             if self._counts is not None and own not in (None, COUNTS):
                 raise InputError(
                     f"the names of the columns state {own} for {sensor}, but {option(f'{sensor}_lsb')} is given: "
@@ -242,13 +260,14 @@ class LineCorrector:
             own = None if own == COUNTS else own
             unit = given or own or next(iter(allowed))
             if unit not in allowed:
+                kind = "increment" if self._corrector.increments else "rate"
                 raise InputError(
                     f"The unit {unit} of {sensor} does not fit samples of kind {kind}: use one of {', '.join(allowed)}."
                 )
             if own is not None and unit != own:
                 self._corrector.event(OVERRIDDEN, f"the names state {own} for {sensor}; read as {unit}, as given")
-            factors += [allowed[unit]] * 3
-        return tuple(factors)
+            units[sensor] = unit
+        return units
 
     def _json(self, text: str) -> str:
         document: dict[str, Any] = _JSON.decode(text)

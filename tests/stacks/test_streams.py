@@ -136,9 +136,24 @@ def test_lines_below_names_that_are_not_understood_are_refused(told, names, opti
 
 def test_a_given_unit_overrides_that_of_the_names(told):
     lines = LineCorrector(corrector(told), units={"gyro": "rad/s"})
-    lines.correct("time,gyro_x [deg/s],gyro_y [deg/s],gyro_z [deg/s],accel_x,accel_y,accel_z")
+    answer = lines.correct("time,gyro_x [deg/s],gyro_y [deg/s],gyro_z [deg/s],accel_x,acc_y,accel_z")
+    assert answer == "time,gyro_x [rad/s],gyro_y [rad/s],gyro_z [rad/s],accel_x,acc_y,accel_z"
     np.testing.assert_array_equal(numbers([lines.correct(csv()[0])])[0, 1:], TRUE[0])
     assert told == ["the names state deg/s for gyro; read as rad/s, as given"]
+
+
+@pytest.mark.parametrize(
+    ("names", "options", "answered"),
+    [
+        ("wx [rpm],wy [rpm],wz [rpm]", {}, "gyro_x [deg/s],gyro_y [deg/s],gyro_z [deg/s]"),
+        ("gyro_x_raw,gyro_y_raw,gyro_z_raw", {"counts": Counts((1.0,) * 6, (0.0,) * 6)},
+         "gyro_x [deg/s],gyro_y [deg/s],gyro_z [deg/s]"),
+        ("gyro_x_dps,gyro_y_dps,gyro_z_dps", {}, "gyro_x_dps,gyro_y_dps,gyro_z_dps"),
+    ],
+)  # fmt: skip
+def test_the_names_that_go_out_state_the_unit_of_the_answers(told, names, options, answered):
+    lines = LineCorrector(corrector(told), units={"gyro": "deg/s"}, **options)
+    assert lines.correct(f"{names},accel_x,accel_y,accel_z,note") == f"{answered},accel_x,accel_y,accel_z,note"
 
 
 @pytest.mark.parametrize(
