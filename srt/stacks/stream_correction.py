@@ -43,6 +43,8 @@ _BLOCK: Final = 500
 """Samples whose median size is judged: a few seconds, more than half of which no shock or free fall fills."""
 _TIMES_TOLD: Final = (1, 10, 100, 1000, 10**4, 10**5, 10**6)
 """Counts at which an event is told, so that a broken sensor does not fill the disk with sentences."""
+_CAUSES: Final = 20
+"""Causes that are told at their first event, for the same reason."""
 
 
 class Counts(NamedTuple):
@@ -95,7 +97,8 @@ class StreamCorrector:
     """
 
     __slots__ = (
-        "_applier", "_fastest", "_options", "_ranges", "_squares", "_tell", "_temperature", "counts", "interval_s",
+        "_applier", "_causes", "_fastest", "_options", "_ranges", "_squares", "_tell", "_temperature", "counts",
+        "interval_s",
     )  # fmt: skip
 
     def __init__(
@@ -112,6 +115,7 @@ class StreamCorrector:
         self._ranges = ranges[0], ranges[1]
         self._fastest = math.inf if options.gravity is None else _FASTEST * seconds
         self._squares: list[float] = []
+        self._causes = {""}  # that were told
         self.counts: Counter[str] = Counter({CORRECTED: 0})
         self.interval_s = options.dt
 
@@ -162,11 +166,14 @@ class StreamCorrector:
         corrected = (p, q, r, u, v, w)
         return corrected + self._sigma(gyro, accel) if self._options.covariance else corrected
 
-    def event(self, kind: str, sentence: str, count: int = 1) -> None:
-        """Count an event, and tell it if it is among the first of its kind."""
+    def event(self, kind: str, sentence: str, count: int = 1, cause: str = "") -> None:
+        """Count an event, and tell it if it is among the first of its kind, or the first with its cause."""
         before = self.counts[kind]
         self.counts[kind] += count
-        if any(before < times <= self.counts[kind] for times in _TIMES_TOLD):
+        new = cause not in self._causes and len(self._causes) < _CAUSES
+        if new:
+            self._causes.add(cause)
+        if new or any(before < times <= self.counts[kind] for times in _TIMES_TOLD):
             total = "" if self.counts[kind] == 1 else f" ({self.counts[kind]} samples are {kind} so far)"
             self._tell(f"{sentence}{total}")
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from operator import mul, truediv
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -41,6 +42,8 @@ _LONGEST: Final = 4096
 _OPTIONAL: Final = ("time", "temperature")
 _NUMERIC: Final = "+-.0123456789 "
 """Characters with which a number may begin."""
+_VALUES: Final = re.compile(r"'.*?'|\d+|^.*(?= was found)")
+"""Parts of a reason that differ from line to line; the rest is the cause."""
 _AGREEING: Final = 3
 """Lines in succession without names whose number of columns is believed, against that of the lines before."""
 _LATE: Final = 1.5
@@ -121,7 +124,8 @@ class LineCorrector:
             return self._json(text) if text[0] == "{" else self._csv(text)
         except (ValueError, LookupError, TypeError, ArithmeticError, RecursionError, InputError) as error:
             reason = str(error) if isinstance(error, SrtError) else clipped(str(error), 160)
-            self._corrector.event(MALFORMED, f"line {self._line} is no sample ({reason.rstrip('.')})")
+            sentence = f"line {self._line} is no sample ({reason.rstrip('.')})"
+            self._corrector.event(MALFORMED, sentence, cause=_VALUES.sub("", reason))
             return ""
 
     def _csv(self, text: str) -> str:
@@ -270,15 +274,17 @@ class LineCorrector:
         return units
 
     def _json(self, text: str) -> str:
-        document: dict[str, Any] = _JSON.decode(text)
+        document = _object(text)
         arrays = "gyro" in document or "accel" in document
+        expected = tuple(TRIADS) if arrays else _READINGS
+        if not document.keys() >= set(expected):
+            keys = ", ".join(map(json.dumps, document)) or "none"
+            raise ValueError(f"its keys are {clipped(keys)}, but gyro and accel, or gyro_x to accel_z, are expected")
+        found = [document[name] for name in expected]
         if arrays:
-            triads: list[Any] = [document.get(sensor) for sensor in TRIADS]
-            if not all(isinstance(triad, list) and len(triad) == 3 for triad in triads):
+            if not all(isinstance(triad, list) and len(triad) == 3 for triad in found):
                 raise ValueError("gyro and accel are not lists of three numbers")
-            found = [value for triad in triads for value in triad]
-        else:
-            found = [document.get(name) for name in _READINGS]
+            found = [value for triad in found for value in triad]
         values = tuple(map(_of_json, found))
         time, temperature = (None if document.get(name) is None else _of_json(document[name]) for name in _OPTIONAL)
         corrected = self._corrected(values, temperature, self._json_scale)
@@ -346,14 +352,26 @@ def _of_cell(text: str) -> float:
     return value
 
 
+def _object(text: str) -> dict[str, Any]:
+    """Object of a line of JSON. Raises ValueError."""
+    try:
+        document: dict[str, Any] = _JSON.decode(text)
+    except (json.JSONDecodeError, RecursionError):
+        raise ValueError("it begins as an object of JSON, and is none: it was cut off or damaged") from None
+    return document
+
+
 def _of_json(value: object) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise ValueError(f"{json.dumps(value)} was found, but a number is expected")  # noqa: TRY004 - not our mistake
-    return float(value)
+    return _finite(value)
 
 
-def _finite(text: str) -> float:
-    value = float(text)
+def _finite(text: str | float) -> float:
+    try:
+        value = float(text)
+    except OverflowError:  # a whole number
+        value = math.inf
     if not math.isfinite(value):
         raise ValueError(f"{text} was found, but a finite number is expected")
     return value

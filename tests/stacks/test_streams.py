@@ -85,8 +85,39 @@ def test_damage_is_counted_and_the_stream_goes_on(told):
     counts = lines._corrector.counts
     assert counts["malformed"] == len(bad) - 1  # an empty line is none
     assert counts["corrected"] == N
-    assert told[0].startswith("line 5 is no sample")
-    assert len(told) == 1
+    # Each cause is told once: lines 7, 10 and 12 are like lines 6, 5 and 9.
+    assert [sentence.partition(" is no")[0] for sentence in told] == [f"line {n}" for n in (5, 6, 8, 9, 11)]
+
+
+def test_each_cause_is_told_at_its_first_line_and_then_by_its_count(told):
+    lines = LineCorrector(corrector(told))
+    huge = f'{{"gyro": [1{"0" * 400}, 0, 0], "accel": [0, 0, 9]}}'
+    bad = ["1,2,3", "1,2,3,4", "0.5,nan,0,0,0,0,9.8", "1,a,0,0,0,0,9", '{"gyro": [0, 0, 0], "t": 1}', '{"gyro_x": 1}',
+           '{"gyro": [1, 2], "accel": 3}', '{"gyro"', huge]  # fmt: skip
+    for line in [csv()[0], *bad, *bad]:
+        lines.correct(line)
+    said = [sentence.partition(" is no sample (")[2].partition(")")[0] for sentence in told]
+    keys = "but gyro and accel, or gyro_x to accel_z, are expected"
+    assert said[:2] == [
+        "it has 3 columns, and those before have 7",
+        "'nan' was found, but a finite number is expected",
+    ]
+    assert said[2:6] == [
+        f'its keys are "gyro", "t", {keys}',
+        f'its keys are "gyro_x", {keys}',
+        "gyro and accel are not lists of three numbers",
+        "it begins as an object of JSON, and is none: it was cut off or damaged",
+    ]
+    assert said[6].startswith("1000")
+    assert told[7].endswith("(10 samples are malformed so far)")
+    assert len(told) == 8
+
+
+def test_causes_without_end_do_not_fill_the_disk(told):
+    lines = LineCorrector(corrector(told))
+    for n in range(200):
+        lines.correct(json.dumps({chr(97 + n % 26) * (n // 26 + 1): 0}))
+    assert len(told) < 25
 
 
 def test_units_of_the_names_are_those_of_the_lines(told):
