@@ -44,6 +44,9 @@ _NUMERIC: Final = "+-.0123456789 "
 """Characters with which a number may begin."""
 _VALUES: Final = re.compile(r"'.*?'|\d+|^.*(?= was found)")
 """Parts of a reason that differ from line to line; the rest is the cause."""
+_OTHER_MARKS: Final = re.compile(r"[;\t|]")
+_FEWEST: Final = len(_READINGS) - 1
+"""Marks between the columns of a line of readings."""
 _AGREEING: Final = 3
 """Lines in succession without names whose number of columns is believed, against that of the lines before."""
 _LATE: Final = 1.5
@@ -166,6 +169,11 @@ class LineCorrector:
         if named or (self._columns is None and width >= len(_READINGS) and not any(map(is_number, names))):
             self._read_names(names)
             return None
+        text = ",".join(cells)
+        if len(_OTHER_MARKS.findall(text)) >= _FEWEST or (width == 1 and len(text.split()) > _FEWEST):
+            raise ValueError(
+                "its columns are separated by other marks, but commas, and points in numbers, are expected"
+            )
         if self._columns is not None:
             if width == self._width:
                 return self._columns  # its cells are refused one by one
@@ -319,8 +327,11 @@ def _assigned(names: list[str], *, increments: bool) -> ColumnAssignment:
     try:
         found = assign(Path("the stream"), names, len(names), {}, kind="increment" if increments else None)
     except InputError as error:
-        # The advice of the importers names options that a stream does not have.
-        reason, _, _ = str(error).removeprefix("the stream: ").rpartition(": ")
+        text = str(error).removeprefix("the stream: ")
+        reason, _, advice = text.rpartition(": ")
+        if "--" not in advice:
+            raise error.reworded(text) from None
+        # Advice of the importers names options that a stream does not have.
         raise InputError(
             f"{reason}: name the columns {', '.join(_NAMELESS[:-1])}, or send lines without names in this order"
         ) from None

@@ -146,8 +146,8 @@ def test_units_of_the_names_are_those_of_the_lines(told):
          "the name gyro_x [rpm] states rpm, which is not one of the known units rad/s, deg/s, deg/h: convert"),
         ("gyro_x_mg,gyro_y_mg,gyro_z_mg,accel_x,accel_y,accel_z", {}, "gyro_x_mg states mg, which is not one of"),
         ("gyro_x,gyro_y,gyro_z,accel_x,accel_y,accel_z [foo]", {}, "accel_z [foo] states foo, which is not one of the"),
-        ("gyro_x,gyro_y,gyro_z,accel_x,accel_y,accel_z [g]", {}, "different units (g, none): name the columns"),
-        ("gyro_x [deg/s],gyro_y,gyro_z,accel_x,accel_y,accel_z", {}, "different units (deg/s, none): name the columns"),
+        ("gyro_x,gyro_y,gyro_z,accel_x,accel_y,accel_z [g]", {}, "different units (g, none): state one unit"),
+        ("gyro_x [deg/s],gyro_y,gyro_z,accel_x,accel_y,accel_z", {}, "different units (deg/s, none): state one unit"),
         ("t,rate 1,rate 2,rate 3,accel_x,accel_y,accel_z", {}, "(columns found: t, rate 1, rate 2, rate 3, accel_x"),
         ("gyro_x [deg/s],gyro_y [deg/s],gyro_z [deg/s],a_x,a_y,a_z", {"counts": Counts((1.0,) * 6, (0.0,) * 6)},
          "state deg/s for gyro, but --gyro-lsb is given: leave it out"),
@@ -349,6 +349,25 @@ def test_the_command_corrects_lines_of_counts(tmp_path, monkeypatch, shell):
 def test_wrong_usage(tmp_path, arguments, fragment, shell):
     CALIBRATION.save(tmp_path / "unit.json")
     assert fragment in shell("apply", tmp_path / "unit.json", *arguments, code=2).err
+
+
+@pytest.mark.parametrize("mark", [";", "\t", " ", " | "])
+def test_other_separators_are_told_as_such(told, mark):
+    lines = LineCorrector(corrector(told))
+    for line in (HEADER.replace(",", mark), csv()[0].replace(",", mark), csv()[0].replace(",", mark)):
+        assert lines.correct(line) == ""
+    reason = "its columns are separated by other marks, but commas, and points in numbers, are expected"
+    assert told == [f"line 1 is no sample ({reason})"]
+    assert lines.correct(csv()[0])
+
+
+def test_the_command_takes_all_spellings_of_a_unit(tmp_path, monkeypatch, shell):
+    CALIBRATION.save(tmp_path / "unit.json")
+    answers = []
+    for unit in ("dps", "deg/s"):
+        monkeypatch.setattr(sys, "stdin", io.StringIO("0.01,1,2,3,0,0,9.8\n"))
+        answers.append(shell("apply", tmp_path / "unit.json", "-", "--gyro-unit", unit).out)
+    assert answers[0] == answers[1]
 
 
 def test_addresses():

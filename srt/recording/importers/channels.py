@@ -337,5 +337,5 @@ def _common_unit(path: Path, sensor: str, used: Mapping[str, ColumnMeaning | Non
     units = {m.unit if m is not None else None for name, m in used.items() if name.partition("_")[0] == sensor}
     if len(units) > 1:
         shown = ", ".join(sorted(str(unit or "none") for unit in units))
-        raise InputError(f"{path}: the {sensor} columns state different units ({shown}): convert them to one unit.")
+        raise InputError(f"{path}: the {sensor} columns state different units ({shown}): state one unit for all three.")
     return next(iter(units), None)
