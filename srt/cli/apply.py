@@ -153,9 +153,15 @@ def check_places(recording: Path | None, output: Path | None, c_header: Path | N
     InputError
     """
     if (recording is None) != (output is None):
-        raise InputError("RECORDING and the option -o go together: name the recording, and the folder to write.")
+        raise InputError(
+            "RECORDING and the option -o go together: name the recording, and the folder to write; for a stream of "
+            f"lines of CSV or JSON, write '- < {recording or 'LINES'}' in place of both."
+        )
     if recording is None and c_header is None:
-        raise InputError("There is nothing to write: give RECORDING and -o DIR, or --c-header FILE.h.")
+        raise InputError(
+            "There is nothing to write: give RECORDING and -o DIR, or --c-header FILE.h, or - for lines of CSV or JSON "
+            "on standard input."
+        )
     if output is not None and recording is not None:
         check_output(output, recording, overwrite=overwrite)
     check_file(c_header, HEADER_SUFFIXES, "The header")

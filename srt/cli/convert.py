@@ -13,6 +13,7 @@ from srt.cli.output_paths import SAMPLES_FORMATS, check_recording_target
 from srt.cli.overwriting import overwrite_option
 from srt.cli.path_type import PATH
 from srt.cli.recording_arguments import check_median_force, median_force
+from srt.cli.unit_type import ACCEL_UNITS, GYRO_UNITS, Unit
 from srt.exceptions import DataError, InputError
 
 if TYPE_CHECKING:
@@ -45,19 +46,6 @@ class _Typed(click.types.FloatParamType):
         return _TypedNumber(value)
 
 
-class _Unit(click.Choice):  # type: ignore[type-arg]  # generic from click 8.2 on
-    """Unit in any spelling that a file may use."""
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        from srt.recording.import_options import normal_unit
-
-        unit = normal_unit(value)
-        chosen: str = super().convert(unit if unit in self.choices else value, param, ctx)
-        return chosen
-
-
-_GYRO_UNITS = ("rad/s", "deg/s", "deg/h", "rad", "deg", "counts")
-_ACCEL_UNITS = ("m/s^2", "g", "mg", "m/s", "g*s", "counts")
 _TIME_UNITS = ("s", "ms", "0.1ms", "us", "ns")
 
 _READING = (
@@ -83,9 +71,9 @@ def _list_formats(ctx: click.Context, param: click.Parameter, value: bool) -> No
 _READ = [
     click.option("--format", "name", default="auto", show_default=True, metavar="FORMAT", help="Format of SOURCE."),
     click.option("--columns", metavar="MAP", help="time,gyro,accel in order, or gyro_x=NAME,... or gyro_x=4,..."),
-    click.option("--gyro-unit", type=_Unit(_GYRO_UNITS), help="Unit, if the file does not state it."),
-    click.option("--accel-unit", type=_Unit(_ACCEL_UNITS), help="Unit, if the file does not state it."),
-    click.option("--time-unit", type=_Unit(_TIME_UNITS), help="Unit, if the file does not state it."),
+    click.option("--gyro-unit", type=Unit((*GYRO_UNITS, "counts")), help="Unit, if the file does not state it."),
+    click.option("--accel-unit", type=Unit((*ACCEL_UNITS, "counts")), help="Unit, if the file does not state it."),
+    click.option("--time-unit", type=Unit(_TIME_UNITS), help="Unit, if the file does not state it."),
     click.option("--kind", type=click.Choice(("rate", "increment")), help="Kind of the samples; default: rate."),
     click.option("--sample-rate-hz", type=float, help="Sample rate; it replaces time stamps."),
     click.option(

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import click
 
 from srt.cli.messages import output_errors, say, warn
+from srt.cli.unit_type import ACCEL_UNITS, GYRO_UNITS, Unit
 from srt.exceptions import DataError, InputError
 
 if TYPE_CHECKING:
@@ -22,19 +23,15 @@ if TYPE_CHECKING:
 
 STANDARD: Final = "-"
 _LARGEST_DATAGRAM: Final = 65536
-_UNITS: Final = ("rad/s", "deg/s", "deg/h", "rad", "deg")
-_FORCE_UNITS: Final = ("m/s^2", "g", "mg", "m/s")
 
 OPTIONS: Final = (
     click.option("--from", "source", metavar="ADDRESS", help="Correct datagrams that arrive there: udp:HOST:PORT."),
     click.option("--to", "target", metavar="ADDRESS", help="Send corrected datagrams there: udp:HOST:PORT."),
     click.option("--covariance", is_flag=True, help="Stream: append the 1-sigma of each value by the calibration."),
     click.option(
-        "--gyro-unit", type=click.Choice(_UNITS), help="Stream: unit of the gyros.  [default: by the names, or rad/s]"
+        "--gyro-unit", type=Unit(GYRO_UNITS), help="Stream: unit of the gyros.  [default: by the names, or rad/s]"
     ),
-    click.option(
-        "--accel-unit", type=click.Choice(_FORCE_UNITS), help="Stream: unit.  [default: by the names, or m/s^2]"
-    ),
+    click.option("--accel-unit", type=Unit(ACCEL_UNITS), help="Stream: unit.  [default: by the names, or m/s^2]"),
     click.option("--increments-s", type=float, metavar="SECONDS", help="Stream: increments of this duration."),
     click.option("--gyro-lsb", metavar="LSB", help="Lines of counts, RAW_IMU: value of one count, as '1/131 deg/s'."),
     click.option("--accel-lsb", metavar="LSB", help="Lines of counts, RAW_IMU: value of one, as '1/16384 g'."),

@@ -58,7 +58,7 @@ TIME_UNIT: Final = Fault(
     "the sampling interval, which is 5 µs to 0.5 s for an IMU; rotation angles or gravity, if they are wrong by the "
     "same factor",
     "The samples are {interval:.3g} s apart, {why}: the time stamps look like {unit}, declared as {declared}; correct "
-    "time_unit in recording.toml.",
+    "time_unit (key of recording.toml, or argument).",
     "exit 1",
     time_unit,
 )

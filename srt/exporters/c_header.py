@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
 from typing import TYPE_CHECKING, Final
 
@@ -157,6 +158,7 @@ static inline void {name}_correct{kind}_table(const {real} gyro[3], const {real}
 _HEAD: Final = """\
 #ifndef {guard}
 #define {guard}
+#define {guard}_{digest}
 
 /* Tables are constants of compilation in C++, and of the program in C. */
 #if defined(__cplusplus) && __cplusplus >= 201103L
@@ -164,6 +166,14 @@ _HEAD: Final = """\
 #else
 #define {guard}_TABLE_ static const
 #endif
+"""
+
+_END: Final = """\
+#undef {guard}_TABLE_
+
+#elif !defined({guard}_{digest})
+#error "Another calibration with names in {name}_ is included: export one of them with another --prefix."
+#endif /* {guard} */
 """
 
 
@@ -223,7 +233,7 @@ def c99_header(
     applier = Applier(calibration, frame="mars" if calibration.U is None else "table")
     suffix, guard = _SUFFIXES[precision], f"{name.upper()}_CALIBRATION_H"
     words = {"name": name, "real": precision, "zero": f"0.0{suffix}", "one": f"1.0{suffix}", "const": f"{guard}_TABLE_"}
-    parts = [_comment(calibration, words, kinds[0], applier), _HEAD.format(guard=guard)]
+    parts = [_comment(calibration, words, kinds[0], applier), _HEAD]
     if namespace is not None:
         parts.append(f"#ifdef __cplusplus\nnamespace {namespace} {{\n#endif\n")
     parts.append(_MULTIPLY.format(**words))
@@ -235,7 +245,9 @@ def c99_header(
         parts += [_table_functions(applier, words, kind) for kind in kinds]
     if namespace is not None:
         parts.append("#ifdef __cplusplus\n}\n#endif\n")
-    parts.append(f"#undef {guard}_TABLE_\n\n#endif /* {guard} */\n")
+    digest = hashlib.sha256("\n".join(parts).encode()).hexdigest()[:16].upper()
+    parts[1] = _HEAD.format(guard=guard, digest=digest)
+    parts.append(_END.format(guard=guard, digest=digest, name=name))
     return signed("\n".join(parts))
 
 

@@ -285,10 +285,10 @@ class Calibration(Presented):
         Asymmetry s rectifies the noise of a channel near zero: a bias of about 0.8 s times the 1-sigma noise of a
         sample remains in the mean.
         """
-        if (kind == "increment") != (dt is not None):
-            raise InputError("Give dt, the duration of the samples in seconds, with increments and only with them.")
         if kind not in ("rate", "increment"):
             raise InputError(f"kind is {kind!r}; it must be 'rate' or 'increment'.")
+        if (kind == "increment") != (dt is not None):
+            raise InputError("Give dt, the duration of the samples in seconds, with increments and only with them.")
         # Work arrays no larger than the readings, so that a call with one sample allocates little.
         block = min(max(gyro.size // 3, 1), BLOCK) if isinstance(gyro, np.ndarray) else BLOCK
         return Applier(self, frame=frame, block=block).apply(gyro, accel, dt=dt, out=out)

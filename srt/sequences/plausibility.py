@@ -35,7 +35,7 @@ _AS_GOOD = math.log(1.25)  # a second cause this close to the best one is named 
 
 _NAMES: Final[dict[Sensor, str]] = {"gyro": "gyro", "accel": "accelerometer"}
 _INCREMENTS = "the values look like increments per sample, declared as rates"
-_RATES = 'the values look like rates, declared as increments (key kind of recording.toml: "rate")'
+_RATES = 'the values look like rates, declared as increments (key kind of recording.toml, or argument: "rate")'
 
 SHORTEST_INTERVAL_S: Final = 5e-6
 LONGEST_INTERVAL_S: Final = 0.5
@@ -54,7 +54,8 @@ def check_interval(recording: Recording) -> None:
         faster = "record at 10 Hz or more, or " if interval > LONGEST_INTERVAL_S else ""
         raise DataError(
             f"The samples are {interval:.3g} s apart, but {SHORTEST_INTERVAL_S:g} to "
-            f"{LONGEST_INTERVAL_S:g} s is expected: {faster}check the time unit (key time_unit of recording.toml)."
+            f"{LONGEST_INTERVAL_S:g} s is expected: {faster}check the time unit (key time_unit of recording.toml, or "
+            "argument)."
         )
 
 

@@ -28,6 +28,7 @@ LOST: Final = "lost"
 CLIPPED: Final = "at the end of the range"
 OTHER_TEMPERATURE: Final = "outside the temperature of the test"
 IMPLAUSIBLE: Final = "of implausible size"
+TOO_FAST: Final = "faster than any gyro measures"
 NOT_ADVANCING: Final = "with a time that does not advance"
 NOT_SENT: Final = "not sent"
 UNSIGNED: Final = "signed, sent without a signature"
@@ -36,10 +37,14 @@ PASSED_ON: Final = "without an IMU, passed on"
 
 _CLIPPED_FROM: Final = 0.999
 """Fraction of the range from which a reading is clipped: one part in a thousand of noise or rounding below it."""
+_FASTEST: Final = 1000.0
+"""Rate that no gyro measures, rad/s: those for spinning projectiles end at 50 000 °/s, 873 rad/s."""
 _BLOCK: Final = 500
 """Samples whose median size is judged: a few seconds, more than half of which no shock or free fall fills."""
 _TIMES_TOLD: Final = (1, 10, 100, 1000, 10**4, 10**5, 10**6)
 """Counts at which an event is told, so that a broken sensor does not fill the disk with sentences."""
+_CAUSES: Final = 20
+"""Causes that are told at their first event, for the same reason."""
 
 
 class Counts(NamedTuple):
@@ -64,7 +69,7 @@ class StreamOptions:
     gyro_range: float | None = None  # rad/s
     accel_range: float | None = None  # m/s²
     temperature_margin_c: float = 10.0  # distance from the temperatures of the test that is told
-    gravity: float | None = None  # size, m/s², near which the median specific force is expected; None: not checked
+    gravity: float | None = None  # m/s², near which the median specific force is expected; None: no sizes are checked
     covariance: bool = False  # True: each corrected sample comes with its 1-sigma by the calibration
 
     def __post_init__(self) -> None:
@@ -92,7 +97,8 @@ class StreamCorrector:
     """
 
     __slots__ = (
-        "_applier", "_options", "_ranges", "_squares", "_tell", "_temperature", "counts", "interval_s",
+        "_applier", "_causes", "_fastest", "_options", "_ranges", "_squares", "_tell", "_temperature", "counts",
+        "interval_s",
     )  # fmt: skip
 
     def __init__(
@@ -107,7 +113,9 @@ class StreamCorrector:
             math.inf if r is None else _CLIPPED_FROM * r * seconds for r in (options.gyro_range, options.accel_range)
         ]
         self._ranges = ranges[0], ranges[1]
+        self._fastest = math.inf if options.gravity is None else _FASTEST * seconds
         self._squares: list[float] = []
+        self._causes = {""}  # that were told
         self.counts: Counter[str] = Counter({CORRECTED: 0})
         self.interval_s = options.dt
 
@@ -137,7 +145,10 @@ class StreamCorrector:
         accel: Vector = (ax, ay, az)
         (p, q, r), (u, v, w) = self._applier.apply_sample(gyro, accel, dt=self._options.dt)
         largest_rate, largest_force = self._ranges
-        if max(map(abs, gyro)) >= largest_rate or max(map(abs, accel)) >= largest_force:
+        rate = max(map(abs, gyro))
+        if rate > self._fastest:
+            self._tell_rate(rate / (self._options.dt or 1.0))
+        if rate >= largest_rate or max(map(abs, accel)) >= largest_force:
             self.event(CLIPPED, "a reading is at the end of its range, and its correction is not true")
         if self._options.gravity is not None:
             squares = self._squares
@@ -155,11 +166,14 @@ class StreamCorrector:
         corrected = (p, q, r, u, v, w)
         return corrected + self._sigma(gyro, accel) if self._options.covariance else corrected
 
-    def event(self, kind: str, sentence: str, count: int = 1) -> None:
-        """Count an event, and tell it if it is among the first of its kind."""
+    def event(self, kind: str, sentence: str, count: int = 1, cause: str = "") -> None:
+        """Count an event, and tell it if it is among the first of its kind, or the first with its cause."""
         before = self.counts[kind]
         self.counts[kind] += count
-        if any(before < times <= self.counts[kind] for times in _TIMES_TOLD):
+        new = cause not in self._causes and len(self._causes) < _CAUSES
+        if new:
+            self._causes.add(cause)
+        if new or any(before < times <= self.counts[kind] for times in _TIMES_TOLD):
             total = "" if self.counts[kind] == 1 else f" ({self.counts[kind]} samples are {kind} so far)"
             self._tell(f"{sentence}{total}")
 
@@ -180,11 +194,19 @@ class StreamCorrector:
             self.event(
                 IMPLAUSIBLE,
                 f"the accelerometers read {force:.4g} m/s² in the median, but about {gravity:.4g} is expected: {cause}"
-                "; state the units of both sensors (--gyro-unit, --accel-unit), the value of counts (--gyro-lsb, "
-                "--accel-lsb) or --increments-s",
+                "; state the units of both sensors (--gyro-unit, --accel-unit), the value of counts with its "
+                "unit (--gyro-lsb, --accel-lsb) or --increments-s",
                 len(squares),
             )
         squares.clear()
+
+    def _tell_rate(self, rate: float) -> None:
+        self.event(
+            TOO_FAST,
+            f"the gyros read {rate:.4g} rad/s, which no gyro measures: state their unit (--gyro-unit), the value of "
+            "counts with its unit, as --gyro-lsb '1/131 deg/s' (a number without a unit is in rad/s), or "
+            "--increments-s",
+        )
 
     def _sigma(self, gyro: Vector, accel: Vector) -> tuple[float, ...]:
         covariance = self._applier.sample_covariance(gyro, accel, dt=self._options.dt)

@@ -13,11 +13,13 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from operator import mul, truediv
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from srt.exceptions import InputError, SrtError, clipped
+from srt.model.table1 import AXES
 from srt.recording.import_options import CHANNELS, SENSOR_UNITS, TRIADS, option
 from srt.recording.imported_samples import StatedUnits
 from srt.recording.importers.channels import assign, meaning_of
@@ -40,6 +42,11 @@ _LONGEST: Final = 4096
 _OPTIONAL: Final = ("time", "temperature")
 _NUMERIC: Final = "+-.0123456789 "
 """Characters with which a number may begin."""
+_VALUES: Final = re.compile(r"'.*?'|\d+|^.*(?= was found)")
+"""Parts of a reason that differ from line to line; the rest is the cause."""
+_OTHER_MARKS: Final = re.compile(r"[;\t|]")
+_FEWEST: Final = len(_READINGS) - 1
+"""Marks between the columns of a line of readings."""
 _AGREEING: Final = 3
 """Lines in succession without names whose number of columns is believed, against that of the lines before."""
 _LATE: Final = 1.5
@@ -72,7 +79,7 @@ class LineCorrector:
 
     __slots__ = (
         "_columns", "_corrector", "_counts", "_covariance", "_guess", "_json_scale", "_last", "_line", "_named",
-        "_order", "_other", "_others", "_refused", "_scale", "_second", "_step", "_units", "_width",
+        "_order", "_other", "_others", "_refused", "_scale", "_second", "_step", "_unit", "_units", "_width",
     )  # fmt: skip
 
     def __init__(
@@ -95,7 +102,8 @@ class LineCorrector:
         self._order: tuple[str, ...] = ()  # of columns by names that were cut off
         self._refused = ""  # reason why lines without names are not read
         self._second = 1.0  # seconds per unit of time
-        self._scale = self._json_scale = self._si_per_unit(StatedUnits())
+        self._unit = self._units_of(StatedUnits())
+        self._scale = self._json_scale = self._si_per(self._unit)
         self._last: float | None = None
         self._step: float | None = None
         self._line = 0
@@ -106,8 +114,8 @@ class LineCorrector:
         Returns
         -------
         str
-            The line with corrected values, without its end; column names and comments as they are; empty for an empty
-            line and for a malformed one, which is counted.
+            The line with corrected values, without its end; column names, with the units of the answers; comments as
+            they are; empty for an empty line and for a malformed one, which is counted.
         """
         self._line += 1
         text = line.strip()
@@ -119,7 +127,8 @@ class LineCorrector:
             return self._json(text) if text[0] == "{" else self._csv(text)
         except (ValueError, LookupError, TypeError, ArithmeticError, RecursionError, InputError) as error:
             reason = str(error) if isinstance(error, SrtError) else clipped(str(error), 160)
-            self._corrector.event(MALFORMED, f"line {self._line} is no sample ({reason.rstrip('.')})")
+            sentence = f"line {self._line} is no sample ({reason.rstrip('.')})"
+            self._corrector.event(MALFORMED, sentence, cause=_VALUES.sub("", reason))
             return ""
 
     def _csv(self, text: str) -> str:
@@ -128,7 +137,7 @@ class LineCorrector:
         if columns is None or len(cells) != self._width or cells[columns["gyro_x"]][:1] not in _NUMERIC:
             columns = self._without_known_columns(cells)
             if columns is None:
-                return ",".join([*cells, *(_SIGMAS if self._covariance else ())])
+                return ",".join([*self._answered(cells), *(_SIGMAS if self._covariance else ())])
         values = tuple(_of_cell(cells[columns[name]]) for name in _READINGS)
         time, temperature = (_of_cell(cells[columns[name]]) if name in columns else None for name in _OPTIONAL)
         corrected = self._corrected(values, temperature, self._scale)
@@ -160,6 +169,11 @@ class LineCorrector:
         if named or (self._columns is None and width >= len(_READINGS) and not any(map(is_number, names))):
             self._read_names(names)
             return None
+        text = ",".join(cells)
+        if len(_OTHER_MARKS.findall(text)) >= _FEWEST or (width == 1 and len(text.split()) > _FEWEST):
+            raise ValueError(
+                "its columns are separated by other marks, but commas, and points in numbers, are expected"
+            )
         if self._columns is not None:
             if width == self._width:
                 return self._columns  # its cells are refused one by one
@@ -198,7 +212,8 @@ class LineCorrector:
         """Take names of columns, with their units. Raises InputError."""
         try:
             found = _assigned(names, increments=self._corrector.increments)
-            scale = self._si_per_unit(found.stated)
+            self._refuse_unknown_units(names, found.columns)
+            units = self._units_of(found.stated)
         except InputError:
             if self._columns is None:
                 self._order = _cut_off(names)
@@ -207,14 +222,43 @@ class LineCorrector:
                 )
             raise
         self._columns, self._width, self._guess, self._named = found.columns, len(names), None, True
-        self._scale, self._second = scale, TIME_UNITS[found.stated.time or "s"]
+        self._unit, self._scale = units, self._si_per(units)
+        self._second = TIME_UNITS[found.stated.time or "s"]
 
-    def _si_per_unit(self, stated: StatedUnits) -> tuple[float, ...]:
-        """SI units per unit of the six readings, of their answers where the lines hold counts. Raises InputError."""
-        kind = "increment" if self._corrector.increments else "rate"
-        factors: list[float] = []
+    def _answered(self, names: list[str]) -> list[str]:
+        """Names of columns of the answer: the readings have their own name and unit where the names state another."""
+        result = list(names)
+        for name, i in (self._columns or {}).items():
+            meaning, unit = meaning_of(names[i]), self._unit.get(name.partition("_")[0])
+            if unit and meaning is not None and (meaning.unit or meaning.remark or unit) != unit:
+                result[i] = f"{name} [{unit}]"
+        return result
+
+    def _refuse_unknown_units(self, names: list[str], columns: Mapping[str, int]) -> None:
+        """Raise InputError for names of readings with a unit that is not known, unless a unit is given."""
+        for name in _READINGS:
+            text, sensor = names[columns[name]], name.partition("_")[0]
+            meaning = meaning_of(text)
+            if meaning is not None and meaning.remark and sensor not in self._units:
+                raise InputError(
+                    f"the name {clipped(text)} states {clipped(meaning.remark)}, which is not one of the known units "
+                    f"{', '.join(self._allowed(sensor))}: convert the readings, or give {option(f'{sensor}_unit')} if "
+                    "theirs is one of these"
+                )
+
+    def _allowed(self, sensor: str) -> dict[str, float]:
+        """SI units per unit, by the units of a sensor."""
+        return SENSOR_UNITS[sensor]["increment" if self._corrector.increments else "rate"]
+
+    def _si_per(self, units: Mapping[str, str]) -> tuple[float, ...]:
+        """SI units per unit of the six readings."""
+        return tuple(self._allowed(sensor)[unit] for sensor, unit in units.items() for _ in AXES)
+
+    def _units_of(self, stated: StatedUnits) -> dict[str, str]:
+        """Unit of each sensor, of its answers where the lines hold counts. Raises InputError."""
+        units: dict[str, str] = {}
         for sensor in TRIADS:
-            own, given, allowed = getattr(stated, sensor), self._units.get(sensor), SENSOR_UNITS[sensor][kind]
+            own, given, allowed = getattr(stated, sensor), self._units.get(sensor), self._allowed(sensor)
             if self._counts is not None and own not in (None, COUNTS):
                 raise InputError(
                     f"the names of the columns state {own} for {sensor}, but {option(f'{sensor}_lsb')} is given: "
@@ -228,24 +272,27 @@ class LineCorrector:
             own = None if own == COUNTS else own
             unit = given or own or next(iter(allowed))
             if unit not in allowed:
+                kind = "increment" if self._corrector.increments else "rate"
                 raise InputError(
                     f"The unit {unit} of {sensor} does not fit samples of kind {kind}: use one of {', '.join(allowed)}."
                 )
             if own is not None and unit != own:
                 self._corrector.event(OVERRIDDEN, f"the names state {own} for {sensor}; read as {unit}, as given")
-            factors += [allowed[unit]] * 3
-        return tuple(factors)
+            units[sensor] = unit
+        return units
 
     def _json(self, text: str) -> str:
-        document: dict[str, Any] = _JSON.decode(text)
+        document = _object(text)
         arrays = "gyro" in document or "accel" in document
+        expected = tuple(TRIADS) if arrays else _READINGS
+        if not document.keys() >= set(expected):
+            keys = ", ".join(map(json.dumps, document)) or "none"
+            raise ValueError(f"its keys are {clipped(keys)}, but gyro and accel, or gyro_x to accel_z, are expected")
+        found = [document[name] for name in expected]
         if arrays:
-            triads: list[Any] = [document.get(sensor) for sensor in TRIADS]
-            if not all(isinstance(triad, list) and len(triad) == 3 for triad in triads):
+            if not all(isinstance(triad, list) and len(triad) == 3 for triad in found):
                 raise ValueError("gyro and accel are not lists of three numbers")
-            found = [value for triad in triads for value in triad]
-        else:
-            found = [document.get(name) for name in _READINGS]
+            found = [value for triad in found for value in triad]
         values = tuple(map(_of_json, found))
         time, temperature = (None if document.get(name) is None else _of_json(document[name]) for name in _OPTIONAL)
         corrected = self._corrected(values, temperature, self._json_scale)
@@ -280,8 +327,11 @@ def _assigned(names: list[str], *, increments: bool) -> ColumnAssignment:
     try:
         found = assign(Path("the stream"), names, len(names), {}, kind="increment" if increments else None)
     except InputError as error:
-        # The advice of the importers names options that a stream does not have.
-        reason, _, _ = str(error).removeprefix("the stream: ").rpartition(": ")
+        text = str(error).removeprefix("the stream: ")
+        reason, _, advice = text.rpartition(": ")
+        if "--" not in advice:
+            raise error.reworded(text) from None
+        # Advice of the importers names options that a stream does not have.
         raise InputError(
             f"{reason}: name the columns {', '.join(_NAMELESS[:-1])}, or send lines without names in this order"
         ) from None
@@ -292,8 +342,11 @@ def _assigned(names: list[str], *, increments: bool) -> ColumnAssignment:
 
 def _cut_off(names: list[str]) -> tuple[str, ...]:
     """Order of columns whose names were cut off, if those left are the first of a usual order, without units."""
-    meanings = [meaning_of(name) for name in names[:-1]]  # the last name may be cut, too
-    channels = tuple(each.channel for each in meanings if each is not None and each.unit is each.kind is None)
+    *meanings, last = map(meaning_of, names)  # the last name may be cut, too
+    bare = [each for each in meanings if each is not None and each.unit is each.kind is each.remark is None]
+    channels = tuple(each.channel for each in bare)
+    if last is not None and (last.unit or last.remark):
+        return ()
     for order in (_NAMELESS, _NAMELESS[1:]):
         if channels and len(channels) == len(meanings) and channels == order[: len(channels)]:
             return order
@@ -310,14 +363,26 @@ def _of_cell(text: str) -> float:
     return value
 
 
+def _object(text: str) -> dict[str, Any]:
+    """Object of a line of JSON. Raises ValueError."""
+    try:
+        document: dict[str, Any] = _JSON.decode(text)
+    except (json.JSONDecodeError, RecursionError):
+        raise ValueError("it begins as an object of JSON, and is none: it was cut off or damaged") from None
+    return document
+
+
 def _of_json(value: object) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise ValueError(f"{json.dumps(value)} was found, but a number is expected")  # noqa: TRY004 - not our mistake
-    return float(value)
+    return _finite(value)
 
 
-def _finite(text: str) -> float:
-    value = float(text)
+def _finite(text: str | float) -> float:
+    try:
+        value = float(text)
+    except OverflowError:  # a whole number
+        value = math.inf
     if not math.isfinite(value):
         raise ValueError(f"{text} was found, but a finite number is expected")
     return value

@@ -80,8 +80,8 @@ def test_the_header_alone_or_with_the_samples(unit, raw, tmp_path, shell):
 @pytest.mark.parametrize(
     ("arguments", "fragment"),
     [
-        ([], "nothing to write"),
-        (["RAW"], "go together"),
+        ([], "or - for lines of CSV or JSON on standard input"),
+        (["RAW"], "write '- < raw' in place of both"),
         (["-o", "OUT"], "go together"),
         (["RAW", "-o", "OUT", "--c-header", "OUT.c"], "ends in .h"),
         (["RAW", "-o", "OUT", "--frame", "body"], "frame"),

@@ -79,7 +79,8 @@ def test_gaps_between_sequences_are_no_fault():
     [
         (
             1e3,
-            "10 s apart, but 5e-06 to 0.5 s is expected: the time stamps look like milliseconds, declared as seconds",
+            "10 s apart, but 5e-06 to 0.5 s is expected: the time stamps look like milliseconds, declared as seconds; "
+            "correct time_unit (key of recording.toml, or argument)",
         ),
         (1e6, "look like microseconds, declared as seconds"),
         (

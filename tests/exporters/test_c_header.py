@@ -169,6 +169,23 @@ def test_texts_of_the_file_cannot_end_the_comment(tmp_path, serial):
     assert ("SN-7 (left)" in c99_header(calibration)) == (serial == "SN-7 (left)")
 
 
+@needs_compiler
+def test_a_second_calibration_of_the_same_prefix_is_an_error_and_the_same_one_is_not(tmp_path):
+    for name, seed in (("left", 1), ("right", 2)):
+        (tmp_path / f"{name}.h").write_text(c99_header(drawn(np.random.default_rng(seed))), encoding="ascii")
+    results = []
+    for second in ("left", "right"):
+        (tmp_path / "main.c").write_text(f'#include "left.h"\n#include "{second}.h"\n')
+        results.append(
+            subprocess.run(
+                [COMPILER, "-fsyntax-only", tmp_path / "main.c"], capture_output=True, text=True, check=False
+            )
+        )
+    assert results[0].returncode == 0
+    assert results[1].returncode != 0
+    assert "Another calibration with names in imu_ is included: export one of them with another --" in results[1].stderr
+
+
 def test_says_what_it_is_and_is_the_same_every_time():
     calibration = calibrated(
         np.full(N_PARAMETERS, 0.01),

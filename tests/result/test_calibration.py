@@ -146,6 +146,8 @@ def test_increments_and_their_durations_are_refused_alone(calibration):
     for options in ({"kind": "increment"}, {"dt": 0.01}):
         with pytest.raises(srt.InputError):
             calibration.apply(good, good, **options)
+    with pytest.raises(InputError, match="kind is 'increments'; it must be 'rate' or 'increment'"):
+        calibration.apply(np.zeros(3), np.zeros(3), kind="increments", dt=0.01)
 
 
 def test_too_few_playbacks_is_a_status(unit):

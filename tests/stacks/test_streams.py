@@ -85,8 +85,39 @@ def test_damage_is_counted_and_the_stream_goes_on(told):
     counts = lines._corrector.counts
     assert counts["malformed"] == len(bad) - 1  # an empty line is none
     assert counts["corrected"] == N
-    assert told[0].startswith("line 5 is no sample")
-    assert len(told) == 1
+    # Each cause is told once: lines 7, 10 and 12 are like lines 6, 5 and 9.
+    assert [sentence.partition(" is no")[0] for sentence in told] == [f"line {n}" for n in (5, 6, 8, 9, 11)]
+
+
+def test_each_cause_is_told_at_its_first_line_and_then_by_its_count(told):
+    lines = LineCorrector(corrector(told))
+    huge = f'{{"gyro": [1{"0" * 400}, 0, 0], "accel": [0, 0, 9]}}'
+    bad = ["1,2,3", "1,2,3,4", "0.5,nan,0,0,0,0,9.8", "1,a,0,0,0,0,9", '{"gyro": [0, 0, 0], "t": 1}', '{"gyro_x": 1}',
+           '{"gyro": [1, 2], "accel": 3}', '{"gyro"', huge]  # fmt: skip
+    for line in [csv()[0], *bad, *bad]:
+        lines.correct(line)
+    said = [sentence.partition(" is no sample (")[2].partition(")")[0] for sentence in told]
+    keys = "but gyro and accel, or gyro_x to accel_z, are expected"
+    assert said[:2] == [
+        "it has 3 columns, and those before have 7",
+        "'nan' was found, but a finite number is expected",
+    ]
+    assert said[2:6] == [
+        f'its keys are "gyro", "t", {keys}',
+        f'its keys are "gyro_x", {keys}',
+        "gyro and accel are not lists of three numbers",
+        "it begins as an object of JSON, and is none: it was cut off or damaged",
+    ]
+    assert said[6].startswith("1000")
+    assert told[7].endswith("(10 samples are malformed so far)")
+    assert len(told) == 8
+
+
+def test_causes_without_end_do_not_fill_the_disk(told):
+    lines = LineCorrector(corrector(told))
+    for n in range(200):
+        lines.correct(json.dumps({chr(97 + n % 26) * (n // 26 + 1): 0}))
+    assert len(told) < 25
 
 
 def test_units_of_the_names_are_those_of_the_lines(told):
@@ -111,8 +142,13 @@ def test_units_of_the_names_are_those_of_the_lines(told):
         ("gyro_x_raw,gyro_y_raw,gyro_z_raw,accel_x,accel_y,accel_z", {}, "state counts for gyro: give --gyro-lsb"),
         ("dtheta_x,dtheta_y,dtheta_z,dv_x,dv_y,dv_z", {}, "state increments: give --increments-s SECONDS"),
         ("gyro_x [rad],gyro_y [rad],gyro_z [rad],accel_x,accel_y,accel_z", {}, "does not fit samples of kind rate"),
-        ("gyro_x [deg/s],gyro_y,gyro_z,accel_x,accel_y,accel_z", {}, "different units (deg/s, none): name the columns"),
-        ("t,rate 1,rate 2,rate 3,accel_x,accel_y,accel_z", {}, "(found: t, rate 1, rate 2, rate 3, accel_x, accel_y, "),
+        ("gyro_x [rpm],gyro_y [rpm],gyro_z [rpm],accel_x,accel_y,accel_z", {},
+         "the name gyro_x [rpm] states rpm, which is not one of the known units rad/s, deg/s, deg/h: convert"),
+        ("gyro_x_mg,gyro_y_mg,gyro_z_mg,accel_x,accel_y,accel_z", {}, "gyro_x_mg states mg, which is not one of"),
+        ("gyro_x,gyro_y,gyro_z,accel_x,accel_y,accel_z [foo]", {}, "accel_z [foo] states foo, which is not one of the"),
+        ("gyro_x,gyro_y,gyro_z,accel_x,accel_y,accel_z [g]", {}, "different units (g, none): state one unit"),
+        ("gyro_x [deg/s],gyro_y,gyro_z,accel_x,accel_y,accel_z", {}, "different units (deg/s, none): state one unit"),
+        ("t,rate 1,rate 2,rate 3,accel_x,accel_y,accel_z", {}, "(columns found: t, rate 1, rate 2, rate 3, accel_x"),
         ("gyro_x [deg/s],gyro_y [deg/s],gyro_z [deg/s],a_x,a_y,a_z", {"counts": Counts((1.0,) * 6, (0.0,) * 6)},
          "state deg/s for gyro, but --gyro-lsb is given: leave it out"),
     ],
@@ -131,9 +167,24 @@ def test_lines_below_names_that_are_not_understood_are_refused(told, names, opti
 
 def test_a_given_unit_overrides_that_of_the_names(told):
     lines = LineCorrector(corrector(told), units={"gyro": "rad/s"})
-    lines.correct("time,gyro_x [deg/s],gyro_y [deg/s],gyro_z [deg/s],accel_x,accel_y,accel_z")
+    answer = lines.correct("time,gyro_x [deg/s],gyro_y [deg/s],gyro_z [deg/s],accel_x,acc_y,accel_z")
+    assert answer == "time,gyro_x [rad/s],gyro_y [rad/s],gyro_z [rad/s],accel_x,acc_y,accel_z"
     np.testing.assert_array_equal(numbers([lines.correct(csv()[0])])[0, 1:], TRUE[0])
     assert told == ["the names state deg/s for gyro; read as rad/s, as given"]
+
+
+@pytest.mark.parametrize(
+    ("names", "options", "answered"),
+    [
+        ("wx [rpm],wy [rpm],wz [rpm]", {}, "gyro_x [deg/s],gyro_y [deg/s],gyro_z [deg/s]"),
+        ("gyro_x_raw,gyro_y_raw,gyro_z_raw", {"counts": Counts((1.0,) * 6, (0.0,) * 6)},
+         "gyro_x [deg/s],gyro_y [deg/s],gyro_z [deg/s]"),
+        ("gyro_x_dps,gyro_y_dps,gyro_z_dps", {}, "gyro_x_dps,gyro_y_dps,gyro_z_dps"),
+    ],
+)  # fmt: skip
+def test_the_names_that_go_out_state_the_unit_of_the_answers(told, names, options, answered):
+    lines = LineCorrector(corrector(told), units={"gyro": "deg/s"}, **options)
+    assert lines.correct(f"{names},accel_x,accel_y,accel_z,note") == f"{answered},accel_x,accel_y,accel_z,note"
 
 
 @pytest.mark.parametrize(
@@ -300,6 +351,25 @@ def test_wrong_usage(tmp_path, arguments, fragment, shell):
     assert fragment in shell("apply", tmp_path / "unit.json", *arguments, code=2).err
 
 
+@pytest.mark.parametrize("mark", [";", "\t", " ", " | "])
+def test_other_separators_are_told_as_such(told, mark):
+    lines = LineCorrector(corrector(told))
+    for line in (HEADER.replace(",", mark), csv()[0].replace(",", mark), csv()[0].replace(",", mark)):
+        assert lines.correct(line) == ""
+    reason = "its columns are separated by other marks, but commas, and points in numbers, are expected"
+    assert told == [f"line 1 is no sample ({reason})"]
+    assert lines.correct(csv()[0])
+
+
+def test_the_command_takes_all_spellings_of_a_unit(tmp_path, monkeypatch, shell):
+    CALIBRATION.save(tmp_path / "unit.json")
+    answers = []
+    for unit in ("dps", "deg/s"):
+        monkeypatch.setattr(sys, "stdin", io.StringIO("0.01,1,2,3,0,0,9.8\n"))
+        answers.append(shell("apply", tmp_path / "unit.json", "-", "--gyro-unit", unit).out)
+    assert answers[0] == answers[1]
+
+
 def test_addresses():
     assert parse_address("udp:127.0.0.1:14550") == ("127.0.0.1", 14550)
     assert parse_address("udp:[::1]:80") == ("::1", 80)
@@ -320,7 +390,7 @@ def test_addresses():
 )
 def test_an_implausible_size_is_told_once_with_its_cause(told, scale, options, fragment):
     n = 700
-    rest = scale * np.tile([0.01, 0.02, -0.03, 0.3, -0.2, 9.8], (n, 1))
+    rest = np.tile([0.01, 0.02, -0.03, *(scale * np.array([0.3, -0.2, 9.8]))], (n, 1))
     lines = LineCorrector(corrector(told, gravity=9.80665, **options))
     for line in csv(rest, 0.01 * np.arange(n)):
         lines.correct(line)
@@ -358,6 +428,23 @@ def test_time_that_does_not_advance_is_told_and_losses_after_it_are_seen(told):
     counts = lines._corrector.counts
     assert (counts["with a time that does not advance"], counts["lost"]) == (2, 2)
     assert "line 4: the time goes from 0.03 to 0.01 s" in told[0]
+
+
+@pytest.mark.parametrize(
+    ("extra", "said"),
+    [
+        (["--gyro-lsb", "131"], "the gyros read 9.872e+05 rad/s, which no gyro measures: state their unit"),
+        (["--gyro-lsb", "1/131 deg/s"], None),
+        (["--gyro-lsb", "131", "--force"], None),
+        (["--gyro-lsb", "131", "--increments-s", "1"], "(a number without a unit is in rad/s)"),
+    ],
+)
+def test_the_command_tells_of_a_value_of_counts_without_its_unit(tmp_path, monkeypatch, extra, said, shell):
+    CALIBRATION.save(tmp_path / "unit.json")
+    monkeypatch.setattr(sys, "stdin", io.StringIO("0.01,0,0,7536,0,0,-16384\n"))
+    errors = shell("apply", tmp_path / "unit.json", "-", "--accel-lsb", "1/16384 g", *extra).err
+    assert ("1 faster than any gyro measures" in errors) == (said is not None)
+    assert said is None or said in errors
 
 
 @pytest.mark.parametrize(("extra", "said"), [([], True), (["--force"], False), (["--accel-unit", "g"], False)])

@@ -115,6 +115,7 @@ class ColumnMeaning:
     channel: str  # of CHANNELS, or "gyro" or "accel" for an array of three columns
     unit: str | None = None  # None: the name states none
     kind: Kind | None = None  # "increment"; None: the name does not state it
+    remark: str | None = None  # text in the place of a unit that is none of the channel's, as "rpm" or "top"
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,7 +145,9 @@ def meaning_of(name: str) -> ColumnMeaning | None:
         found = _meanings().get("".join(parts[: len(parts) - count]))
         if found is not None:
             stated = unit or (_SUFFIX_UNITS[ending] if count else None)
-            return ColumnMeaning(found[0], stated if _fits(found[0], stated) else None, found[1])
+            if stated and not _fits(found[0], stated):
+                return ColumnMeaning(found[0], None, found[1], stated)
+            return ColumnMeaning(found[0], stated, found[1])
     return None
 
 
@@ -317,7 +320,7 @@ def unread(names: Sequence[str], columns: Mapping[str, int]) -> tuple[str, ...]:
     return tuple(name for i, name in enumerate(names) if i not in columns.values())
 
 
-def _fits(channel: str, unit: str | None) -> bool:
+def _fits(channel: str, unit: str) -> bool:
     """True for a unit that fits a channel: "Acc X (top)" states none."""
     return unit in UNITS.get(channel.partition("_")[0], ())
 
@@ -344,5 +347,5 @@ def _common_unit(path: Path, sensor: str, used: Mapping[str, ColumnMeaning | Non
     units = {m.unit if m is not None else None for name, m in used.items() if name.partition("_")[0] == sensor}
     if len(units) > 1:
         shown = ", ".join(sorted(str(unit or "none") for unit in units))
-        raise InputError(f"{path}: the {sensor} columns state different units ({shown}): convert them to one unit.")
+        raise InputError(f"{path}: the {sensor} columns state different units ({shown}): state one unit for all three.")
     return next(iter(units), None)
