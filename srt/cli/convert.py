@@ -290,7 +290,7 @@ def log_remedy(sentence: str, kind: str | None = None) -> str:
     """
     from srt.recording.import_options import normal_unit
 
-    known = {"gyro": _GYRO_UNITS, "accel": _ACCEL_UNITS, "time": _TIME_UNITS}
+    known = {"gyro": GYRO_UNITS, "accel": ACCEL_UNITS, "time": _TIME_UNITS}
 
     def named(fault: re.Match[str]) -> str:
         sensor, unit = fault["sensor"], normal_unit(fault["unit"] or "")

@@ -228,8 +228,9 @@ def _accuracy(axes: Axes, plan: Plan) -> None:
             handles.append(dots)
     missed = seen & (ratios > MET)
     if missed.any():
-        ring = {"color": VERMILION, "markersize": 14.0, "markerfacecolor": "none", "linestyle": "none"}
-        handles += axes.plot(place[missed], ratios[missed], "o", label="target missed", **ring)
+        (rings,) = axes.plot(place[missed], ratios[missed], "o", color=VERMILION, markersize=14.0, label="target missed")
+        rings.set_markerfacecolor("none")
+        handles.append(rings)
     shown = np.concatenate([ratios[seen], [1.0], [plan.bound] if math.isfinite(plan.bound) else []])
     low, high = float(shown.min()) / 1.2, float(shown.max()) * 1.2
     axes.set_ylim(low, high)
