@@ -190,7 +190,8 @@ def known_figures(model: ExportModel) -> dict[str, float]:
             found[name] = float(value)
     found = {name: value * (model.settings.inflate or 1.0) for name, value in found.items()}
     if model.settings.rate_hz is not None:
-        found["rate_hz"] = float(model.settings.rate_hz)
+        # The rate of an interval, as 1 / 0.005, without its rounding.
+        found["rate_hz"] = float(f"{model.settings.rate_hz:.12g}")
     return found
 
 

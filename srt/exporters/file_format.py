@@ -216,7 +216,16 @@ def to_yaml(document: Mapping[str, Any], head: str = "") -> str:
     # PyYAML writes 1.0e-05; a YAML 1.1 reader takes 1e-05 for a string. Only lists of numbers stand in one line.
     flat = not any(isinstance(value, list | dict) for value in document.values())
     options: dict[str, Any] = {"sort_keys": False, "default_flow_style": False if flat else None, "width": 1000}
-    return head + str(yaml.dump(dict(document), Dumper=Dumper, **options))
+    return head + str(yaml.dump(_unsigned_zeros(document), Dumper=Dumper, **options))
+
+
+def _unsigned_zeros(value: Any) -> Any:
+    """Document without -0.0, which products of zeros leave."""
+    if isinstance(value, dict):
+        return {key: _unsigned_zeros(each) for key, each in value.items()}
+    if isinstance(value, list):
+        return [_unsigned_zeros(each) for each in value]
+    return value + 0.0 if isinstance(value, float) else value
 
 
 def from_yaml(text: str) -> dict[str, Any]:

@@ -9,6 +9,7 @@ from small_units import VECTOR, U
 import srt
 from srt import exporters
 from srt.exporters import Readings, export
+from srt.exporters.file_format import to_yaml
 from srt.result.calibration import Calibration
 from srt.sensor_errors import N_PARAMETERS, SensorErrors
 
@@ -53,6 +54,12 @@ def test_a_change_of_axes_is_told(unit, tmp_path, shell):
     # U turns by (0, 0.1, -0.05) rad, and what takes MARS to the table by the opposite.
     assert re.search(r"by \(-?0\.0000, -100\.0000, 50\.0000\) mrad", out)
     assert "T_cam_imu" in shell("export", unit, "--to", "kalibr").out
+
+
+def test_a_yaml_file_has_no_rounding_of_the_rate_and_no_negative_zero(unit, tmp_path, shell):
+    shell("export", unit, "--to", "kalibr", "-o", tmp_path / "k.yaml", "--rate-hz", "200.00000000000003", "-q")
+    assert "update_rate: 200.0\n" in (tmp_path / "k.yaml").read_text()
+    assert to_yaml({"A": [[-0.0, -1e-5]], "b": {"c": -0.0}}) == "A:\n  - [0.0, -1.0e-05]\nb: {c: 0.0}\n"
 
 
 def test_without_a_file_only_the_loss_is_shown(unit, tmp_path, shell):
