@@ -228,8 +228,8 @@ def _accuracy(axes: Axes, plan: Plan) -> None:
             handles.append(dots)
     missed = seen & (ratios > MET)
     if missed.any():
-        (rings,) = axes.plot(place[missed], ratios[missed], "o", color=VERMILION, markersize=14.0, label="target missed")
-        rings.set_markerfacecolor("none")
+        (rings,) = axes.plot(place[missed], ratios[missed], "o", color=VERMILION, label="target missed")
+        rings.set(markersize=14.0, markerfacecolor="none")
         handles.append(rings)
     shown = np.concatenate([ratios[seen], [1.0], [plan.bound] if math.isfinite(plan.bound) else []])
     low, high = float(shown.min()) / 1.2, float(shown.max()) * 1.2
