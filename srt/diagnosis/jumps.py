@@ -3,7 +3,8 @@
 A spike deviates from its neighbours by far more than the noise around it. A cubic through the two readings before and
 the two readings after predicts each reading. If the slopes between these four readings differ much, the unit moves
 abruptly, and the reading is not a spike. A bump that rotates the unit within one sample looks like a spike of the
-gyros, but the direction of gravity stays rotated by its angle.
+gyros, but the direction of gravity stays rotated by its angle. A hand shakes the unit, and sets it down: in its
+rotations and next to them, a spike is a single sample of a single channel, whose other channels move far less.
 """
 
 from __future__ import annotations
@@ -12,10 +13,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from scipy.ndimage import maximum_filter1d
 
 from srt.diagnosis.false_alarms import limit, robust_freedom, robust_sigma
-from srt.diagnosis.rotation_readings import BESIDE, ROUNDING
+from srt.diagnosis.rotation_readings import BESIDE, ROUNDING, SLOWEST_RAD_S
 
 if TYPE_CHECKING:
     from srt.recording.recording import Recording
@@ -25,7 +25,16 @@ if TYPE_CHECKING:
 _JERK: Final = 3.0
 """Smallest deviation of a spike that also exceeds the limit of false alarms, in units of the range of the slopes of its
 neighbours; a step or a kink of the motion gives at most 1."""
-_QUANTILE: Final = 0.9
+_OF_ONE_SAMPLE: Final = np.array([1.0, -4.0, 6.0, -4.0, 1.0]) / 6.0
+"""Deviations of a sample that deviates by one, and of the samples beside it."""
+_ALONE: Final = 7.0
+"""Smallest ratio of a spike in a rotation by hand to the other deviations at its sample, in units of the noise. If the
+unit is shaken or set down, the other channels and the next samples deviate, too: in 130 such jumps of the gyros in real
+recordings, the largest ratio is 4.5."""
+_QUIET: Final = 5.0
+"""Deviation at the sample of a spike, in units of the noise, that is not called motion: 20 normal values exceed it with
+p = 1e-5."""
+_QUANTILE: Final = 0.7
 """Quantile of the magnitudes of the deviations from which the noise is taken, as larger ones may be spikes."""
 _FOR_NOISE: Final = 200
 """Number of readings from which the noise of a window or rotation is taken: in 10 s at 100 Hz, their deviations have no
@@ -74,27 +83,41 @@ def find_spikes(columns: Array, data: PreparedRecording, contiguous: Mask, step:
     # In rotations, saturated readings or evenly spaced pulses hardly scatter. The median excludes disturbed windows.
     least = np.maximum(np.median(noise[:2], axis=(0, 1)), step)
     noise[2] = noise.max(axis=0)  # the noise of a window reaches into the rotation beside it
-    noise = np.maximum(noise, np.maximum(least, ROUNDING * np.abs(x).max(axis=1))).reshape(-1, 6)
+    floor = ROUNDING * np.abs(x).max(axis=1)
+    noise = np.maximum(noise, np.maximum(least, floor)).reshape(-1, 6)
     limits = limit("t", robust_freedom(_FOR_NOISE, _QUANTILE), tests=x.size, both_sides=True) * noise
     found = [
         np.argwhere(size[:, a:b] > own[:, None]) + np.array([0, a + 2])
         for (a, b), own in zip(spans[long].tolist(), limits[long], strict=True)
     ]
-    channel, sample = np.concatenate(found).T
-    alone = np.ones(len(sample), dtype=np.bool_)
-    if data.recording.fixture is None:
-        # Rotations by hand include bumps, as when the unit is set down, but those move more than one channel.
-        loud, turning = np.zeros(x.shape, dtype=np.bool_), np.zeros(x.shape[1], dtype=np.bool_)
-        loud[channel, sample] = True
-        for a, b in data.rotation[sequences].tolist():
-            turning[a:b] = True
-        alone = ~turning[sample] | (maximum_filter1d(loud, 5, axis=1)[:, sample].sum(axis=0) == 1)
+    channel, sample = np.unique(np.concatenate(found), axis=0).T  # rotations share windows
     slopes = np.diff(x[channel[:, None], sample[:, None] + (-2, -1, 1, 2)]) * (1.0, 0.5, 1.0)
     jump = off[channel, sample - 2]
-    keep = alone & (np.abs(jump) > _JERK * np.ptp(slopes, axis=1))
+    keep = np.abs(jump) > _JERK * np.ptp(slopes, axis=1)
     there = Spikes(sample[keep], channel[keep], jump[keep])
     bump = [_is_bump(columns, data, int(i), there) for i in there.sample]
-    return there[~np.array(bump, dtype=np.bool_)]
+    there = there[~np.array(bump, dtype=np.bool_)]
+    if data.recording.fixture is not None:
+        return there
+    # A hand shakes, and sets the unit down. The accelerometer readings of its rotations enter no result.
+    near = _inside(there.sample, data.rotation[sequences, 0] - 1 - BESIDE, data.rotation[sequences, 1] + BESIDE)
+    rotating = _inside(there.sample, data.rotation[sequences, 0] - 1, data.rotation[sequences, 1])
+    rate = x[:3, there.sample] * data.recording.rates_factor - np.median(data.windows.gyro_mean, axis=0)[:, None]
+    used = (there.channel < 3) | ~rotating | (np.abs(rate).max(axis=0) < SLOWEST_RAD_S)
+    several = np.bincount(there.sample)[there.sample] > 1
+    return there[used & (~near | (~several & _alone(off / np.maximum(least, floor)[:, None], there)))]
+
+
+def _alone(level: Array, there: Spikes) -> Mask:
+    """True for spikes that no motion explains: one sample deviates, in one channel.
+
+    ``level`` (6, N - 4) are the deviations in units of their noise at rest.
+    """
+    at = np.clip(there.sample[:, None] + np.arange(-4, 1), 0, level.shape[1] - 1)
+    own = level[there.channel[:, None], at]
+    beside = np.abs(level[:, at[:, 1:4]]).max(axis=2)
+    beside[there.channel, np.arange(len(at))] = np.abs(own - own[:, 2:3] * _OF_ONE_SAMPLE).max(axis=1)
+    return np.asarray(beside.max(axis=0) < np.maximum(_QUIET, np.abs(own[:, 2]) / _ALONE))
 
 
 def _is_bump(columns: Array, data: PreparedRecording, at: int, there: Spikes) -> bool:

@@ -34,7 +34,7 @@ ROUNDING: Final = 1e-9
 AGREE: Final = 0.5
 """Largest relative difference between a rotation by gyros and by accelerometers, due to scale-factor errors and coarse
 blocks. Lost samples and asymmetric scale factors make a difference of the whole error."""
-_SLOWEST_RAD_S: Final = 0.05
+SLOWEST_RAD_S: Final = 0.05
 """Slowest rotation of a manoeuvre, rad/s: 180° in a minute."""
 
 
@@ -130,7 +130,7 @@ def turning_windows(data: PreparedRecording, columns: Array, seen: RawIntegrals)
     recording, samples = data.recording, data.windows.samples
     size, factor = max(1, round(BLOCK_S / recording.nominal_interval_s)), recording.rates_factor
     # Without rotations (static poses only), the slowest rotation is the lower limit.
-    slowest = 2.0 * ROTATING * max(float(np.median(seen.speed)), _SLOWEST_RAD_S)
+    slowest = 2.0 * ROTATING * max(float(np.median(seen.speed)), SLOWEST_RAD_S)
     span, scatter = np.zeros((2, len(samples), 3))
     if not any(np.ptp(columns[:3, a:b], axis=1).max() * factor > slowest for a, b in samples.tolist()):
         return np.zeros(len(samples), dtype=np.bool_)

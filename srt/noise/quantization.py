@@ -18,7 +18,9 @@ _GAP: Final = 20.0
 _FEWEST_SMALL: Final = 10
 """Smallest number of differences below the gap; normal noise has such a gap with a probability of 1e-13."""
 _FEWEST_LARGE: Final = 3
-"""Smallest number of differences above the gap; a spike makes two."""
+"""Smallest number of differences above the gap."""
+_BULK: Final = (0.25, 0.9)
+"""Quantiles of the differences that single outlying readings hardly change; of normal noise, their ratio is 5."""
 
 
 def smallest_step(values: Array) -> Array:
@@ -55,7 +57,8 @@ def quantization_step(readings: Array) -> Array:
     """Step between readings, by column.
 
     Compensation mixes the steps of three axes and rounds, so that the smallest difference of corrected readings is not
-    a step. Sorted by size, the differences have a wide gap; those above it are steps.
+    a step. Sorted by size, the differences have a wide gap; those above it are steps. Where nine of ten differences
+    scatter like noise, or by few steps, larger ones are outlying readings, whatever their number.
 
     Parameters
     ----------
@@ -69,7 +72,9 @@ def quantization_step(readings: Array) -> Array:
     step = smallest_step(readings)
     size = np.sort(np.abs(np.diff(readings, axis=0)), axis=0)
     lower, upper = size[_FEWEST_SMALL - 1 : -_FEWEST_LARGE], size[_FEWEST_SMALL : len(size) - _FEWEST_LARGE + 1]
-    for column in range(size.shape[1]):
+    low, high = np.quantile(size, _BULK, axis=0) if len(size) else np.zeros((2, size.shape[1]))
+    noisy = (high > 0.0) & (high < _GAP * np.maximum(low, step))
+    for column in np.flatnonzero(~noisy).tolist():
         above = upper[upper[:, column] > _GAP * lower[:, column], column]
         if above.size:
             step[column] = max(float(step[column]), float(above[-1]))

@@ -11,7 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from injected_faults.disturbances import tilt_step
 from injected_faults.injection import GRADES, INJECTIONS, Case
+from worse_recordings import unstated_unit
 
+import srt
 from sims.physics.imu import read_out
 from srt.diagnosis import faults
 from srt.diagnosis.channels import CHANNELS
@@ -168,6 +170,19 @@ def test_a_spike_is_placed_and_counted():
     assert finding.details["time"] == pytest.approx(recording.time[first + 1200])
     assert "5 m/s²" in finding.sentence  # 0.05 m/s in 0.01 s, known to a sample's noise: 5 µg/√Hz is 5e-4 m/s²
     assert finding.sentence.endswith("repeat sequence 5.")
+
+
+@pytest.mark.parametrize("count", [50, 500])
+@pytest.mark.parametrize("sensor", ["gyro", "accel"])
+def test_many_spikes_are_no_quantization_steps(sensor, count):
+    unit, _ = unstated_unit(0, "fixture", "industrial")
+    rest = np.concatenate([np.arange(*rows_of(label, unit)) for label in unit.sequences])
+    at = np.random.default_rng(59).choice(rest, count, replace=False)
+    values = getattr(unit, sensor).copy()
+    values[at, 1] += 10.0
+    findings = srt.diagnose(replace(unit, **{sensor: values}), calibrating=False).findings
+    assert findings[0].fault == "spikes"
+    assert findings[0].details["count"] > 0.5 * count  # neighbouring spikes hide each other
 
 
 @pytest.mark.parametrize("grade", GRADES)

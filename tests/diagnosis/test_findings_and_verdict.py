@@ -9,6 +9,7 @@ import pytest
 from foreign_motion import GRADES, drawn_errors, hand_turns
 from foreign_motion import recording as by_hand
 from injected_faults.injection import Case
+from recorded_sets import data_folder
 from scipy.signal import butter, lfilter, lfilter_zi
 from scipy.spatial.transform import Rotation
 from worse_recordings import unstated_unit
@@ -25,6 +26,7 @@ from srt.procedure import calibrate
 from srt.result.verdict import SOUND
 
 SEED = 20264201
+FOLDER = data_folder()
 
 
 def spike(unit):
@@ -157,20 +159,42 @@ def test_a_gyro_of_one_polarity_is_named_without_labels():
     assert refused.value.fault == "gyro_one_polarity"
 
 
-@pytest.mark.parametrize("channel", [0, 4])
-def test_a_spike_in_a_turn_by_hand_is_named(channel):
+def test_a_spike_of_a_gyro_in_a_turn_by_hand_is_named():
     unit = turned_by_hand(1)
-    readings = np.hstack([unit.gyro, unit.accel])
     turning = np.flatnonzero(np.linalg.norm(unit.gyro, axis=1) > 0.5)
-    readings[turning[len(turning) // 2], channel] += 3.0
-    spiked = replace(unit, gyro=readings[:, :3], accel=readings[:, 3:])
-    found = srt.calibrate(spiked)
+    at = turning[len(turning) // 2]
+    gyro, accel = unit.gyro.copy(), unit.accel.copy()
+    gyro[at, 0] += 3.0
+    found = srt.calibrate(replace(unit, gyro=gyro))
     assert found.diagnostics.faults[0].fault == "spikes"
     assert found.judgement.word != SOUND
     # A bump moves several channels.
-    readings[turning[len(turning) // 2], (channel + 3) % 6] += 3.0
-    bumped = replace(unit, gyro=readings[:, :3], accel=readings[:, 3:])
+    accel[at, 0] += 3.0
+    bumped = replace(unit, gyro=gyro, accel=accel)
     assert "spikes" not in {fault.fault for fault in srt.calibrate(bumped).diagnostics.faults}
+
+
+def test_accelerometer_readings_in_turns_by_hand_are_not_accused():
+    """They enter no result: the unit may have been hit."""
+    unit = turned_by_hand(1)
+    turning = np.flatnonzero(np.linalg.norm(unit.gyro, axis=1) > 0.5)
+    accel = unit.accel.copy()
+    accel[turning[10::20], 1] += 10.0
+    found, clean = srt.calibrate(replace(unit, accel=accel)), srt.calibrate(unit)
+    assert found.judgement.word == clean.judgement.word
+    assert {fault.fault for fault in found.diagnostics.faults} == {fault.fault for fault in clean.diagnostics.faults}
+    np.testing.assert_array_equal(found.errors.vector, clean.errors.vector)
+
+
+@pytest.mark.skipif(FOLDER is None, reason="the recorded sets are not at hand")
+@pytest.mark.parametrize("repeat", [1, 2, 4, 6])
+def test_a_unit_set_down_by_hand_has_no_spikes(repeat):
+    """Eight units on one board, each with jumps that at least six of them show, and no others."""
+    with np.load(FOLDER / "array" / f"exp_{repeat}.npz") as board:
+        time, gyro, accel = board["time_s"], board["gyro_counts"] * DEG / 16.4, board["accel_counts"] / 2048.0 * 9.81
+    for unit in range(8):
+        recording = srt.Recording(time, gyro[:, unit], accel[:, unit], srt.Site(9.818))
+        assert Evidence(recording).spikes.sample.size == 0
 
 
 def test_half_a_count_value_is_refused_by_the_result():
