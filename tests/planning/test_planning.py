@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 
 import sims
 import srt
-from sims.scenarios.library import names
 from sims.scenarios.plan_file import load_plan_file
 from srt.estimation.observability import default_prior
 from srt.exceptions import DataError, InputError
@@ -346,15 +345,3 @@ def test_a_calibration_that_observed_nothing(half_done):
     nothing = replace(so_far, held=dict.fromkeys(NAMES, "none"), covariance=np.zeros((27, 27)))
     with pytest.raises(InputError, match="observed nothing"):
         known_information(nothing, file.conditions())
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", names("plan"))
-def test_shipped_plans_are_a_quarter_better_than_table_1(name):
-    file = load_plan_file(name)
-    arguments = file.stand.kinematics(), file.conditions(), file.targets.sigma()
-    total_s, limits = file.plan.total_time_s, file.plan.limits()
-    plan = make_plan(*arguments, total_s=total_s, limits=limits)
-    table_1 = table_1_plan(*arguments, total_s, limits)
-    assert plan.total_s <= total_s * (1.0 + 1e-6)
-    assert plan.bound < plan.ratio < 0.76 * table_1.ratio
