@@ -37,6 +37,8 @@ PRINTED = {
     **dict.fromkeys(("accel_scale", "accel_asymmetry", "accel_misalignment"), 1e6),
 }
 """Units of tables (ppm, µrad, µg, °/h) per SI unit, by group."""
+COARSE = {"gyro_bias": (3600.0, 1000.0), "accel_bias": (1000.0, 10_000.0)}
+"""In reports: size of °/s and mg in these units, and the largest value of the group from which on they are used."""
 SINGLE_PRECISION = ("vectornav", "px4", "ardupilot")
 
 
@@ -136,10 +138,20 @@ def printed_units() -> np.ndarray:
     return np.array([PRINTED[name.rpartition("_")[0]] for name in srt.NAMES])
 
 
+def report_units(document: dict[str, Any]) -> np.ndarray:
+    """Factors from SI to the units of a report of these values, shape (27,)."""
+    factors = printed_units()
+    sizes = np.nan_to_num(np.abs(values(document)[0].astype(float))) * factors
+    for group, (size, limit) in COARSE.items():
+        own = np.array([name.rpartition("_")[0] == group for name in srt.NAMES])
+        factors[own] /= size if sizes[own].max() >= limit else 1.0
+    return factors
+
+
 def agree(rows: Rows, document: dict[str, Any]) -> None:
     """Printed values and sigmas are those of the file, to half a unit of their last digit."""
     assert list(rows) == list(srt.NAMES)
-    factors = printed_units()
+    factors = report_units(document)
     for (value, sigma), row, factor in zip(rows.values(), document["parameters"], factors, strict=True):
         assert (sigma == "fixed") == (row["sigma"] is None), row["name"]
         for text, number in ((value, row["value"]), (sigma, row["sigma"])):
@@ -209,7 +221,7 @@ def figure(chain: Chain, estimator: str) -> None:
     value, _ = values(chain.document(estimator))
     drawn = {float(y) for axes in made.get_axes() for line in axes.lines for y in np.atleast_1d(line.get_ydata())}
     close = np.array(sorted(drawn))
-    for name, wanted in zip(srt.NAMES, value * printed_units(), strict=True):
+    for name, wanted in zip(srt.NAMES, value * report_units(chain.document(estimator)), strict=True):
         assert np.abs(close - wanted).min() <= 1e-12 * abs(wanted), name
     assert not chain.pictures or path.read_bytes().startswith(b"\x89PNG")
 
