@@ -45,7 +45,7 @@ _QUESTIONS: Final = {
     "latitude_deg": "Latitude of the site, degrees",
     "height_m": "Height of the site above sea level, m",
 }
-"""What is asked at a terminal for an option that is missing."""
+"""Question at a terminal for an option that is missing."""
 
 
 @dataclass(frozen=True, slots=True)

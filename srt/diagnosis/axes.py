@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 _EYE: Final = np.eye(len(AXES))
 _REMEDY: Final = "if the recording was written by hand, {} in its samples file; otherwise convert the log again with"
-"""What to do, where a recording has no log that could be converted."""
+"""Remedy for a recording without a log that could be converted."""
 _BOTH: Final = _REMEDY.format("rename the columns and change their signs")
 
 

@@ -106,7 +106,7 @@ class Calibration(Presented):
     message : str
         The status in a sentence.
     errors : SensorErrors
-        Of a result that did not converge, those of the last iteration; files and reports do not contain them.
+        Those of the last iteration if a result did not converge; files and reports do not contain them.
     covariance : ndarray, shape (27, 27)
         Zero in the rows and columns of fixed parameters.
     corrections : tuple of float

@@ -118,7 +118,7 @@ def test_a_gravity_without_a_sigma_has_that_of_its_digits(log, tmp_path, shell, 
     assert (site.gravity_sigma_m_s2, site.gravity_sigma_origin) == (pytest.approx(sigma), "assumed")
     assert ("the standard value, which is that of no place" in said) == (typed == "9.80665")
     assert not said or "its sigma is taken as 0.02 m/s², 2039 ppm" in said
-    # What is stated already is not asked for.
+    # Options that are given are not asked for.
     given = ("--gravity-m-s2", typed, "--latitude-deg", "45", "--force", "--overwrite")
     again = shell("convert", log, "-o", tmp_path / "rec", "-q", *SI, *given).err
     assert ("In its place, give --height-m, or the gravity of the site" in again) == (typed == "9.80665")

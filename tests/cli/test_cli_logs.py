@@ -40,7 +40,7 @@ def made(log, tmp_path_factory):
     from srt.cli import main
 
     targets = ["--to", "kalibr", "--to", "c-header", "--to", "kalibr", "--to", "px4"]
-    # Of the readings nobody says whether an autopilot corrected them, so that px4 alone is refused.
+    # No correction by an autopilot is stated, so that px4 alone is refused.
     assert main(["calibrate", str(log), "-o", str(folder), *targets, *STATED]) == 2
     return folder
 
