@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from srt.reports.tables import Cell, decimals_for, fixed
-from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, GROUP_SLICES, INDEX, NAMES, SYMBOLS
+from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, GROUP_SLICES, INDEX, N_PARAMETERS, NAMES, SYMBOLS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -54,7 +54,8 @@ def units_for(*values: Array) -> Units:
     A group with a value of 10 mg or 1000 °/h and more is in mg or °/s, as data sheets of such units state it.
     """
     names, factors = list(DISPLAY_UNITS), list(DISPLAY_FACTORS)
-    largest = np.fmax.reduce(np.abs(np.vstack(values)), axis=0) * DISPLAY_FACTORS  # NaN: no value
+    # NaN: no value; of a fleet in which every unit failed there are none.
+    largest = np.fmax.reduce(np.abs(np.vstack((np.zeros(N_PARAMETERS), *values))), axis=0) * DISPLAY_FACTORS
     for part in GROUP_SLICES.values():
         coarse = _COARSE.get(DISPLAY_UNITS[part.start])
         if coarse is not None and np.max(largest[part]) >= coarse[2]:

@@ -87,6 +87,15 @@ def test_a_failed_unit_stops_none_and_decides_the_exit_code(made):
     assert f"{BROKEN}: lot" in out  # and in the report, under its table
 
 
+def test_a_fleet_of_which_every_unit_failed_has_its_table(tmp_path, shell):
+    for name in ("a", "b"):
+        (tmp_path / "lot" / name).mkdir(parents=True)
+        (tmp_path / "lot" / name / "recording.toml").write_text("no TOML")
+    out, err = shell("calibrate", tmp_path / "lot", code=2)
+    assert len(re.findall(r"^ [ab] +failed$", out, re.MULTILINE)) == 2
+    assert err.count("is not valid TOML") == 2
+
+
 def test_the_outlying_unit_is_found_and_no_other(made):
     _, out, err, output = made
     document = json.loads((output / "fleet.json").read_text())
