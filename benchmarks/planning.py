@@ -1,7 +1,7 @@
 """Plans of the shipped plan files: worst ratio over its bound, and a search with many times as many trials.
 
 ``python benchmarks/planning.py`` prints the table of docs/planning.md, with the CPU time of a plan over the numpy load.
-``--search 100`` adds the ratio of a search with a hundred times the trials, some ten minutes a plan. Names select plan
+``--search 60`` adds the ratio of a search with sixty times the trials, some ten minutes a plan. Names select plan
 files.
 """
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from srt.types import Array, Indices
 
-TRIALS: Final = 8000
+TRIALS: Final = 10000
 """Changes that are tried for one plan."""
 _BATCH: Final = 8
 """Changes in one step."""
