@@ -407,7 +407,7 @@ class Evidence:
         by_labels = gyro_ratios_to_labels(self.rotations, self.gyro_fit, self.recording.fixture)
         if self.has_labels and by_labels.known:
             return by_labels
-        return gyro_ratios_to_gravity(by_labels, self.gravity_relation)
+        return gyro_ratios_to_gravity(by_labels, self.turning_blocks, self.gravity_relation)
 
     accel_scales = _from(accel_ratios, "recording", "manoeuvres", "accel_fit")
     """Ratios of the stationary specific force to gravity."""

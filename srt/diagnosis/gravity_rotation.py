@@ -220,3 +220,14 @@ def gravity_relation(blocks: TurningBlocks) -> Array | None:
     sigma = np.linalg.norm(root, axis=1) * math.sqrt(float(left @ left) / freedom)
     doubt, K = limit("t", freedom, tests=sigma.size, both_sides=True) * sigma.reshape(3, 3), relation.reshape(3, 3)
     return K if np.all(doubt.max(axis=1) < AGREE * np.linalg.norm(K, axis=1)) else None
+
+
+def relation_by_turn(blocks: TurningBlocks, relation: Array) -> Array:
+    """Rotation of gravity in each manoeuvre over that which K gives, shape (m,); positive ones only.
+
+    Accelerations of the hand add to the rotation of gravity, and scatter from turn to turn.
+    """
+    expected = cross(blocks.force, blocks.angle @ relation.T)
+    along, square = (np.bincount(blocks.turn, np.sum(each * expected, axis=1)) for each in (blocks.change, expected))
+    ratios = along[square > 0.0] / square[square > 0.0]
+    return np.asarray(ratios[ratios > 0.0])

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from srt.arguments import require_type
 from srt.diagnosis.evidence import Evidence, plain
 from srt.diagnosis.faults import STAGES, sort_by_cause
+from srt.diagnosis.units import refuted
 from srt.recording.recording import Recording
 from srt.result.diagnostics import Fault
 
@@ -83,6 +84,7 @@ class StagedDiagnosis:
             for stage in STAGES.values():
                 for check in stage.checks(of_result=True):
                     self._findings += check(self.evidence)
+            self._findings = [each for each in self._findings if not refuted(self.evidence, each)]
         found = None if self._refused else self.evidence.result
         return Diagnosis(sort_by_cause(self._findings), None if found is None else found.judgement)
 

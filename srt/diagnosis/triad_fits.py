@@ -15,13 +15,14 @@ import numpy as np
 from scipy.linalg import polar
 
 from srt.diagnosis.false_alarms import robust_sigma
+from srt.diagnosis.gravity_rotation import relation_by_turn
 from srt.diagnosis.rotation_readings import RANK, robust_fit
 from srt.model.table1 import AXES
 from srt.result.verdict import USABLE
 from srt.sensor_errors import GROUP_SLICES
 
 if TYPE_CHECKING:
-    from srt.diagnosis.gravity_rotation import ManoeuvreReadings
+    from srt.diagnosis.gravity_rotation import ManoeuvreReadings, TurningBlocks
     from srt.diagnosis.rotation_readings import Rotations
     from srt.recording.recording import Fixture, Recording
     from srt.result.calibration import Calibration
@@ -180,12 +181,14 @@ UNKNOWN: Final = ScaleRatios(math.nan, _UNSEEN, math.nan)
 """Ratios of a triad that the data do not determine."""
 
 
-def gyro_ratios_to_gravity(by_labels: ScaleRatios, relation: Array | None) -> ScaleRatios:
+def gyro_ratios_to_gravity(by_labels: ScaleRatios, blocks: TurningBlocks | None, relation: Array | None) -> ScaleRatios:
     """Ratios of the gyros to the rotation of gravity (matrix K), if they contradict those to recognised angles."""
-    if relation is None:
+    if relation is None or blocks is None:
         return by_labels
     axes = 1.0 / np.linalg.norm(relation, axis=0)
-    by_gravity = ScaleRatios(float(np.median(axes)), axes, RAW_SCALE)
+    of_turns = np.log(relation_by_turn(blocks, relation))
+    scatter = float(robust_sigma(of_turns - np.median(of_turns))) if of_turns.size else math.inf
+    by_gravity = ScaleRatios(float(np.median(axes)), axes, math.hypot(RAW_SCALE, scatter))
     # Without labels, angles are recognised as multiples of 90° and may be wrong by a factor of two.
     nearer = by_labels.known and abs(math.log(by_labels.typical / by_gravity.typical)) < 0.5 * math.log(2.0)
     return by_labels if nearer else by_gravity

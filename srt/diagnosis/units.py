@@ -40,9 +40,25 @@ def scales_of_result(evidence: Evidence) -> Iterator[Finding]:
     before, _ = evidence.once(_cause_of_readings)
     # Other causes stop the calibration and were found before it; these are warnings: the factor may be that of a unit.
     if _ONE_FACTOR.issuperset(before.faults) and evidence.result is not None:
-        gyro, accel = (calibrated_ratios(evidence.result, "gyro"), calibrated_ratios(evidence.result, "accel"))
-        found = scale_findings(evidence, SCALES, scale_cause(evidence, gyro, accel))
+        found = scale_findings(evidence, SCALES, evidence.once(_cause_of_result))
         yield from (finding for finding in found if finding.fault not in before.faults)
+
+
+def refuted(evidence: Evidence, finding: Finding) -> bool:
+    """True for a factor that the readings seem to have, and the scale factors of their calibration have not.
+
+    Accelerations of the hand that go with the rotations shift the ratios by 10 % and more, in all turns alike.
+    """
+    if finding.fault not in _ONE_FACTOR or finding.effect != "warning" or evidence.result is None:
+        return False
+    measured = calibrated_ratios(evidence.result, "accel" if finding.fault == "accel_factor" else "gyro")
+    return measured.known and finding.fault not in evidence.once(_cause_of_result)[0].faults
+
+
+def _cause_of_result(evidence: Evidence) -> tuple[ScaleCause, RunnerUp | None]:
+    assert evidence.result is not None
+    gyro, accel = (calibrated_ratios(evidence.result, "gyro"), calibrated_ratios(evidence.result, "accel"))
+    return scale_cause(evidence, gyro, accel)
 
 
 def _cause_of_readings(evidence: Evidence) -> tuple[ScaleCause, RunnerUp | None]:

@@ -16,6 +16,7 @@ from srt.estimation.rotation_accuracy import ExecutedRotations
 from srt.estimation.unseen_errors import clock_effect, contradicted_statements, unseen_errors
 from srt.result.calibration import Calibration, software
 from srt.result.consistency import AddedNoise, ChiSquareTest
+from srt.result.diagnostics import Undersampling
 from srt.result.noise_figures import NoiseFigures
 from srt.result.provenance import Alignment, Provenance, SequenceTemperature, StatedSite, Temperature
 from srt.result.verdict import LARGEST_RATIO, OF_FIXTURE, USABLE, p_value_text
@@ -96,10 +97,19 @@ def build_calibration(
             contradicted=contradicted or None,
             not_shown=_not_shown(data, options, fixed),
             refits=result.refits or None,
+            undersampling=_undersampling(data),
         ),
         verdict=evidence,
         warnings=(*contradicted, *warnings, *_warnings(data, result, observed, turned)),
     )
+
+
+def _undersampling(data: PreparedRecording) -> Undersampling | None:
+    """Error of the rotations by motion too fast for the sample rate; None unless residuals show it."""
+    if data.undersampling is None:
+        return None
+    rms = float(np.sqrt(np.mean(data.fast_motion**2)))
+    return Undersampling(share=data.undersampling, angle_rad=data.undersampling * rms)
 
 
 def reported_covariance(data: PreparedRecording, total: Array, observed: Mask, inflation: float = 1.0) -> Array:
@@ -398,6 +408,13 @@ def _warnings(
             f"The unit moved in the stationary windows from {times}; their attitude was integrated, not kept fixed."
         )
     messages += [term.sentence for term in result.drift]
+    if (slow := _undersampling(data)) is not None:
+        rate = 1.0 / data.recording.nominal_interval_s
+        messages.append(
+            f"The readings are too slow for these turns: motion faster than half of {rate:.3g} Hz is missed, "
+            f"{np.degrees(slow.angle_rad):.2g}° per turn, which is in the sigmas. Set the low-pass of the sensor to a "
+            f"third of the rate ({rate / 3.0:.2g} Hz) or less, log faster, or turn more softly."
+        )
     if result.status in (*USABLE, "not_converged"):
         messages += turned.wrong_angles(result.unmodelled)
     if result.status in USABLE:

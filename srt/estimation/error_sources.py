@@ -226,6 +226,10 @@ EXCESSES: Final = ("turn_excess", "pose_excess", "rest_excess", "wobble_excess",
 """Sources of the unmodelled errors, in the order of :class:`UnmodelledErrors`."""
 
 
+UNDERSAMPLING: Final = "gyro_undersampling"
+"""Source of the error by motion that is too fast for the sample rate."""
+
+
 def unmodelled(data: PreparedRecording, errors: UnmodelledErrors) -> dict[str, Source]:
     """Unmodelled errors of rotations, specific forces and rates."""
     W, unit = len(data.windows.duration_s), np.eye(3)
@@ -234,6 +238,17 @@ def unmodelled(data: PreparedRecording, errors: UnmodelledErrors) -> dict[str, S
         "pose_excess": Source({"force": np.broadcast_to(errors.force**2 * unit, (W, 3, 3))}),
         "rest_excess": Source({"rate": np.broadcast_to(errors.rate**2 * unit, (W, 3, 3))}),
     }
+
+
+def undersampled_motion(data: PreparedRecording) -> dict[str, Source]:
+    """Error of the rotations by motion that is too fast for the sample rate; none unless residuals show it.
+
+    It is independent from rotation to rotation, see docs/theory/uncertainty.md.
+    """
+    if data.undersampling is None:
+        return {}
+    variance = (data.undersampling * data.fast_motion) ** 2
+    return {UNDERSAMPLING: Source({"turn": variance[:, None, None] * np.eye(3)})}
 
 
 def walk_between_windows(data: PreparedRecording, by: Slopes, sigma: float) -> Source:

@@ -29,6 +29,7 @@ from srt.joint.model_selection import (
     add_fixture_errors,
     add_g_sensitivity,
     add_instability,
+    add_undersampling,
     add_unmodelled_noise,
 )
 from srt.joint.recording_opening import contradicting_move
@@ -92,7 +93,7 @@ def run(joint: JointModel, solver: JointSolver, progress: Progress | None) -> Ca
             break
         if any(
             add(joint, solver, iteration)
-            for add in (add_g_sensitivity, add_instability, add_unmodelled_noise, add_drift)
+            for add in (add_g_sensitivity, add_undersampling, add_instability, add_unmodelled_noise, add_drift)
         ):
             if joint.relies_on_fixture:
                 solver.prior = joint.prior_of_fixture(_fixed_sigma(joint))

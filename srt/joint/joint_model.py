@@ -433,6 +433,7 @@ class JointModel:
         for term, _ in self.drift.of("gyro"):
             if term.form == WALK:
                 out["gyro_drift"] = sources.walk_between_windows(self.data, by, term.sigma)
+        out |= sources.undersampled_motion(self.data)
         return out | sources.unmodelled(self.data, self.unmodelled_sigma)
 
     def rest_rate(self, state: JointState, compensated: CompensatedData) -> Array:

@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from scipy.special import chdtri
 
 from srt.estimation.drift_model import (
     MOST_TERMS,
@@ -27,7 +28,7 @@ from srt.estimation.rest_rate_scatter import gyro_instability
 from srt.joint.block_solution import BlockSolution
 from srt.joint.drift import DriftTerms
 from srt.joint.linearisation import linearise
-from srt.joint.residual_analysis import contradictions, unmodelled_noise
+from srt.joint.residual_analysis import contradictions, undersampling_likelihood, unmodelled_noise
 from srt.joint.solution_analysis import accel_instability, force_statistics, goodness_of_fit, whole_solution
 from srt.model.sensor_model import gyro_triad
 from srt.noise.drift_forms import WALK, Statistics, VarianceComponent, likelihood_gain, variance_component
@@ -45,8 +46,15 @@ if TYPE_CHECKING:
     from srt.types import Array
 
 
+_FOLDED: Final = (0.4, 0.3)
+"""Error of a rotation over its motion near half the sample rate: median, and spread of its logarithm. Readings of gyros
+with known error, taken at a part of their rate, give 0.33 to 0.44, steps of the rate 0.52."""
+_LARGEST_TURN_RAD: Final = 0.1
+"""Largest error of a turn that is no fault of it."""
 _SIZES: Final = (-5.0, 5.0)
 """Range of a bias instability of the gyros, logarithm of its ratio to the noise of a window."""
+_BEYOND_WINDOWS: Final = 2.0
+"""Largest bias instability of the gyros over that which the rates at rest do not exclude: turns see no other one."""
 _SIZE_TOLERANCE: Final = 0.1
 """Tolerance of that logarithm; the recordings themselves tell it to a fifth at best."""
 _SAME_NOISE: Final = (0.1, 1e-6)
@@ -68,6 +76,61 @@ def add_g_sensitivity(joint: JointModel, solver: JointSolver, iteration: Iterati
     iteration.state = joint.with_g_sensitivity(iteration.state)
     solver.restart()
     return True
+
+
+def add_undersampling(joint: JointModel, solver: JointSolver, iteration: IterationState) -> bool:
+    """Model the error of rotations by motion too fast for the sample rate; True if it changed.
+
+    It must be more likely than an error that is equal in all rotations, and than a fault of one of them.
+    """
+    data = joint.data
+    if solver.weights() or any(joint.unmodelled_sigma.of_unit) or not data.fast_motion.any():
+        return False
+    solution = whole_solution(joint, solver, iteration)
+    fit = goodness_of_fit(joint, solver, solution, solution.system)
+    if data.undersampling is None and not is_misfit(*fit):
+        return False
+    share = _undersampling(joint, solution, fit)
+    if share is None or (
+        data.undersampling is not None and math.isclose(share, data.undersampling, rel_tol=_SAME_NOISE[0])
+    ):
+        return False
+    joint.with_data(replace(data, undersampling=share))
+    solver.restart()
+    return True
+
+
+def _undersampling(joint: JointModel, solution: BlockSolution, fit: tuple[float, int]) -> float | None:
+    """Error of the rotations over their fast motion by restricted likelihood and prior; None if others are likelier.
+
+    An equal error of all rotations has no prior but that its logarithm is uniform, from the noise of the rotations to
+    the largest error of an angle.
+    """
+    from scipy.optimize import minimize_scalar  # heavy, and few calibrations come here
+
+    likelihood = undersampling_likelihood(joint, solution.system)
+    none = likelihood.logarithm(np.zeros(2))
+    equal = likelihood.variances(np.array([True, False]))
+    turning = np.diff(joint.data.rotation, axis=1) * joint.data.recording.nominal_interval_s
+    decades = math.log(_LARGEST_TURN_RAD / float(joint.data.noise.gyro_white.max() * np.sqrt(np.median(turning))))
+    median, spread = _FOLDED
+
+    def logarithm(log_share: float) -> float:
+        by_prior = 0.5 * ((log_share - math.log(median)) / spread) ** 2 + math.log(spread * math.sqrt(2.0 * math.pi))
+        return likelihood.logarithm(np.array([0.0, math.exp(2.0 * log_share)])) - by_prior
+
+    reach = 4.0 * spread
+    bounds = math.log(median) - reach, math.log(median) + reach
+    best = minimize_scalar(lambda x: -logarithm(x), bounds=bounds, method="bounded", options={"xatol": 1e-2})
+    explained = -float(best.fun) - none
+    if joint.data.undersampling is not None:
+        return math.exp(float(best.x))
+    if 2.0 * explained < chdtri(1, 2.0 * MISFIT_PROBABILITY):
+        return None
+    if -float(best.fun) < likelihood.logarithm(equal) - math.log(max(decades, 1.0)):
+        return None
+    gain = likelihood_gain(2.0 * explained, 1, *fit)
+    return None if _one_is_faulty(joint, solution, fit, gain) else math.exp(float(best.x))
 
 
 def add_instability(joint: JointModel, solver: JointSolver, iteration: IterationState) -> bool:
@@ -153,14 +216,24 @@ def _gyro_size(
 
     data, noise = joint.data, joint.data.noise
     window = float(np.median(noise.gyro_white) / np.sqrt(np.median(data.windows.duration_s)))
+    assert iteration.point is not None
+    largest = math.log(_BEYOND_WINDOWS * _shown_at_rest(_rest_rates(joint, iteration.point)[1], window) / window)
 
     def cost(log_ratio: float) -> float:
         joint.with_data(replace(data, gyro_instability=window * math.exp(log_ratio)))
         return -_solution(joint, solver, iteration, state).log_likelihood
 
-    best = minimize_scalar(cost, bounds=_SIZES, method="bounded", options={"xatol": _SIZE_TOLERANCE})
+    bounds = _SIZES[0], min(_SIZES[1], largest)
+    best = minimize_scalar(cost, bounds=bounds, method="bounded", options={"xatol": _SIZE_TOLERANCE})
     joint.with_data(data)
     return window * math.exp(float(best.x)), -float(best.fun)
+
+
+def _shown_at_rest(rest: Array, window: float) -> float:
+    """Largest bias instability that rates at rest with noise ``window`` do not exclude (3 sigma), rad/s."""
+    scatter = float(np.mean(np.var(rest, axis=0, ddof=1)))
+    doubt = 3.0 * math.sqrt(2.0 / (3.0 * (len(rest) - 1))) * max(scatter, window**2)
+    return math.sqrt(max(scatter - window**2, 0.0) + doubt)
 
 
 def _solution(joint: JointModel, solver: JointSolver, iteration: IterationState, state: JointState) -> BlockSolution:

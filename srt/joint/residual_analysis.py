@@ -8,7 +8,7 @@ import numpy as np
 from scipy.sparse.linalg import splu
 from scipy.special import chdtri
 
-from srt.estimation.error_sources import EXCESSES, LARGEST_FIXTURE_RAD, UnmodelledErrors, shared_edges
+from srt.estimation.error_sources import EXCESSES, LARGEST_FIXTURE_RAD, UNDERSAMPLING, UnmodelledErrors, shared_edges
 from srt.estimation.goodness_of_fit import CONTRADICTION_PROBABILITY, chi_square_probability
 from srt.estimation.leave_one_out import (
     ConsistencyTest,
@@ -25,12 +25,13 @@ from srt.result.verdict import MISFIT_PROBABILITY
 from srt.sensor_errors import N_PARAMETERS
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
     from collections.abc import Sequence as SequenceOf
 
     from srt.joint.block_solution import BlockSolution
     from srt.joint.joint_model import JointModel
     from srt.joint.linear_system import LinearSystem
-    from srt.types import Indices, Mask
+    from srt.types import Array, Indices, Mask
 
 
 _AXES: Final = {"force": "xyz", "rate": "xyz", "turn": "xyz", "stated_rate": "12"}
@@ -220,6 +221,23 @@ class UnmodelledNoise(NamedTuple):
 
 def unmodelled_noise(joint: JointModel, system: LinearSystem) -> UnmodelledNoise:
     """Unmodelled errors by restricted maximum likelihood."""
+    return UnmodelledNoise(_likelihood(joint, system, _SOURCES, EXCESSES))
+
+
+def undersampling_likelihood(joint: JointModel, system: LinearSystem) -> RestrictedLikelihood:
+    """Likelihood of two components of the rotations' error: equal for all, and as their fast motion."""
+    turns = {"turn_excess": _SOURCES["turn_excess"], UNDERSAMPLING: (("turn",), _EVERY)}
+    return _likelihood(joint, system, turns, tuple(turns), joint.data.fast_motion)
+
+
+def _likelihood(
+    joint: JointModel,
+    system: LinearSystem,
+    affected: Mapping[str, tuple[tuple[str, ...], slice]],
+    components: SequenceOf[str],
+    fast_motion: Array | None = None,
+) -> RestrictedLikelihood:
+    """Restricted likelihood of variance components, by the kinds of rows and components that each affects."""
     # The states of the bias instability are part of the known covariance, not unknowns.
     drift = np.concatenate([np.arange(c.start, c.stop) for n, c in system.columns.items() if "_drift" in n])
     priors = [rows.index.ravel() for rows in system.rows if "_drift" in rows.kind]
@@ -230,24 +248,27 @@ def unmodelled_noise(joint: JointModel, system: LinearSystem) -> UnmodelledNoise
         root = splu(system.A[np.concatenate(priors)][:, drift].tocsc()).solve(np.eye(len(drift)))
         effect = system.A[kept][:, drift] @ root
         known += effect @ effect.T
-    roots = [[np.zeros((m, 0))] for _ in EXCESSES]
+    roots = [[np.zeros((m, 0))] for _ in components]
     # A prior that follows the data does not show the accuracy of the mounting.
     silent = ("mounting",) if joint.U_note else ()
+    estimated = {*EXCESSES, *components}
     for rows in system.rows:
         if "_drift" in rows.kind:
             continue
         at = np.searchsorted(kept, rows.index)
         block = at[:, :, None], at[:, None, :]
         # The known sources are summed: the total less large unmodelled errors would be rounding error.
-        known[block] += sum(share for source, share in rows.sources.items() if source not in EXCESSES)
-        for root, source in zip(roots, EXCESSES, strict=True):
-            kinds, components = _SOURCES[source]
+        known[block] += sum(share for source, share in rows.sources.items() if source not in estimated)
+        for root, source in zip(roots, components, strict=True):
+            kinds, parts = affected[source]
             if rows.kind in kinds and rows.kind not in silent:
-                W = system.whitening[rows.kind][:, :, components]
+                W = system.whitening[rows.kind][:, :, parts]
+                if source == UNDERSAMPLING and fast_motion is not None:
+                    W = W * fast_motion[rows.owner, None, None]
                 columns = np.zeros((m, *W[:, 0].shape))
                 columns[at, np.arange(len(at))[:, None]] = W
                 root.append(columns.reshape(m, -1))
     others = system.active.copy()
     others[drift] = False
     H = system.A[kept][:, np.flatnonzero(others)].toarray()
-    return UnmodelledNoise(RestrictedLikelihood(system.b[kept], H, known, tuple(np.hstack(root) for root in roots)))
+    return RestrictedLikelihood(system.b[kept], H, known, tuple(np.hstack(root) for root in roots))

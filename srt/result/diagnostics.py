@@ -135,6 +135,22 @@ class Drift:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Undersampling:
+    """Error of the rotations by motion too fast for the sample rate.
+
+    Attributes
+    ----------
+    share : float
+        Error over the motion near half the sample rate; 0.4 is expected, to 30 %.
+    angle_rad : float
+        1-sigma error of each axis, root mean square over the rotations.
+    """
+
+    share: float
+    angle_rad: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Estimate:
     """Value and 1-sigma of a parameter, SI."""
 
@@ -238,6 +254,7 @@ class Diagnostics:
     possible_accel_drift_sigma_m_s2 : float or None
         1-sigma of the change of the accelerometer biases over the recording by a drift that is not significant.
     drift : tuple of Drift, or None
+    undersampling : Undersampling or None
     held : Diagnostics or None
         Results before windows that moved were integrated.
     unused_moves : int or None
@@ -272,6 +289,7 @@ class Diagnostics:
     g_sensitivity: GSensitivity | None = None
     possible_accel_drift_sigma_m_s2: float | None = None
     drift: tuple[Drift, ...] | None = None
+    undersampling: Undersampling | None = None
     held: "Diagnostics | None" = None
     unused_moves: int | None = None
     sigma_with_moves: tuple[float, float] | None = None

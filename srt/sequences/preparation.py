@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cache, cached_property, lru_cache
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import numpy as np
 
@@ -33,6 +34,8 @@ if TYPE_CHECKING:
 
 
 Derived = TypeVar("Derived")
+_DIFFERENCES: Final = 8
+"""Order of the differences of successive readings that show fast motion."""
 
 
 @lru_cache(maxsize=8)
@@ -82,6 +85,8 @@ class PreparedRecording:
         Number of moves between sequences, the last of the K.
     accel_instability, gyro_instability : float, m/s² and rad/s, optional
         Bias instability that residuals show, in place of that of the windows alone.
+    undersampling : float, optional
+        Error of the rotations by undersampled motion that residuals show, as a share of :attr:`fast_motion`.
     """
 
     recording: Recording
@@ -96,6 +101,7 @@ class PreparedRecording:
     moves: int = 0
     accel_instability: float | None = None
     gyro_instability: float | None = None
+    undersampling: float | None = None
 
     @cached_property
     def noise(self) -> NoiseModel:
@@ -380,6 +386,30 @@ class PreparedRecording:
         stream, none = self._gyro_stream(self.rotation, None), np.zeros(self.K, dtype=np.bool_)
         self._remove_vibration(stream, none, none)
         return stream
+
+    @cached_property
+    def fast_motion(self) -> Array:
+        """Motion of every rotation near half the sample rate, as an angle of each axis, shape (K,), rad.
+
+        What lies above half the sample rate folds back, and no integration undoes it. It continues what lies below:
+        eighth differences pass the upper third of the band, and leave white noise as it is. Increments hold the whole
+        angle of their interval, so that there is none.
+        """
+        stream, recording = self.rotation_stream, self.recording
+        if recording.kind == "increment":
+            return np.zeros(self.K)
+        squares = np.zeros(stream.increments.shape[1] + 1)
+        differences = np.diff(stream.increments, _DIFFERENCES, axis=1)
+        squares[1 : 1 + differences.shape[1]] = np.sum(differences**2, axis=0) / math.comb(
+            2 * _DIFFERENCES, _DIFFERENCES
+        )
+        total = np.cumsum(squares)
+        first, last = stream.starts[:-1], np.maximum(stream.starts[1:] - _DIFFERENCES, stream.starts[:-1])
+        lengths = np.diff(stream.starts)
+        white = np.sum(self.noise.gyro_white**2) * recording.nominal_interval_s * (last - first)
+        # Differences that reach beyond a rotation are left out: the others stand for them.
+        used = lengths / np.maximum(last - first, 1)
+        return np.asarray(np.sqrt(np.maximum(total[last] - total[first] - white, 0.0) * used / 3.0))
 
     def _gyro_stream(self, spans: Indices, F: Array | None) -> GyroStream:
         recording = self.recording

@@ -38,6 +38,7 @@ SOURCE_LABELS: Final = {
     "gyro_noise": "gyro noise",
     "gyro_quantization": "gyro quant.",
     "gyro_bias_instability": "gyro drift",
+    "gyro_undersampling": "too slow",
     "accel_noise": "acc. noise",
     "accel_quantization": "acc. quant.",
     "accel_bias_instability": "acc. drift",
