@@ -133,7 +133,7 @@ class RestrictedLikelihood:
         self._y, self._roots, self._parts = y, roots, [L @ L.T for L in roots]
 
     def significant(self, used: Mask, tested: Mask, probability: float) -> tuple[Mask, Array]:
-        """Components ``used`` without those of ``tested`` that the residuals do not show, and variances, shapes as both.
+        """Components ``used`` without those of ``tested`` that the residuals do not show, and their variances.
 
         One after the other the least significant component is left out, while its likelihood ratio is that of no
         component with more than ``probability``. A variance at its bound has half the probability of a chi-square.

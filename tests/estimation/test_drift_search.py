@@ -197,7 +197,10 @@ def error_over_sigma(found, errors):
         ("hand, gyro step of 30 °/h", 0, {("gyro", "step at 55.1 s")}),
         ("hand, 500 s, linear, 8 mg and 570 °/h", 0, {("accel", "linear"), ("gyro", "linear")}),
         pytest.param(
-            "hand, 500 s, linear, 8 mg and 570 °/h", 1, {("accel", "linear"), ("gyro", "linear")}, marks=pytest.mark.slow
+            "hand, 500 s, linear, 8 mg and 570 °/h",
+            1,
+            {("accel", "linear"), ("gyro", "linear")},
+            marks=pytest.mark.slow,
         ),
         ("navigation on a fixture, warm-up of 1 mg", 1, {("accel", "warm-up")}),
     ],

@@ -217,7 +217,9 @@ def test_indistinguishable_sequences_are_narrowed_down_to_two(name):
     assert calibration.status == "not_converged" or table[0].probability < 1e-6
 
 
-@pytest.mark.parametrize(("case", "name"), [(tilted, "13"), (with_bias_step, "13"), (noisier, "4")])
+@pytest.mark.parametrize(
+    ("case", "name"), [(tilted, "13"), (with_bias_step, "13"), pytest.param(noisier, "4", marks=pytest.mark.slow)]
+)
 def test_the_filter_names_it_too(case, name):
     """The filter names the sequence as the graph does, and its innovations fail the test from that sequence on."""
     calibration = result(case, 101, name, estimator="ekf")

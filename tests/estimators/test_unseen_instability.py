@@ -115,7 +115,9 @@ def scores(kind, grade, statement, seed):
     return unstated_noise((kind, grade, statement), seed, OF_KIND[kind])
 
 
-@pytest.mark.parametrize("grades", [USUAL, pytest.param(dict.fromkeys(OF_KIND, GRADES), marks=pytest.mark.slow)], ids=["usual", "all"])
+@pytest.mark.parametrize(
+    "grades", [USUAL, pytest.param(dict.fromkeys(OF_KIND, GRADES), marks=pytest.mark.slow)], ids=["usual", "all"]
+)
 @pytest.mark.parametrize("statement", STATEMENTS)
 @pytest.mark.parametrize(("kind", "estimator"), [(kind, each) for kind in OF_KIND for each in OF_KIND[kind]])
 def test_sigmas_are_true_and_the_units_own_noise_is_sound(kind, estimator, statement, grades):
