@@ -59,7 +59,7 @@ def assert_columns(joint, draw, steps):
 def test_columns_against_differences():
     """At drifts of 40 mg and 1000 °/h."""
     recording, _ = noisy_recording(1, "tactical", sample_rate_hz=50.0)
-    joint = open_joint_model(recording.with_sequences(recording.sequences[:6]), Options())
+    joint = open_joint_model(recording, Options())
     joint.drift = DriftTerms(joint.data, TERMS)
     sizes = ((0.4, 3), (1000.0 * DEG_PER_H, 3), (0.1, joint.drift.size - 6))
     assert_columns(joint, lambda rng: [rng.normal(0.0, *size) for size in sizes], 1e-2 * joint.drift.sigma)
