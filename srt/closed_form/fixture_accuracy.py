@@ -126,8 +126,8 @@ def fixture_excess(data: PreparedRecording, measurements: SrtMeasurements, covar
     likelihood = RestrictedLikelihood(z, mounting, R, roots)
     if not likelihood.separable:
         return NO_ERRORS
-    used = likelihood.significant(np.ones(3, dtype=np.bool_), np.array([False, True, True]), MISFIT_PROBABILITY)
-    excess = likelihood.variances(used)
+    every, tested = np.ones(3, dtype=np.bool_), np.array([False, True, True])
+    excess = likelihood.significant(every, tested, MISFIT_PROBABILITY)[1]
     found = tests(R + sum(v * _squared(L) for v, L in zip(excess, roots, strict=True)))
     if excess.max() > LARGEST_FIXTURE_RAD**2 or is_misfit(*found[1:]) or contradicting_group(*found) is not None:
         return NO_ERRORS

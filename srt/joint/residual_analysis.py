@@ -215,8 +215,8 @@ class UnmodelledNoise(NamedTuple):
         return found
 
     def _estimate(self, used: Mask) -> UnmodelledErrors:
-        used = self.likelihood.significant(used, np.isin(EXCESSES, _BEYOND_STATED), MISFIT_PROBABILITY)
-        return UnmodelledErrors(*np.sqrt(self.likelihood.variances(used)).tolist())
+        found = self.likelihood.significant(used, np.isin(EXCESSES, _BEYOND_STATED), MISFIT_PROBABILITY)[1]
+        return UnmodelledErrors(*np.sqrt(found).tolist())
 
 
 def unmodelled_noise(joint: JointModel, system: LinearSystem) -> UnmodelledNoise:

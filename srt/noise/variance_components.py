@@ -132,23 +132,25 @@ class RestrictedLikelihood:
         """Contrasts in units of the known noise, and the roots and covariances of the components in them."""
         self._y, self._roots, self._parts = y, roots, [L @ L.T for L in roots]
 
-    def significant(self, used: Mask, tested: Mask, probability: float) -> Mask:
-        """Components ``used`` without those of ``tested`` that the residuals do not show, shape as both.
+    def significant(self, used: Mask, tested: Mask, probability: float) -> tuple[Mask, Array]:
+        """Components ``used`` without those of ``tested`` that the residuals do not show, and their variances.
 
         One after the other the least significant component is left out, while its likelihood ratio is that of no
         component with more than ``probability``. A variance at its bound has half the probability of a chi-square.
         """
         limit = 0.5 * float(chdtri(1, 2.0 * probability))
         shown = self._shown_by(used)
-        while (used & tested).any():
-            own = shown.logarithm(shown.variances(used))
-            without = {i: used & (np.arange(len(used)) != i) for i in np.flatnonzero(used & tested).tolist()}
-            loss = {i: own - shown.logarithm(shown.variances(others)) for i, others in without.items()}
-            least = min(loss, key=lambda i: round(loss[i], 6))  # components without effect lose rounding errors
-            if loss[least] > limit:
-                break
-            used = without[least]
-        return used
+        sizes = shown.variances(used)
+        while True:
+            # Without a component whose variance is zero, the likelihood is the same.
+            kept, own = used & ~(tested & (sizes == 0.0)), shown.logarithm(sizes)
+            without = {i: kept & (np.arange(len(kept)) != i) for i in np.flatnonzero(kept & tested).tolist()}
+            found = {i: shown.variances(others) for i, others in without.items()}
+            loss = {i: own - shown.logarithm(variances) for i, variances in found.items()}
+            least = min(loss, key=lambda i: round(loss[i], 6), default=None)
+            if least is None or loss[least] > limit:
+                return kept, sizes if np.array_equal(kept, used) else shown.variances(kept)
+            used, sizes = without[least], found[least]
 
     def logarithm(self, variances: Array) -> float:
         """Logarithm of the likelihood, up to a constant."""

@@ -4,8 +4,11 @@ The default form has every pair of recording, estimator and output; ``-m slow`` 
 figures of certificates and the files of figures.
 """
 
+import hashlib
+import pickle
 from functools import cache
 from itertools import combinations
+from pathlib import Path
 
 import pytest
 from chain_outputs import CHEAP, OUTPUTS, PRODUCT, Chain, covering
@@ -20,6 +23,39 @@ pytestmark = pytest.mark.usefixtures("plain_layout")
 def chains(tmp_path_factory):
     """Give the chain of a recording, made once in a process: the tests are in the order of the recordings."""
     return cache(lambda name: Chain(name, tmp_path_factory.mktemp(name)))
+
+
+def by_content(content, function):
+    """Function whose results are kept by the content of its arguments."""
+    made = {}
+
+    def once(*arguments, **options):
+        key = hashlib.sha256(pickle.dumps(content(*arguments, **options))).digest()
+        if key not in made:
+            made[key] = function(*arguments, **options)
+        return made[key]
+
+    return once
+
+
+@pytest.fixture(scope="module", autouse=True)
+def each_result_once():
+    """Commands that calibrate the same recording with the same options, or load the same file, do so once."""
+    from srt.comparison import estimator_comparison
+    from srt.estimation import registry
+    from srt.result import calibration
+
+    find, load = registry.find_estimator, calibration.load_calibration
+    known = cache(lambda name: by_content(lambda recording, options, progress=None: (recording, options), find(name)))
+    with pytest.MonkeyPatch.context() as patch:
+        for module in (registry, estimator_comparison):
+            patch.setattr(module, "find_estimator", known)
+        patch.setattr(
+            calibration,
+            "load_calibration",
+            by_content(lambda path, **options: (Path(path).read_bytes(), options), load),
+        )
+        yield
 
 
 def marks(member):

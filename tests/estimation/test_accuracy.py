@@ -102,7 +102,7 @@ def variance_band(n):
     return chi2.ppf(tail, n) / n, chi2.isf(tail, n) / n
 
 
-@sized(8, 300)
+@sized(5, 300)
 @pytest.mark.parametrize("grade", list(accuracy_trials.GRADES))
 def test_sigmas_are_true(grade, count):
     """Random walks, quantization, constant bias, 1 mrad fixture: error over sigma has unit variance, each parameter."""

@@ -1,6 +1,7 @@
 """Error of the time base: its effect is that of stretched time stamps, and a stated sigma is in the covariance."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -12,8 +13,10 @@ from srt.sensor_errors import GROUP_SLICES, NAMES
 STRETCH = 1e-4
 
 
+@cache
 def noise_free(kind):
-    return Case("navigation-rlg", 3).changed(imu={"from": "perfect"}, recording={"kind": kind}).recording
+    form = {"kind": kind, "sample_rate_hz": 50.0}
+    return Case("navigation-rlg", 3).changed(imu={"from": "perfect"}, recording=form).recording
 
 
 @pytest.mark.parametrize("estimator", ["closed-form", "least-squares", "graph"])

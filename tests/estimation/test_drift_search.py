@@ -62,7 +62,7 @@ def test_shapes_are_means_over_the_intervals():
 
 def test_random_walk_has_its_covariance():
     """Sampled Wiener processes of unit variance at the end, about their mean over the windows, within 4.5 sigma."""
-    intervals, n = intervals_of(START, END, 3, (1, 2)), 20_000
+    intervals, n = intervals_of(START, END, 3, (1, 2)), 5_000
     shape = DriftShapes(intervals)[WALK]
     between = walk_between_windows(intervals, shape)
     rng = np.random.default_rng(20261127)
@@ -85,7 +85,8 @@ def test_random_walk_has_its_covariance():
 
 
 @pytest.mark.parametrize("form", [WALK, "linear"])
-def test_a_form_is_told_from_independent_errors_of_the_windows(form):
+@pytest.mark.parametrize("count", [24, pytest.param(60, marks=pytest.mark.slow)])
+def test_a_form_is_told_from_independent_errors_of_the_windows(form, count):
     """p-values below 10 % in at most 10 % of the samples without the form, and below 1e-6 in most with it."""
     rng = np.random.default_rng(20261128)
     W, scatter, walk = 15, 3.0, form == WALK
@@ -98,7 +99,7 @@ def test_a_form_is_told_from_independent_errors_of_the_windows(form):
         (found,) = residual_statistics(z, np.tile(np.eye(3), (W, 1)), np.eye(3 * W) / np.hypot(1.0, scatter))
         return form_or_scatter(found, course, scatter, walk=walk)
 
-    none, drifting = (np.array([p_value(size) for _ in range(n)]) for size, n in ((0.0, 60), (60.0, 10)))
+    none, drifting = (np.array([p_value(size) for _ in range(n)]) for size, n in ((0.0, count), (60.0, 10)))
     assert np.mean(none < 0.1) <= 0.1 + 3.5 * np.sqrt(0.09 / len(none))
     assert np.mean(drifting < 1e-6) >= 0.8
 
@@ -156,7 +157,7 @@ def test_a_variance_component_of_zero_is_rarely_significant():
 
 
 @pytest.mark.parametrize(("estimator", "first"), [("least-squares", 100), ("ekf", 200)])
-@pytest.mark.parametrize("units", [9, pytest.param(30, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("units", [3, pytest.param(30, marks=pytest.mark.slow)])
 def test_recordings_without_drift_are_not_changed(estimator, first, units):
     """Units with bias instability as stated: by design at most one of 50,000 selects a drift."""
     pytest.importorskip("filterpy" if estimator == "ekf" else "numpy")
@@ -195,7 +196,12 @@ def error_over_sigma(found, errors):
         ("hand, accelerometer step of 0.4 mg", 0, {("accel", "step at 55.1 s")}),
         ("hand, gyro step of 30 °/h", 0, {("gyro", "step at 55.1 s")}),
         ("hand, 500 s, linear, 8 mg and 570 °/h", 0, {("accel", "linear"), ("gyro", "linear")}),
-        ("hand, 500 s, linear, 8 mg and 570 °/h", 1, {("accel", "linear"), ("gyro", "linear")}),
+        pytest.param(
+            "hand, 500 s, linear, 8 mg and 570 °/h",
+            1,
+            {("accel", "linear"), ("gyro", "linear")},
+            marks=pytest.mark.slow,
+        ),
         ("navigation on a fixture, warm-up of 1 mg", 1, {("accel", "warm-up")}),
     ],
 )

@@ -168,7 +168,7 @@ def test_fixture_errors_leave_a_part_of_the_earth_rate():
 # --- with noise ---------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("n", [25, pytest.param(60, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("n", [12, pytest.param(60, marks=pytest.mark.slow)])
 def test_units_are_within_their_sigmas(n):
     """MEMS units of 0.5 °/s and 30 °/h/g, each with errors, Γ and noise of its own, on one 1 mrad fixture.
 

@@ -8,10 +8,10 @@ CASES = [
     ("ekf", "consumer", "warm-up", "4, 300"),
     # Long rests, in which such a drift turns the attitude by more than the noise, and few turns.
     ("least-squares", "industrial", "linear", "8, 570"),
-    ("least-squares", "industrial", "warm-up", "8, 570"),
     *(
         pytest.param(*case, marks=pytest.mark.slow)
         for case in (
+            ("least-squares", "industrial", "warm-up", "8, 570"),
             ("least-squares", "industrial", "linear", "10, 1000"),
             ("least-squares", "consumer", "warm-up", "10, 1000"),
             ("least-squares", "consumer", "random walk", "0.1, 10"),

@@ -207,7 +207,7 @@ def test_the_bad_sequence_is_named(case, name, seed, which):
     assert_named(result(case, seed, name, which), case, seed, name)
 
 
-@pytest.mark.parametrize("name", LOOK_ALIKE)
+@pytest.mark.parametrize("name", [pytest.param(LOOK_ALIKE[0], marks=pytest.mark.slow), LOOK_ALIKE[1]])
 def test_indistinguishable_sequences_are_narrowed_down_to_two(name):
     calibration = result(with_lost_samples, 101, name)
     table = sorted(calibration.diagnostics.sequences, key=lambda row: row.chi_square, reverse=True)
@@ -217,7 +217,9 @@ def test_indistinguishable_sequences_are_narrowed_down_to_two(name):
     assert calibration.status == "not_converged" or table[0].probability < 1e-6
 
 
-@pytest.mark.parametrize(("case", "name"), [(tilted, "13"), (with_bias_step, "13"), (noisier, "4")])
+@pytest.mark.parametrize(
+    ("case", "name"), [(tilted, "13"), (with_bias_step, "13"), pytest.param(noisier, "4", marks=pytest.mark.slow)]
+)
 def test_the_filter_names_it_too(case, name):
     """The filter names the sequence as the graph does, and its innovations fail the test from that sequence on."""
     calibration = result(case, 101, name, estimator="ekf")
@@ -266,7 +268,7 @@ def test_a_robust_graph_costs_little_without_a_fault(loss):
     assert np.all(np.abs(difference) < reference(101).sigma)
 
 
-@pytest.mark.parametrize("loss", ROBUST)
+@pytest.mark.parametrize("loss", [pytest.param(ROBUST[0], marks=pytest.mark.slow), ROBUST[1]])
 def test_the_weights_name_the_bad_sequence(loss):
     """3 mrad off in a turn known to about 3 µrad: Huber's weight is 2.8 over that thousand, Cauchy's its square."""
     calibration = result(with_lost_samples, 101, "4", loss=loss)

@@ -1,6 +1,7 @@
 """The filter as the test runs: after every sequence all so far, ending where the batch ends, whatever the errors."""
 
 from dataclasses import replace
+from functools import cache
 
 import accuracy_trials
 import numpy as np
@@ -26,26 +27,35 @@ def large(seed):
     return read_out(motion, truth, accuracy_trials.GRADES["navigation"], rng), truth
 
 
+@cache
+def run(seed):
+    """Results of the filter as the test runs, and of the batch from the true errors."""
+    recording, truth = large(seed)
+    live, batch = {"live": True, "targets": TARGETS}, {"start": truth}
+    return [srt.calibrate(recording, "ekf", checks=False, **options) for options in (live, batch)]
+
+
+SEED = 401
+
+
 @pytest.fixture(scope="module")
-def small():
-    return accuracy_trials.noisy_recording(301, "navigation")
+def unit():
+    return large(SEED)
 
 
-def run(recording, **options):
-    return srt.calibrate(recording, "ekf", live=True, checks=False, **options)
-
-
-@pytest.fixture(scope="module")
-def small_live(small):
-    return run(small[0], targets=TARGETS)
-
-
-def test_it_ends_where_the_batch_ends(small, small_live):
+@pytest.mark.parametrize(
+    "seed", [SEED, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (402, *range(410, 450)))]
+)
+def test_it_ends_where_the_batch_ends(seed):
     """The last replay is the batch's own problem from another point: the stopping rule is 0.01 sigma."""
-    recording, _ = small
-    batch, found = srt.calibrate(recording, "ekf", checks=False), small_live
-    assert found.status == "converged"
+    found, batch = run(seed)
+    assert found.status == "converged", found.message
     assert np.all(np.abs(found.errors.vector - batch.errors.vector) < 0.02 * batch.sigma)
+
+
+def test_the_reports_are_those_of_the_sequences(unit):
+    recording, _ = unit
+    found, batch = run(SEED)
     np.testing.assert_allclose(found.sigma, batch.sigma, rtol=1e-3)
     reports = found.diagnostics.live
     assert [r.sequence for r in reports] == [s.id for s in recording.sequences]
@@ -57,13 +67,13 @@ def test_it_ends_where_the_batch_ends(small, small_live):
     assert largest[-1] < 1e-3 * largest[0]
 
 
-def test_errors_on_the_way_match_their_sigmas(small, small_live):
+def test_errors_on_the_way_match_their_sigmas(unit):
     """Errors over sigma once all sigmas are below 1e-3: within the largest of all draws, family-wise 1 %.
 
     Before that the second order of what is not yet known, (1e-3)² and more, is not small against the sigmas of what is.
     """
-    _, truth = small
-    reports = small_live.diagnostics.live
+    _, truth = unit
+    reports = run(SEED)[0].diagnostics.live
     settled = [
         r for r in reports if r.status == "converged" and np.max(np.array(r.sigma) / accuracy_trials.IN_G) < 1e-3
     ]
@@ -74,19 +84,8 @@ def test_errors_on_the_way_match_their_sigmas(small, small_live):
         assert np.abs(z).max() < 4.4, r.sequence
 
 
-@pytest.mark.parametrize(
-    "seed", [401, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (402, *range(410, 450)))]
-)
-def test_large_errors_end_at_the_right_optimum(seed):
-    recording, truth = large(seed)
-    batch = srt.calibrate(recording, "ekf", start=truth, checks=False)
-    found = run(recording)
-    assert found.status == "converged", found.message
-    assert np.all(np.abs(found.errors.vector - batch.errors.vector) < 0.02 * batch.sigma)
-
-
-def test_targets_out_of_reach_are_said_so(small):
-    found = srt.calibrate(small[0], "ekf", targets={"accel_bias_x": 1e-9}, checks=False)
+def test_targets_out_of_reach_are_said_so(unit):
+    found = srt.calibrate(unit[0], "ekf", targets={"accel_bias_x": 1e-9}, checks=False)
     targets = found.diagnostics.targets
     assert targets.met_after is None
     assert targets.limiting == "accel_bias_x"
@@ -101,8 +100,8 @@ def test_targets_that_are_none_are_refused(targets):
         srt.Options(targets=targets)
 
 
-def test_sequences_come_in_their_order_and_on_a_fixture(small):
-    recording, _ = small
+def test_sequences_come_in_their_order_and_on_a_fixture(unit):
+    recording, _ = unit
     filtered = live.LiveFilter(srt.Options())
     filtered.add(recording, recording.sequences[1])
     with pytest.raises(InputError, match="earlier"):

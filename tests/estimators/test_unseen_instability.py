@@ -105,6 +105,8 @@ LOW, HIGH = 0.70, 1.15
 """Mean NEES per parameter that is asked for; the closed form, which has no weights, may have 0.60."""
 UNITS = 1
 OF_KIND = {"fixture": ("closed-form", "least-squares", "graph"), "hand": ("least-squares",)}
+USUAL = {"fixture": ("navigation", "tactical"), "hand": ("industrial", "consumer")}
+"""Grades of the units that are tested on a fixture, and of those that are turned by hand."""
 
 
 @cache
@@ -113,11 +115,14 @@ def scores(kind, grade, statement, seed):
     return unstated_noise((kind, grade, statement), seed, OF_KIND[kind])
 
 
+@pytest.mark.parametrize(
+    "grades", [USUAL, pytest.param(dict.fromkeys(OF_KIND, GRADES), marks=pytest.mark.slow)], ids=["usual", "all"]
+)
 @pytest.mark.parametrize("statement", STATEMENTS)
 @pytest.mark.parametrize(("kind", "estimator"), [(kind, each) for kind in OF_KIND for each in OF_KIND[kind]])
-def test_sigmas_are_true_and_the_units_own_noise_is_sound(kind, estimator, statement):
-    """Mean NEES over four grades: the bounds and 3.5 standard errors of a chi-square."""
-    found = [scores(kind, grade, statement, seed)[estimator] for grade in GRADES for seed in range(UNITS)]
+def test_sigmas_are_true_and_the_units_own_noise_is_sound(kind, estimator, statement, grades):
+    """Mean NEES over the usual or all four grades: the bounds and 3.5 standard errors of a chi-square."""
+    found = [scores(kind, grade, statement, seed)[estimator] for grade in grades[kind] for seed in range(UNITS)]
     error = 3.5 * math.sqrt(2.0 / sum(score.freedom for score in found))
     lowest = 0.60 if estimator == "closed-form" else LOW
     assert lowest * (1.0 - error) <= pooled_nees(found) <= HIGH * (1.0 + error)

@@ -196,10 +196,8 @@ def make(motions, variant, size, noise=NOISE, off=True):
     return Case(joint, state, system, prior, errors)
 
 
-QUICK = {"all": ("zero", "large"), "free": ("zero", "large")}
-"""Sizes of the errors in the quick tests; of the other variants the large ones, where every term counts."""
-CASES = [
-    pytest.param(v, s, id=f"{v}-{s}", marks=[pytest.mark.slow] * (s not in QUICK.get(v, ("large",))))
+CASES = [  # in the quick tests with large errors, where every term counts
+    pytest.param(v, s, id=f"{v}-{s}", marks=[pytest.mark.slow] * (s != "large"))
     for v in VARIANTS
     for s in ("zero", "tiny", "large")
 ]

@@ -233,7 +233,7 @@ def test_a_component_without_effect_is_left_out_and_another_kept():
     every, kept = np.ones(2, dtype=bool), []
     for _ in range(100):
         z = rng.standard_normal(80) * np.r_[np.full(40, 3.0), np.ones(40)]
-        kept.append(RestrictedLikelihood(z, H, R0, parts).significant(every, every, 1e-3))
+        kept.append(RestrictedLikelihood(z, H, R0, parts).significant(every, every, 1e-3)[0])
     assert np.all(np.array(kept)[:, 0])
     assert np.sum(np.array(kept)[:, 1]) <= 2
-    assert RestrictedLikelihood(z, H, R0, parts).significant(every, ~every, 1e-3).all()
+    assert RestrictedLikelihood(z, H, R0, parts).significant(every, ~every, 1e-3)[0].all()
