@@ -23,7 +23,7 @@ from srt.reports.text.calibration import report
 from srt.reports.text.calibration_summary import calibration_summary
 from srt.sensor_errors import NAMES, SYMBOLS
 
-pytestmark = pytest.mark.usefixtures("plain_layout")
+pytestmark = pytest.mark.usefixtures("blank_figures")
 
 
 @pytest.fixture
