@@ -12,8 +12,6 @@ import srt
 from srt.cli import main
 from srt.model.table1 import SEQUENCES
 
-pytestmark = pytest.mark.usefixtures("blank_figures")
-
 ORDER = tuple(SEQUENCES)
 
 
@@ -61,7 +59,7 @@ def test_a_growing_recording_is_followed_and_its_result_is_that_of_calibrate(fin
     assert "All 17 sequences are done." in out
     assert "All targets are met" in out
     assert "Converged after" in out
-    assert (tmp_path / "w.png").read_bytes().startswith(b"\x89PNG")
+    assert (tmp_path / "w.png").stat().st_size > 10_000
     shell("calibrate", growing, "-q", "-o", tmp_path / "c.json")
     assert (tmp_path / "w.json").read_bytes() == (tmp_path / "c.json").read_bytes()
 

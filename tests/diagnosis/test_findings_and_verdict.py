@@ -243,12 +243,12 @@ def accel_increments(unit):
 
 def without_gravity(unit):
     """Bias, misalignment and noise of the same unit remain of the force that turns with the gyros."""
-    path = [Rotation.identity()]
     rest = unit.gyro[: np.searchsorted(unit.time, unit.sequences[0].start_static_s[1])].mean(axis=0)
-    for step in Rotation.from_rotvec((unit.gyro - rest) * unit.nominal_interval_s):
-        path.append(path[-1] * step)
+    path, length = Rotation.from_rotvec((unit.gyro - rest) * unit.nominal_interval_s), 1
+    while length < len(unit.time):  # products of the steps before, of twice the length each time
+        path, length = Rotation.concatenate([path[:length], path[:-length] * path[length:]]), 2 * length
     up = unit.accel[:400].mean(axis=0)
-    return replace(unit, accel=unit.accel - Rotation.concatenate(path[1:]).inv().apply(up))
+    return replace(unit, accel=unit.accel - path.inv().apply(up))
 
 
 @pytest.mark.parametrize("grade", ["tactical", "consumer"])
