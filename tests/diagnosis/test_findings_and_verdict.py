@@ -81,6 +81,10 @@ def test_wrong_samples_are_never_sound(fault, change):
     found = srt.calibrate(change(unit))
     assert found.diagnostics.faults[0].fault == fault
     assert found.judgement.word != SOUND
+
+
+def test_right_samples_are_sound():
+    unit, _ = unstated_unit(0, "fixture", "tactical")
     assert srt.calibrate(unit).judgement.word == SOUND
 
 
