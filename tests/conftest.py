@@ -127,13 +127,15 @@ def forked_readers(monkeypatch):
 
 
 @pytest.fixture(scope="module")
-def plain_layout():
-    """Figures without the arrangement of their parts, half of the time of drawing: for tests that ask for the file."""
+def blank_figures():
+    """Figures without layout and marks, nearly all of the time of drawing: for tests that ask for the file."""
     with pytest.MonkeyPatch.context() as patch:
         with contextlib.suppress(ModuleNotFoundError):
+            from matplotlib.figure import Figure
             from matplotlib.layout_engine import ConstrainedLayoutEngine
 
             patch.setattr(ConstrainedLayoutEngine, "execute", lambda engine, figure: None)
+            patch.setattr(Figure, "draw", lambda figure, renderer: None)
         yield
 
 

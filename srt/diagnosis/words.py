@@ -174,7 +174,9 @@ def dead_bands(evidence: Evidence) -> Iterator[Finding]:
             values, counts = np.unique(near, return_counts=True)
             common = float(values[np.argmax(counts > 0.5 * counts.max())])
             grid = max(steps[axis] * evidence.per_rate, pulse / evidence.dt, common * _on_grid(near, common))
-            if threshold > (2.0 + OFF_GRID) * grid:
+            # A band of one step is told by many readings of the two steps that come next, and none of one.
+            many = np.count_nonzero(size < 2.0 * threshold - (1.0 + OFF_GRID) * grid) >= _MANY
+            if threshold > (2.0 + (-OFF_GRID if many else OFF_GRID)) * grid:
                 unit, mark = (1.0, "") if gyro else (MICRO_G, "_ug")
                 sizes = {f"threshold{mark}": threshold / unit, f"step{mark}": grid / unit}
                 yield DEAD_BAND[sensor].found(channel=f"{sensor}_{AXES[axis]}", count=int(zeros[axis]), **sizes)
@@ -194,9 +196,9 @@ DEAD_BAND: Final = by_sensor(
 
 
 def _on_grid(sizes: Array, step: float) -> bool:
-    """True if most readings are multiples of a step."""
+    """True if most readings are multiples of a step: three quarters, as half of those of half the step are, too."""
     multiple = sizes / step
-    return bool(np.median(np.abs(multiple - np.rint(multiple))) < _WHOLE)
+    return bool(np.quantile(np.abs(multiple - np.rint(multiple)), 0.75) < _WHOLE)
 
 
 _NEAR: Final = 2

@@ -302,15 +302,14 @@ class JointModel:
             force_noise=sources.own_covariances(noise, "force"),
             rate_noise=sources.own_covariances(noise, "rate"),
             rotation_noise=sources.own_covariances(noise, "turn"),
-            rate_slope=by.rate,
             rotation=rotation,
             rotation_jacobian=model.attitude_error_jacobian(integrals),
             duration_s=integrals.weight_s,
             edges=noise["gyro_quantization"],
-            force_slope=by.force,
+            slopes=by,
             stated=self._stated_rates(state, gyro, along),
             drift_form=by_drift,
-            drift=self._drift(by, gyro),
+            drift=self.instability(by, gyro),
         )
 
     def _stated_rates(self, state: JointState, gyro: Triad, force: Array) -> StatedRates:
@@ -340,17 +339,19 @@ class JointModel:
         assert integrals.time_parts is not None
         return np.asarray(np.einsum("kpab,kpb->ka", integrals.time_parts, drift - drift.mean(axis=1, keepdims=True)))
 
-    def _drift(self, by: Slopes, gyro: Triad) -> dict[str, DriftStates]:
-        """Bias instability as specified, by sensor."""
+    def instability(self, by: Slopes, gyro: Triad) -> dict[str, DriftStates]:
+        """Effect of the bias instability as specified, by sensor; not of that of the gyros if one bias is asked for."""
         noise, stated, out = self.data.noise, self.steady, {}
-        parts = by.integrals.time_parts
-        if self._gyro_chain is not None and noise.gyro_flicker is not None and parts is not None:
+        flicker, parts = noise.gyro_flicker, by.integrals.time_parts
+        gyros = flicker is not None and flicker.any() and self.options.gyro_bias != "pooled"
+        if gyros and flicker is not None and parts is not None:
             rotations = {"turn": (np.arange(self.data.K), parts)}
             if stated.rated.size:
                 rotations["stated_rate"] = stated.rated, stated.by_parts(gyro)
-            out["gyro"] = drift_states(self._gyro_chain, noise.gyro_flicker, ("rate", by.rate), rotations)
-        if noise.accel_flicker.any():
-            out["accel"] = drift_states(self._accel_chain, noise.accel_flicker, ("force", by.force))
+            out["gyro"] = drift_states(self._gyro_chain, flicker, ("rate", by.rate), rotations)
+        if noise.accel_flicker.any():  # in the steps of the gyros, if there are any
+            chain = self._gyro_chain if gyros else self._accel_chain
+            out["accel"] = drift_states(chain, noise.accel_flicker, ("force", by.force))
         return out
 
     def with_data(self, data: PreparedRecording) -> None:
@@ -358,21 +359,16 @@ class JointModel:
         self.data = data
         if data.noise.gyro_wander is not None:
             self.bias_scatter = data.noise.gyro_wander
-        for chain in ("_gyro_chain", "_accel_chain"):
-            self.__dict__.pop(chain, None)
 
     @cached_property
-    def _gyro_chain(self) -> DriftChain | None:
-        """Steps of the drift of the gyros; None if none is specified, or one bias is asked for."""
-        flicker = None if self.options.gyro_bias == "pooled" else self.data.noise.gyro_flicker
-        if flicker is None or not flicker.any():
-            return None
+    def _gyro_chain(self) -> DriftChain:
+        """Steps of the drift of the gyros."""
         return drift_chain(self.data, self.rank[self.window_sequence], self.rank, parts_per_rotation(self.data.K))
 
     @cached_property
     def _accel_chain(self) -> DriftChain:
-        """Steps of the drift of the accelerometers: those of the gyros, if there are any."""
-        return self._gyro_chain or drift_chain(self.data, self.rank[self.window_sequence], self.rank, 0)
+        """Steps of the drift of the accelerometers."""
+        return drift_chain(self.data, self.rank[self.window_sequence], self.rank, 0)
 
     def _integrate(self, state: JointState, deviation: Array, force: Array) -> tuple[RotationIntegrals, Array, Array]:
         """Integrals of the rotations, rotations relative to inertial space, and mean specific forces of the windows.
@@ -473,7 +469,7 @@ class JointModel:
         free = self.options.gyro_bias in ("auto", G_SENSITIVE)
         if self.data.noise.gyro_wander is not None or not free or self.data.K < 3:
             return
-        rest = np.einsum("wab,wb->wa", np.linalg.inv(compensated.rate_slope), self.rest_rate(state, compensated))
+        rest = np.einsum("wab,wb->wa", np.linalg.inv(compensated.slopes.rate), self.rest_rate(state, compensated))
         left = 1.0
         if self.drift.force_axes is not None:  # the scatter beyond g-sensitivity, of which its fit takes a part
             poses, T = self._poses(state), self.data.windows.duration_s

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from srt.estimation.error_sources import Source
+    from srt.estimation.error_sources import Slopes, Source
     from srt.joint.drift import DriftStates
     from srt.joint.stated_rates import StatedRates
     from srt.sensor_errors import SensorErrors
@@ -82,8 +82,6 @@ class CompensatedData:
         Negative derivative of force and rate with respect to the 27 sensor errors.
     force_noise, rate_noise, rotation_noise : dict of str to ndarray, shape (W or K, 3, 3)
         Noise covariance by source.
-    rate_slope : ndarray, shape (W, 3, 3)
-        Derivative of the compensated rate with respect to the raw rate at rest.
     rotation : ndarray, shape (K, 3, 3)
         Rotation between the windows against inertial space, B_End to B_Strt.
     rotation_jacobian : ndarray, shape (K, 3, 27)
@@ -91,8 +89,8 @@ class CompensatedData:
     duration_s : ndarray, shape (K,)
     edges : Source
         Quantization of the angle; its shared unknowns, if it has any, are the errors at the window edges.
-    force_slope : ndarray, shape (W, 3, 3)
-        Derivative of the compensated specific force with respect to the raw one.
+    slopes : Slopes
+        Derivatives of force, rate and rotation with respect to errors of the raw channels.
     stated : StatedRates
         Runs at a stated rate.
     drift_form : dict of str to ndarray, shape (n, d, number of coefficients)
@@ -108,12 +106,11 @@ class CompensatedData:
     force_noise: dict[str, Array]
     rate_noise: dict[str, Array]
     rotation_noise: dict[str, Array]
-    rate_slope: Array
     rotation: Array
     rotation_jacobian: Array
     duration_s: Array
     edges: Source
-    force_slope: Array
+    slopes: Slopes
     stated: StatedRates
     drift_form: dict[str, Array]
     drift: dict[str, DriftStates]

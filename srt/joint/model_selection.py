@@ -215,13 +215,16 @@ def _gyro_size(
     from scipy.optimize import minimize_scalar  # heavy, and few calibrations come here
 
     data, noise = joint.data, joint.data.noise
+    # The compensated readings and their noise do not depend on it.
+    compensated, gyro = joint.compensate(state), gyro_triad(state.errors)
     window = float(np.median(noise.gyro_white) / np.sqrt(np.median(data.windows.duration_s)))
     assert iteration.point is not None
     largest = math.log(_BEYOND_WINDOWS * _shown_at_rest(_rest_rates(joint, iteration.point)[1], window) / window)
 
     def cost(log_ratio: float) -> float:
         joint.with_data(replace(data, gyro_instability=window * math.exp(log_ratio)))
-        return -_solution(joint, solver, iteration, state).log_likelihood
+        changed = replace(compensated, drift=joint.instability(compensated.slopes, gyro))
+        return -BlockSolution(linearise(joint, state, changed, iteration.free, solver.prior)).log_likelihood
 
     bounds = _SIZES[0], min(_SIZES[1], largest)
     best = minimize_scalar(cost, bounds=bounds, method="bounded", options={"xatol": _SIZE_TOLERANCE})
@@ -358,7 +361,7 @@ def add_drift(joint: JointModel, solver: JointSolver, iteration: IterationState)
 def search(joint: JointModel, iteration: IterationState, solution: BlockSolution, freedom: int) -> DriftSearch:
     """Search the residuals of a joint solution for bias drift that it does not model."""
     assert iteration.point is not None
-    slope, data = iteration.point.compensated.force_slope, joint.data
+    slope, data = iteration.point.compensated.slopes.force, joint.data
     keys = candidates(data, joint.drift.terms)
     by_rate, rest = _rest_rates(joint, iteration.point)
 
@@ -385,5 +388,5 @@ def accel_component(joint: JointModel, solution: BlockSolution, freedom: int) ->
     Three quarters of the residuals are those of gyros and rotations. The chi-square of all therefore does not show an
     instability that the windows show.
     """
-    effect = accel_drift(joint.data, solution.system.compensated.force_slope, joint.data.noise.accel_limit)
+    effect = accel_drift(joint.data, solution.system.compensated.slopes.force, joint.data.noise.accel_limit)
     return variance_component(force_statistics(solution, [effect], freedom)[0])

@@ -218,7 +218,7 @@ def _instability_by_sequence(joint: JointModel, system: LinearSystem, delta: Arr
     if drift is None:
         return np.zeros((K, 3))
     x, u = (delta[system.columns[name]].reshape(K, -1) for name in ("gyro_drift", "gyro_drift_noise"))
-    raw = np.linalg.solve(compensated.rate_slope, drift.effect("rate", x, u)[:, :, None])[:, :, 0]
+    raw = np.linalg.solve(compensated.slopes.rate, drift.effect("rate", x, u)[:, :, None])[:, :, 0]
     own = joint.rest_rate_weights @ raw
     return np.asarray(own - own.mean(axis=0))
 
@@ -307,7 +307,7 @@ def whole_solution(joint: JointModel, solver: JointSolver, iteration: IterationS
 
 def accel_instability(joint: JointModel, solution: BlockSolution) -> tuple[float, float]:
     """Expected bias instability of the accelerometers, and the part of it that the weights lack, m/s²."""
-    effect = accel_drift(joint.data, solution.system.compensated.force_slope, np.ones(3))
+    effect = accel_drift(joint.data, solution.system.compensated.slopes.force, np.ones(3))
     return joint.data.noise.expected_accel_instability(force_statistics(solution, [effect], 0)[0])
 
 
@@ -332,7 +332,7 @@ def _unseen_drift(joint: JointModel, solution: BlockSolution, found: DriftSearch
     It is the expected bias instability beyond that of the weights, and a possible linear drift.
     """
     system, data = solution.system, joint.data
-    slope = system.compensated.force_slope
+    slope = system.compensated.slopes.force
     sources = []
     if data.noise.accel_unseen.any():
         sources.append(accel_drift(data, slope, np.full(3, accel_instability(joint, solution)[1])))

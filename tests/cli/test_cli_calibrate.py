@@ -23,7 +23,7 @@ from srt.reports.text.calibration import report
 from srt.reports.text.calibration_summary import calibration_summary
 from srt.sensor_errors import NAMES, SYMBOLS
 
-pytestmark = pytest.mark.usefixtures("plain_layout")
+pytestmark = pytest.mark.usefixtures("blank_figures")
 
 
 @pytest.fixture
@@ -387,7 +387,10 @@ def test_a_verdict_is_printed_once(recording, calibration, result, tmp_path, mon
 
 
 def turned_by_hand(folder):
-    """A unit turned by hand, one turn of which the gyros read 1.1° too far; and its errors (foreign generator)."""
+    """A unit turned by hand, one turn of which the gyros read 1.1° too far; and its errors (foreign generator).
+
+    Its noise is stated in the labelled recording, and found in the other one.
+    """
     rng = np.random.default_rng((20261207, 0))
     errors = drawn_errors(GRADES["tactical"], rng)
     turns = hand_turns(rng, shortest_s=1.0)
@@ -401,7 +404,9 @@ def turned_by_hand(folder):
     labels = [{"start_static_s": before, "end_static_s": after} for before, after in pairwise(inner)]
     samples = {"time": unit.time, "gyro": gyro, "accel": unit.accel}
     write(folder / "free", samples, {})
-    write(folder / "labelled", samples, {}, labels)
+    figures = {"gyro_noise_deg_per_sqrt_h": 0.05, "gyro_bias_instability_deg_per_h": 0.01}
+    figures |= {"accel_noise_ug_per_sqrt_hz": 50.0, "accel_bias_instability_ug": 1.0}
+    write(folder / "labelled", samples, {"imu": figures}, labels)
     return np.array([errors.get(name, 0.0) for name in NAMES])
 
 

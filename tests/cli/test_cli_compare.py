@@ -20,7 +20,7 @@ from srt.result.consistency import AddedNoise
 from srt.result.diagnostics import Drift
 from srt.sensor_errors import DISPLAY_FACTORS, INDEX, NAMES
 
-pytestmark = pytest.mark.usefixtures("plain_layout")
+pytestmark = pytest.mark.usefixtures("blank_figures")
 
 BOTH = ("--estimator", "closed-form", "--estimator", "least-squares")
 

@@ -12,7 +12,7 @@ from srt.cli.truth import load_truth
 from srt.reports.text.calibration_summary import largest_error_text
 from srt.sensor_errors import NAMES
 
-pytestmark = pytest.mark.usefixtures("plain_layout")
+pytestmark = pytest.mark.usefixtures("blank_figures")
 
 
 @pytest.fixture(scope="module")

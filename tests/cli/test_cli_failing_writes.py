@@ -22,7 +22,7 @@ from srt.cli.app import COMMANDS
 from srt.exporters import export, save
 from srt.sensor_errors import SensorErrors
 
-pytestmark = pytest.mark.usefixtures("plain_layout")
+pytestmark = pytest.mark.usefixtures("blank_figures")
 
 PLAN = """
 imu = { from = "tactical-fog" }

@@ -20,7 +20,7 @@ from srt.cli.recording_arguments import find_recordings, unit_names
 from srt.result.provenance import Provenance
 from srt.sensor_errors import INDEX, NAMES, SYMBOLS, SensorErrors
 
-pytestmark = pytest.mark.usefixtures("plain_layout")
+pytestmark = pytest.mark.usefixtures("blank_figures")
 
 ODD, BROKEN, SHIFT = "unit-2", "unit-10", 0.02
 """One accelerometer scale 2 % off among units of 1e-4: 200 spreads, where the limit for 7 units is 14.9."""

@@ -16,7 +16,7 @@ from srt.cli import main
 from srt.constants import DEG_PER_H
 from srt.model.table1 import SEQUENCES
 
-pytestmark = pytest.mark.usefixtures("plain_layout")
+pytestmark = pytest.mark.usefixtures("blank_figures")
 
 RATE = 100.0
 

@@ -15,7 +15,7 @@ from srt.comparison.merge import merge_calibrations
 from srt.result.provenance import Provenance
 from srt.sensor_errors import NAMES
 
-pytestmark = pytest.mark.usefixtures("plain_layout")
+pytestmark = pytest.mark.usefixtures("blank_figures")
 
 
 @pytest.fixture(scope="module")

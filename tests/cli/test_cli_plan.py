@@ -9,7 +9,7 @@ import sims
 from srt.cli import main
 from srt.sensor_errors import NAMES
 
-pytestmark = pytest.mark.usefixtures("plain_layout", "short_search")
+pytestmark = pytest.mark.usefixtures("blank_figures", "short_search")
 
 PLAN = """
 [imu]

@@ -21,7 +21,7 @@ from srt.reports.figures.comparison import comparison_figure
 from srt.result.provenance import Provenance
 from srt.sensor_errors import DISPLAY_FACTORS, GROUP_SLICES, INDEX, N_PARAMETERS, NAMES
 
-DRAWS = 2000
+DRAWS = 1000
 UNITS = 1.0 / np.array(DISPLAY_FACTORS)
 
 
@@ -382,7 +382,7 @@ def test_nothing_usable_is_nothing_to_draw():
 
 
 BOTH = ("closed-form", "least-squares")
-RECORDINGS = 16
+RECORDINGS = 8
 
 
 def recording(grade, seed):

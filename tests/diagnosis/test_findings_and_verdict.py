@@ -81,6 +81,10 @@ def test_wrong_samples_are_never_sound(fault, change):
     found = srt.calibrate(change(unit))
     assert found.diagnostics.faults[0].fault == fault
     assert found.judgement.word != SOUND
+
+
+def test_right_samples_are_sound():
+    unit, _ = unstated_unit(0, "fixture", "tactical")
     assert srt.calibrate(unit).judgement.word == SOUND
 
 
@@ -243,12 +247,12 @@ def accel_increments(unit):
 
 def without_gravity(unit):
     """Bias, misalignment and noise of the same unit remain of the force that turns with the gyros."""
-    path = [Rotation.identity()]
     rest = unit.gyro[: np.searchsorted(unit.time, unit.sequences[0].start_static_s[1])].mean(axis=0)
-    for step in Rotation.from_rotvec((unit.gyro - rest) * unit.nominal_interval_s):
-        path.append(path[-1] * step)
+    path, length = Rotation.from_rotvec((unit.gyro - rest) * unit.nominal_interval_s), 1
+    while length < len(unit.time):  # products of the steps before, of twice the length each time
+        path, length = Rotation.concatenate([path[:length], path[:-length] * path[length:]]), 2 * length
     up = unit.accel[:400].mean(axis=0)
-    return replace(unit, accel=unit.accel - Rotation.concatenate(path[1:]).inv().apply(up))
+    return replace(unit, accel=unit.accel - path.inv().apply(up))
 
 
 @pytest.mark.parametrize("grade", ["tactical", "consumer"])

@@ -6,6 +6,7 @@
 import json
 import sys
 from dataclasses import replace
+from unittest.mock import patch
 
 import numpy as np
 from foreign_motion import GRADES, drawn_errors, hand_turns, recording
@@ -14,6 +15,7 @@ from threadpoolctl import threadpool_info
 import sims
 import srt
 from sims.scenarios.plan_file import load_plan_file
+from srt.planning import annealing
 from srt.planning.plan import PlanLimits
 
 SHORT = PlanLimits(shortest_window_s=4.0, longest_window_s=30.0, largest_turn_deg=360, most_legs=2, most_sequences=12)
@@ -50,10 +52,12 @@ def off_by_rounding(values, seed):
 
 
 def of_plan(name, seed):
-    task = load_plan_file("tactical-equal" if name == "short plan" else name).task()
-    if name == "short plan":
+    short = name == "short plan"
+    task = load_plan_file("tactical-equal" if short else name).task()
+    if short:
         task = replace(task, total_s=300.0, limits=SHORT)
-    plan = srt.plan(replace(task, targets=off_by_rounding(task.targets, seed)))
+    with patch.object(annealing, "TRIALS", annealing.TRIALS // 8 if short else annealing.TRIALS):
+        plan = srt.plan(replace(task, targets=off_by_rounding(task.targets, seed)))
     words = [str(plan), *map(str, plan.candidates)]
     return words, [*plan.windows_s.ravel().tolist(), *np.log(plan.sigma[np.isfinite(plan.sigma)]).tolist()]
 

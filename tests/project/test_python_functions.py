@@ -140,12 +140,13 @@ def test_inspection_and_comparison_are_those_of_the_commands(recording, folder, 
     assert json.loads(json.dumps(found)) == {key: value for key, value in written.items() if key != "digest"}
 
 
+@pytest.mark.usefixtures("short_search")
 def test_plan_is_that_of_the_command(tmp_path, shell):
     file = tmp_path / "small.toml"
     file.write_text(
         'imu = { from = "navigation-rlg" }\nfixture = { from = "lab-1mrad" }\nsite = { from = "latitude-45" }\n'
         "[targets]\ngyro_scale_ppm = 50.0\n"
-        "[plan]\nlargest_turn_deg = 180\nmost_legs = 1\nmost_sequences = 6\ntotal_time_s = 200.0\n"
+        "[plan]\nlargest_turn_deg = 180\nmost_legs = 1\nmost_sequences = 6\ntotal_time_s = 120.0\n"
     )
     shell("plan", file, "--json", tmp_path / "p.json", "-q")
     task = sims.load_plan_file(file).task()
