@@ -82,7 +82,7 @@ def replaceable(seed, name):
     without = srt.calibrate(
         recording.with_sequences(tuple(s for s in recording.sequences if s.id != name)), "graph", checks=False
     )
-    ratio = without.sigma / reference(seed).sigma
+    ratio = without.sigma / reference(seed, "graph").sigma
     return ratio < REPLACEABLE, ratio
 
 
@@ -247,7 +247,7 @@ def moved_too_far(calibration, seed, name, loss):
     allowed.
     """
     counted, ratio = replaceable(seed, name)
-    there = reference(seed, loss=loss)
+    there = reference(seed, "graph", loss)
     shifts = np.abs(calibration.errors.vector - there.errors.vector) / there.sigma
     bar = 3.0 * np.maximum(1.0, np.sqrt(np.maximum(ratio**2 - 1.0, 0.0)))
     return {NAMES[i]: round(float(shifts[i]), 2) for i in np.flatnonzero(counted & (shifts > bar))}
@@ -264,14 +264,14 @@ def test_a_robust_graph_stays_where_it_was(case, name, seed, which):
 @pytest.mark.parametrize("loss", ROBUST)
 def test_a_robust_graph_costs_little_without_a_fault(loss):
     """Robust losses on good data give results within 1 sigma of least squares."""
-    difference = reference(101, loss=loss).errors.vector - reference(101).errors.vector
-    assert np.all(np.abs(difference) < reference(101).sigma)
+    difference = reference(101, "graph", loss).errors.vector - reference(101, "graph").errors.vector
+    assert np.all(np.abs(difference) < reference(101, "graph").sigma)
 
 
 @pytest.mark.parametrize("loss", [pytest.param(ROBUST[0], marks=pytest.mark.slow), ROBUST[1]])
 def test_the_weights_name_the_bad_sequence(loss):
     """3 mrad off in a turn known to about 3 µrad: Huber's weight is 2.8 over that thousand, Cauchy's its square."""
-    calibration = result(with_lost_samples, 101, "4", loss=loss)
+    calibration = result(with_lost_samples, 101, "4", "end", loss=loss)
     weights = {row.sequence: row.weight for row in calibration.diagnostics.weights}
     assert min(weights, key=weights.get) == "4"
     assert weights["4"] < 3.0 * 2.8 / 1000.0

@@ -111,9 +111,14 @@ def hand_turned(seed):
     return unit([ideal_increments(Rotation.concatenate(pieces))], labels, seed)
 
 
+@cache
+def calibrated(recording, estimator):
+    return srt.calibrate(recording, estimator, checks=False)
+
+
 def worst(recording, truth, estimator):
     """Largest error, accelerometer biases in g."""
-    found = srt.calibrate(recording, estimator, checks=False)
+    found = calibrated(recording, estimator)
     assert found.status == "converged", found.message
     off = np.abs(found.errors.vector - truth)
     off[GROUP_SLICES["accel_bias"]] /= recording.site.gravity_m_s2
@@ -142,7 +147,7 @@ def test_start_of_a_turn_in_a_window(estimator):
     labels = list(recording.sequences)
     labels[4:6] = replace(before, end_static_s=(a, b + longer)), replace(after, start_static_s=(a, b + longer))
     moved = recording.with_sequences(labels)
-    assert any("moved" in line for line in srt.calibrate(moved, estimator, checks=False).warnings)
+    assert any("moved" in line for line in calibrated(moved, estimator).warnings)
     assert worst(moved, truth, estimator) < 5e-6
 
 
