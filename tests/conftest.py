@@ -127,14 +127,23 @@ def forked_readers(monkeypatch):
 
 
 @pytest.fixture(scope="module")
-def blank_figures():
-    """Figures without layout and marks, nearly all of the time of drawing: for tests that ask for the file."""
+def plain_layout():
+    """Figures without the arrangement of their parts, half of the time of drawing: for tests that ask for the file."""
     with pytest.MonkeyPatch.context() as patch:
         with contextlib.suppress(ModuleNotFoundError):
-            from matplotlib.figure import Figure
             from matplotlib.layout_engine import ConstrainedLayoutEngine
 
             patch.setattr(ConstrainedLayoutEngine, "execute", lambda engine, figure: None)
+        yield
+
+
+@pytest.fixture(scope="module")
+def blank_figures(plain_layout):
+    """Figures that are made, and not drawn: for tests that only ask whether the file is there."""
+    with pytest.MonkeyPatch.context() as patch:
+        with contextlib.suppress(ModuleNotFoundError):
+            from matplotlib.figure import Figure
+
             patch.setattr(Figure, "draw", lambda figure, renderer: None)
         yield
 

@@ -16,7 +16,7 @@ from chain_outputs import CHEAP, OUTPUTS, PRODUCT, Chain, covering
 for package in ("filterpy", "gtsam", "matplotlib", "pandas", "fpdf", "jinja2"):
     pytest.importorskip(package)
 
-pytestmark = pytest.mark.usefixtures("blank_figures")
+pytestmark = pytest.mark.usefixtures("plain_layout")
 
 
 @pytest.fixture(scope="session")

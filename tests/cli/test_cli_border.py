@@ -15,6 +15,7 @@ from srt.cli import main
 from srt.recording.atomic_file import atomic_path, remove_leftovers
 from srt.recording.samples import Samples, write_samples
 
+pytestmark = pytest.mark.usefixtures("plain_layout")
 
 POSIX = pytest.mark.skipif(os.name == "nt", reason="signals and streams of POSIX")
 SRT = [sys.executable, "-m", "srt.cli"]

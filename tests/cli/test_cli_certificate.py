@@ -15,6 +15,8 @@ from srt.cli import main
 from srt.result.json_file import json_text
 from srt.result.provenance import Provenance
 
+pytestmark = pytest.mark.usefixtures("plain_layout")
+
 
 @pytest.fixture(scope="module")
 def lab(tmp_path_factory):

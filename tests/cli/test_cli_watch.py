@@ -12,6 +12,8 @@ import srt
 from srt.cli import main
 from srt.model.table1 import SEQUENCES
 
+pytestmark = pytest.mark.usefixtures("plain_layout")
+
 ORDER = tuple(SEQUENCES)
 
 
