@@ -28,7 +28,7 @@ from srt.diagnosis.rotation_readings import (
     raw_integrals,
     turning_windows,
 )
-from srt.diagnosis.stationary_rates import earth_rate, stationary_rate_fit, stationary_rates
+from srt.diagnosis.stationary_rates import base_tilt, earth_rate, stationary_rate_fit, stationary_rates
 from srt.diagnosis.time_offsets import attitude_step, force_effects, lag, stabilised_force, time_offset
 from srt.diagnosis.triad_fits import (
     accel_fit,
@@ -298,8 +298,10 @@ class Evidence:
     """Stationary rates and the design matrix of their model."""
     stationary_rate_fit = _of(stationary_rate_fit, "stationary_rates", "recording")
     """Bias, drift, g-sensitivity and Earth rate of the stationary rates."""
-    earth_rate = _of(earth_rate, "stationary_rate_fit", "recording")
-    """Earth rate in the windows."""
+    base_tilt = _of(base_tilt, "data", "poses")
+    """Tilt of the base in the static poses."""
+    earth_rate = _of(earth_rate, "stationary_rate_fit", "recording", "base_tilt")
+    """Earth rate in the windows, in level axes."""
     turning_windows = _of(turning_windows, "data", "columns", "raw_integrals")
     """True for each window in which the unit rotates as in a manoeuvre, shape (W,): its label is wrong."""
 
