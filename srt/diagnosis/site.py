@@ -71,7 +71,8 @@ def earth_rate(evidence: Evidence) -> Iterator[Finding]:
 
     The Earth rate is referred to the vertical that the accelerometers show, so that a tilt of the table explains
     nothing else. The causes compete by likelihood: the rate as stated, none at all (a unit that removes it), another
-    latitude, another heading, both, or a factor on all readings, as by a wrong sample rate.
+    latitude, another heading, both if one alone leaves a significant deviation, or a factor on all readings, as by a
+    wrong sample rate.
 
     Statistic: decrease of the squared deviations over their variances by the most likely cause. Distribution: F, with
     one degree of freedom and those of the stationary rates.
@@ -79,9 +80,13 @@ def earth_rate(evidence: Evidence) -> Iterator[Finding]:
     fit, causes = evidence.stationary_rate_fit, _causes(evidence)
     if fit is None or not causes:
         return
+    largest = float(limit("F", 1, fit.freedom))
+    single = [explanation for explanation in causes if len(explanation.cause.details) < 2]
+    least = min(explanation.square for explanation in single) - largest
+    causes = single + [both for both in causes if both not in single and both.square < least]
     ranked = sorted(causes, key=lambda explanation: -round(explanation.score, 6))
     best, faults = ranked[0], ranked[0].cause.details
-    if causes[0].square - best.square <= float(limit("F", 1, fit.freedom)):
+    if causes[0].square - best.square <= largest:
         return
     for fault in (EARTH_RATE_ABSENT, LATITUDE, NORTH):
         if fault.name in faults:
