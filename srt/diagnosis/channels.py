@@ -170,8 +170,8 @@ def dead_channels(evidence: Evidence) -> Iterator[Finding]:
             dead = [axis for axis in dead if len(inputs) and np.ptp(inputs[:, axis]) > MOVED]
         if dead:
             names = ", ".join(f"{sensor}_{AXES[axis]}" for axis in dead)
-            what = _EQUAL.format(value=float(table[0, dead[0]]) * evidence.per_rate, count=len(table), when="")
-            yield fault.found(channel=names, what=what)
+            value = float(table[0, dead[0]]) * evidence.per_rate
+            yield fault.found(channel=names, value=value, what=_EQUAL.format(value=value, count=len(table), when=""))
         elif (part := _constant_part(evidence, sensor) or find(evidence)) is not None:
             axis, first, last, what = part
             when = f" from {recording.time[first]:.6g} s to {recording.time[last - 1]:.6g} s"

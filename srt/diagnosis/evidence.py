@@ -67,6 +67,9 @@ if TYPE_CHECKING:
 
 SAMPLES: Final = 20_000
 """Number of samples that suffices for the tests of whole columns: more would only take longer."""
+MANY: Final = 20
+"""Fewest readings or values that exclude chance: of as many independent ones, all have one bit set with p = 1e-6, and
+none lies in a band where as many are expected with p = 2e-9."""
 _T = TypeVar("_T")
 
 
@@ -148,6 +151,12 @@ class Evidence:
     def zeros(self) -> Indices:
         """Number of zero readings of each channel, shape (6,)."""
         return np.asarray(np.count_nonzero(self.columns == 0.0, axis=1))
+
+    @cached_property
+    def cut_at_zero(self) -> Mask:
+        """True for each channel that reads zero often, and one of the signs never, shape (6,)."""
+        low, high = self.extremes
+        return np.asarray((self.zeros >= MANY) & (low * high == 0.0) & (low < high))
 
     @cached_property
     def some(self) -> tuple[Array, Array]:

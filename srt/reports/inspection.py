@@ -28,6 +28,7 @@ from srt.result.document import to_document
 from srt.sequences.plausibility import check_interval
 from srt.sequences.recognition import recognise
 from srt.sequences.rest_detection import longest_rest
+from srt.sequences.stationary_windows import MIN_TURN_RAD
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -81,7 +82,11 @@ def inspect(source: Any, *, deep: bool = False, **stated: Any) -> Inspection:
         windows = np.array([] if rest is None else [rest], dtype=np.intp).reshape(-1, 2)
     if recognition is not None and recording.fixture is None:
         if recognition.by_chance:
-            summary = f"{len(turns)} free rotations between {len(windows)} stationary windows; no fixture is stated."
+            # A drift of the biases, or a knock, parts windows without a rotation.
+            count = sum(
+                any(abs(leg.angle_deg) * DEG >= MIN_TURN_RAD for leg in (turn.net, *turn.legs)) for turn in turns
+            )
+            summary = f"{count} free rotations between {len(windows)} stationary windows; no fixture is stated."
             turns = tuple(replace(turn, sequence=None, confidence=0.0, reason="") for turn in turns)
         else:
             summary += (
