@@ -72,7 +72,7 @@ def fitness(evidence: Evidence, refusal: Finding | None, estimator: str = "auto"
     except DataError as error:
         log = None if recording.sequences else _log_without_turns(evidence)
         return Fitness(NO, log or str(error).rstrip("."), stops=log is not None)
-    level = _level(evidence, data)
+    level = _restless(data) or _level(evidence, data)
     due = parameters_due(data) & wanted
     biases = np.zeros_like(due)
     for group in ("gyro_bias", "accel_bias"):
@@ -107,6 +107,18 @@ def _observability(recording: Recording, evidence: Evidence, estimator: str) -> 
     return joint.data, observable_at_start(joint, wanted), wanted
 
 
+def _restless(data: PreparedRecording) -> str | None:
+    """Clause on windows in most of which the unit turns from their first half to the second; None for others."""
+    half = data.windows.accel_halves / np.linalg.norm(data.windows.accel_halves, axis=2, keepdims=True)
+    turned = np.einsum("wa,wa->w", half[:, 0], half[:, 1]) < math.cos(MIN_TURN_RAD)
+    if 2 * np.count_nonzero(turned) <= len(turned):
+        return None
+    return (
+        f"in {np.count_nonzero(turned)} of {len(turned)} quiet windows the specific force turns by more than "
+        f"{math.degrees(MIN_TURN_RAD):.0f}°, so that the unit never rests: {_RECORD}"
+    )
+
+
 def _level(evidence: Evidence, data: PreparedRecording) -> str | None:
     """Clause on windows and turns between which gravity hardly changes its direction; None for any others.
 
@@ -131,13 +143,18 @@ def _leans(evidence: Evidence) -> float:
     return float(np.quantile(_seconds(evidence)[0], _MOST))
 
 
-def _log_without_turns(evidence: Evidence) -> str:
-    """Clause on a log without two stationary windows that a turn joins: what it is, what it gives, what to record."""
+def _log_without_turns(evidence: Evidence) -> str | None:
+    """Clause on a log without two stationary windows that a turn joins: what it is, what it gives, what to record.
+
+    None if gaps part the windows.
+    """
     recording = evidence.recording
     lasts = float(recording.time[-1] - recording.time[0]) + evidence.dt
     told = at_rest(evidence)
     if told is not None:
         return f"{told}, which shows noise ('srt noise') and no scale factor: {_RECORD}"
+    if recording.gaps.size:
+        return None
     vehicle = ", as in a vehicle" if _leans(evidence) < _TILT else ""
     return f"in {lasts:.4g} s no turn lies between two rests of 1 s or more{vehicle}: {_RECORD}"
 

@@ -122,6 +122,9 @@ def turning_blocks(recording: Recording, turns: ManoeuvreReadings, means: tuple[
     return TurningBlocks(step_s, turn, size * (i + 1), angle, 0.5 * (force[i] + force[i + 1]), force[i + 1] - force[i])
 
 
+_SCALE: Final = 0.2
+"""Largest difference from one of the rotation of gravity over that of the gyros below a limit: twice the scale-factor
+error of a working sensor. Where it is larger, the windows are no rests, or the axes are wrong."""
 _LARGEST_HALF: Final = 1.0
 """Largest half angle of a block, rad: 20 rad/s, faster than any gyro reads; beyond, the unit of the rates is wrong."""
 
@@ -173,7 +176,7 @@ def rate_limit(blocks: TurningBlocks) -> Limit | None:
             ratio.append(float(np.sum(expected[part] * change[part])) / power)
             left = change[part] - ratio[-1] * expected[part]
             variance.append(float(np.mean(left**2)) / power)
-        if len(ratio) < 2 or abs(ratio[1] - 1.0) > AGREE:
+        if len(ratio) < 2 or abs(ratio[1] - 1.0) > _SCALE:
             continue
         doubt = limit("normal", tests=4) * math.sqrt(sum(variance))
         if ratio[0] - ratio[1] > max(_NEAR_TOP * ratio[1], doubt):

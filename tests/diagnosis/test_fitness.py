@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 from foreign_motion import GRADES, drawn_errors, hand_turns, recording
+from scipy.spatial.transform import Rotation
 
 import sims
 import srt
@@ -49,6 +50,23 @@ def driven(seconds=400.0, hz=50.0):
     return srt.Recording(time, gyro, accel + shaken * rng.normal(0.0, 0.5, accel.shape), GRAVITY)
 
 
+def tumbling(*, wandering):
+    """A unit that turns about all axes all the time; wandering, it also turns at a nearly steady rate for seconds."""
+    rng = np.random.default_rng(1 if wandering else (SEED, 5))
+    time = np.arange(1, (20001 if wandering else 10001)) / 100.0
+    phase = np.outer(time, [0.62, 0.94, 0.46]) + rng.uniform(0.0, 6.0, 3)
+    if wandering:
+        phase = np.cumsum(rng.normal(0.0, 0.05, (len(time), 3)), axis=0)
+    rate = 1.5 * np.sin(phase - phase.mean(axis=0))
+    angle = Rotation.from_rotvec(0.01 * rate)
+    body = [Rotation.identity()]
+    for step in angle:
+        body.append(body[-1] * step)
+    force = Rotation.concatenate(body[1:]).inv().apply([0.0, 0.0, -9.81])
+    noise = rng.normal(0.0, 1.0, (2, len(time), 3))
+    return srt.Recording(time, rate + 1e-3 * noise[0], force + 0.02 * noise[1], GRAVITY)
+
+
 def turned(count):
     rng, grade = np.random.default_rng((SEED, 3)), GRADES["industrial"]
     return recording(hand_turns(rng, count=count, shortest_s=1.5), 5.0, drawn_errors(grade, rng), grade, rng)
@@ -61,6 +79,11 @@ LOGS = {
         "the unit rests in one attitude for 70 min, at 20 to 70 °C, which shows noise",
     ),
     "a slow warm-up": (lambda: resting(1.0, 4200.0), "the log is too slow to follow a rotation"),
+    "tumbling": (lambda: tumbling(wandering=False), "no turn lies between two rests of 1 s or more: record rests"),
+    "wandering": (
+        lambda: tumbling(wandering=True),
+        "quiet windows the specific force turns by more than 6°, so that the unit never rests: record rests",
+    ),
     "a drive": (driven, "as in a vehicle, which shows no scale factor: record rests in many attitudes"),
 }
 
