@@ -20,9 +20,10 @@ from srt.sequences.protocol_matching import with_protocol
 from srt.sequences.recognition import leave_out
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from srt.diagnosis.findings import Finding
+    from srt.diagnosis.fitness import Fitness
     from srt.diagnosis.staged_diagnosis import Diagnosis
     from srt.estimation.registry import Progress
     from srt.noise.noise_terms import NoiseTerms
@@ -49,6 +50,7 @@ def calibrate(
     without_turns: Sequence[str] = (),
     options: Options | None = None,
     progress: Progress | None = None,
+    announce: Callable[[Fitness], None] | None = None,
     **choices: Any,
 ) -> Calibration:
     """Calibrate an IMU from a recording.
@@ -72,6 +74,8 @@ def calibrate(
     options : Options, optional
     progress : callable, optional
         Called after every iteration with its number and the largest correction.
+    announce : callable, optional
+        Called with the fitness of the recording before the first iteration; not without checks.
     **choices
         Fields of :class:`srt.Options`, instead of ``options``, and keywords of :func:`srt.read`.
 
@@ -85,14 +89,16 @@ def calibrate(
     InputError
         Unknown estimator or option, a turn to leave out that there is not, or a source that cannot be read.
     DataError
-        A fatal fault, or data that do not support a result, with the likely cause.
+        A fatal fault, a recording that is not fit, or data that do not support a result, with the likely cause.
     """
     stated = {name: choices.pop(name) for name in READING_KEYS & set(choices)}
     options = chosen_options(options, choices)
     recording = with_protocol(read(source, **stated))
     if without_turns:
         recording, titles = leave_out(recording, without_turns)
-        result = calibrate(recording, estimator, checks=checks, force=force, options=options, progress=progress)
+        result = calibrate(
+            recording, estimator, checks=checks, force=force, options=options, progress=progress, announce=announce
+        )
         voided = {**dict.fromkeys(titles, "left out on request"), **result.provenance.voided}
         return replace(result, provenance=replace(result.provenance, voided=voided))
     if not checks:
@@ -102,6 +108,11 @@ def calibrate(
     screened = staged.before_calibration()
     if screened.refusal is not None and not force:
         raise _refused(screened)
+    fit = staged.fitness(estimator)
+    if fit.stops and not force:
+        raise DataError(f"{fit}.")
+    if announce is not None:
+        announce(fit)
     try:
         result = estimate(recording, estimator, options, progress)
     except DataError as error:

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
     from click.decorators import FC
 
+    from srt.diagnosis.fitness import Fitness
     from srt.estimation.options import Options
     from srt.model.prior import Prior
     from srt.recording.recording import Recording
@@ -376,9 +377,16 @@ def run_job(
     from srt.cli.progress import iteration_progress
 
     recording = recording or display.load(job)
+    silent = display.quiet or job.log is not None  # the overview of a log tells it
     with iteration_progress(job.name, quiet=display.quiet) as progress:
         calibration = srt.calibrate(
-            recording, estimator, force=display.force, without_turns=display.without, options=options, progress=progress
+            recording,
+            estimator,
+            force=display.force,
+            without_turns=display.without,
+            options=options,
+            progress=progress,
+            announce=None if silent else _show_fitness,
         )
     if job.output is not None:
         if job.targets:
@@ -389,6 +397,13 @@ def run_job(
     draw(calibration, job.plot, job.name, display.truth)
     announce(job.output, job.plot, quiet=display.quiet)
     return calibration
+
+
+def _show_fitness(fitness: Fitness) -> None:
+    """Print the fitness of a recording, in lines of at most 80 characters."""
+    from srt.reports.tables import wrap
+
+    show("\n".join(wrap(str(fitness))))
 
 
 def inspected(job: Job, recording: Recording) -> str:

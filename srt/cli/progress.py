@@ -44,10 +44,15 @@ def status_line(first: str) -> Iterator[Callable[[str], None] | None]:
     if console is None:
         yield None
         return
+    from rich.live import Live
+    from rich.spinner import Spinner
     from rich.text import Text
 
-    with console.status(Text(printable(first))) as status:
-        yield lambda text: status.update(Text(printable(text)))
+    line = Spinner("dots", Text(printable(first)))
+    # What is printed meanwhile goes above the line on a terminal, and as it is to a file.
+    shared = sys.stdout is not None and sys.stdout.isatty()
+    with Live(line, console=console, refresh_per_second=12.5, transient=True, redirect_stdout=shared):
+        yield lambda text: line.update(text=Text(printable(text)))
 
 
 @contextmanager

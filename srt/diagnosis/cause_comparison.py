@@ -97,3 +97,9 @@ def explain(values: Array, causes: Iterable[Cause], nuisance: Array | None = Non
         Explanation(cause, float(score[c]), value[c, : k[c]], sigma[c, : k[c]], float(square[c]), int(freedom[c]))
         for c, cause in enumerate(causes)
     ]
+
+
+def with_known_noise(cause: Cause, square: float, parameters: int, n: int) -> Explanation:
+    """Explanation of n residuals of known noise, whitened, by a cause that need not be linear in its parameters."""
+    score = -0.5 * square - 0.5 * parameters * math.log(n)
+    return Explanation(cause, score, np.zeros(0), np.zeros(0), square, n - parameters)

@@ -170,18 +170,22 @@ def dead_channels(evidence: Evidence) -> Iterator[Finding]:
             dead = [axis for axis in dead if len(inputs) and np.ptp(inputs[:, axis]) > MOVED]
         if dead:
             names = ", ".join(f"{sensor}_{AXES[axis]}" for axis in dead)
-            yield fault.found(channel=names, value=float(table[0, dead[0]]), when="")
+            value = float(table[0, dead[0]]) * evidence.per_rate
+            yield fault.found(channel=names, value=value, what=_EQUAL.format(value=value, count=len(table), when=""))
         elif (part := _constant_part(evidence, sensor) or find(evidence)) is not None:
-            axis, first, last = part
-            yield fault.found(
-                channel=f"{sensor}_{AXES[axis]}",
-                value=float(np.median(table[first:last, axis])) * evidence.per_rate,
-                when=f" from {recording.time[first]:.6g} s to {recording.time[last - 1]:.6g} s",
-            )
+            axis, first, last, what = part
+            when = f" from {recording.time[first]:.6g} s to {recording.time[last - 1]:.6g} s"
+            what = what.format(when=when, count=last - first)
+            yield fault.found(channel=f"{sensor}_{AXES[axis]}", what=what)
 
 
-def _constant_part(evidence: Evidence, sensor: str) -> tuple[int, int, int] | None:
-    """Axis with one reading through a whole rotation, far longer than elsewhere, and its first and last sample."""
+_Part = tuple[int, int, int, str]
+"""Dead axis, first sample and one past the last, and what its readings show, with the fields ``when`` and ``count``."""
+_EQUAL: Final = "{value:.4g} in all {count} samples{when}, but noise or its input should change it"
+
+
+def _constant_part(evidence: Evidence, sensor: str) -> _Part | None:
+    """Axis with one reading through a whole rotation, far longer than elsewhere."""
     if evidence.manoeuvres is None or not evidence.noisy_channels.any():
         return None
     begin, end = evidence.manoeuvres.spans.T
@@ -192,12 +196,13 @@ def _constant_part(evidence: Evidence, sensor: str) -> tuple[int, int, int] | No
         k = int(np.argmax(runs))
         first, last = edges[k : k + 2].tolist()
         if np.any((begin >= first) & (end <= last)) and runs[k] > PULSES * np.delete(runs, k).max(initial=1):
-            return axis, first, last
+            value = float(evidence.columns[CHANNELS.index(f"{sensor}_{name}"), first]) * evidence.per_rate
+            return axis, first, last, _EQUAL.replace("{value:.4g}", f"{value:.4g}")
     return None
 
 
-def _dead_gyro(evidence: Evidence) -> tuple[int, int, int] | None:
-    """Axis of a gyro that misses successive rotations, and their first and last sample; None if there is none.
+def _dead_gyro(evidence: Evidence) -> _Part | None:
+    """Axis of a gyro that misses successive rotations; None if there is none.
 
     Exchanged or scaled axes read something wherever they miss something, and one of one polarity misses one sense.
     """
@@ -210,7 +215,12 @@ def _dead_gyro(evidence: Evidence) -> tuple[int, int, int] | None:
         senses = {*np.sign(missed[dead[:, axis], axis]), *-np.sign(read[alive[:, axis], axis])}
         within = alive[first:last, axis].any() or np.any(moved[:, axis] & ~alive[:, axis])
         if evidence.manoeuvres is not None and alive.any() and len(senses) > 1 and not within:
-            return axis, int(evidence.manoeuvres.spans[first, 0]), int(evidence.manoeuvres.spans[last, 1])
+            spans, (seen, turned) = evidence.manoeuvres.spans, (x[dead[:, axis], axis] for x in (read, missed))
+            what = (
+                f"at most {np.degrees(np.abs(seen).max()):.2g}° in each of {len(seen)} rotations{{when}}, but gravity "
+            )
+            what += f"turns by {np.degrees(np.abs(turned).min()):.3g}° or more about it"
+            return axis, int(spans[first, 0]), int(spans[last, 1]), what
     return None
 
 
@@ -222,7 +232,7 @@ def unread(missed: Array, read: Array) -> Mask:
     )
 
 
-def _dead_accel(evidence: Evidence) -> tuple[int, int, int] | None:
+def _dead_accel(evidence: Evidence) -> _Part | None:
     """Axis of an accelerometer whose reading stays as gravity moves on and off it, as the others show; or None."""
     turns, gravity = evidence.manoeuvres, evidence.recording.site.gravity_m_s2
     if turns is None or len(turns.spans) == 0:
@@ -248,9 +258,14 @@ def _dead_accel(evidence: Evidence) -> tuple[int, int, int] | None:
             and np.ptp(force[inside, axis]) < 2.0 * SAME
             and np.all(np.abs(reach[others] - 1.0) < SENSOR_ERROR)
         ):
-            found.append((axis, int(turns.spans[first // 2, 0]), int(turns.spans[(last - 1) // 2, 1]), one_polarity))
+            means, span = gravity * force[inside, axis], turns.spans[[first // 2, (last - 1) // 2]]
+            what = (
+                f"{means.min():.4g} to {means.max():.4g} m/s² in the mean of every window{{when}}, but the other axes "
+            )
+            what += f"show that gravity along it changes by {gravity * np.ptp(left[inside]):.3g} m/s²"
+            found.append((one_polarity, (axis, int(span[0, 0]), int(span[1, 1]), what)))
     # Gravity that one axis cuts off is missing while another axis is level, too.
-    return found[0][:3] if len(found) == 1 and not found[0][3] else None
+    return found[0][1] if len(found) == 1 and not found[0][0] else None
 
 
 CHANNEL_DEAD: Final = by_sensor(
@@ -258,8 +273,7 @@ CHANNEL_DEAD: Final = by_sensor(
     "[A gyro|An accelerometer] column does not change with its input",
     "range of every [gyro|accelerometer] column; successive [rotations of gravity that the gyro does not measure"
     "|windows with one reading, though the other two axes show gravity move onto the axis or off it]",
-    "Column {channel} reads {value:.4g} in all samples{when}, but noise or [rotation|gravity] should change it: connect"
-    " the sensor, or name the right column.",
+    "Column {channel} reads {what}: connect the sensor, or name the right column.",
     "exit 1",
     dead_channels,
 )

@@ -44,27 +44,37 @@ filter with a time constant of 1e4 s."""
 
 
 def high_passed(evidence: Evidence) -> Iterator[Finding]:
-    """Test the readings at rest for a decrease in proportion to their own time integral."""
+    """Test the readings at rest for a decrease in proportion to their own time integral.
+
+    Readings of the other triad that are cut at zero do not show rest. Accelerometers that read the magnitude of gravity
+    at the ends of the rests measure it, whatever decays.
+    """
     size, (gyro, accel), tiny = block_size(evidence.recording), evidence.block_means, np.finfo(float).tiny
     rounding = evidence.steps * evidence.per_rate / math.sqrt(12.0 * size)
-    for fault, own, other, least in (
-        (GYRO_HIGH_PASSED, gyro, accel, rounding[1]),
-        (GRAVITY_REMOVED, accel, gyro, rounding[0]),
+    gravity, (gyro_cut, accel_cut) = evidence.recording.site.gravity_m_s2, evidence.cut_at_zero.reshape(2, 3)
+    for fault, own, other, least, blind in (
+        (GYRO_HIGH_PASSED, gyro, accel, rounding[1], accel_cut),
+        (GRAVITY_REMOVED, accel, gyro, rounding[0], gyro_cut),
     ):
         rows = []
-        for first, last in _steady_runs(other, least, evidence.recording.gaps // size):
+        for first, last in () if blind.any() else _steady_runs(other, least, evidence.recording.gaps // size):
             y = own[first:last]
+            left = float(np.linalg.norm(y[-1]))
             x = size * evidence.dt * (np.cumsum(y, axis=0) - 0.5 * y)
             y, x = (values - values.mean(axis=0) for values in (y, x))
             power, square = np.vdot(y, y) + tiny, np.vdot(x, x) + tiny
             decay = -np.vdot(x, y) / square
-            rows.append((last - first, max(decay, 0.0) ** 2 * square / power, decay))
-        if rows:
-            length, share, decay = np.array(rows).T
-            follows = share > _EXPLAINED
-            typical = float(np.median(decay[follows])) if follows.any() else 0.0
-            if length[follows].sum() > _EXPLAINED * length.sum() and 1.0 / _LONGEST_S < typical < 1.0 / BLOCK_S:
-                yield fault.found(time_s=1.0 / typical)
+            rows.append((last - first, max(decay, 0.0) ** 2 * square / power, decay, left))
+        if not rows:
+            continue
+        length, share, decay, left = np.array(rows).T
+        follows = share > _EXPLAINED
+        typical = float(np.median(decay[follows])) if follows.any() else 0.0
+        if length[follows].sum() <= _EXPLAINED * length.sum() or not 1.0 / _LONGEST_S < typical < 1.0 / BLOCK_S:
+            continue
+        typical_left = float(np.median(left[follows]))
+        if fault is GYRO_HIGH_PASSED or abs(typical_left - gravity) > SENSOR_ERROR * gravity:
+            yield fault.found(time_s=1.0 / typical, left=typical_left)
 
 
 def _steady_runs(means: Array, least: Array, gaps: Indices) -> list[tuple[int, int]]:
@@ -96,8 +106,8 @@ GRAVITY_REMOVED: Final = Fault(
     "gravity_removed",
     "Gravity is removed from the accelerometer readings",
     "readings while the rate is steady: a decrease in proportion to their own time integral",
-    "The accelerometer readings decay to zero in the stationary windows, with a time constant of {time_s:.3g} s: the "
-    "unit outputs linear acceleration, without gravity; record the raw specific force.",
+    "The accelerometer readings decay in the stationary windows, with a time constant of {time_s:.3g} s, to {left:.3g} "
+    "m/s² at their ends: the unit outputs linear acceleration, without gravity; record the raw specific force.",
     "exit 1",
     high_passed,
 )

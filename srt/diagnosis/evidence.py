@@ -28,7 +28,7 @@ from srt.diagnosis.rotation_readings import (
     raw_integrals,
     turning_windows,
 )
-from srt.diagnosis.stationary_rates import earth_rate, stationary_rate_fit, stationary_rates
+from srt.diagnosis.stationary_rates import base_tilt, earth_rate, stationary_rate_fit, stationary_rates
 from srt.diagnosis.time_offsets import attitude_step, force_effects, lag, stabilised_force, time_offset
 from srt.diagnosis.triad_fits import (
     accel_fit,
@@ -67,6 +67,9 @@ if TYPE_CHECKING:
 
 SAMPLES: Final = 20_000
 """Number of samples that suffices for the tests of whole columns: more would only take longer."""
+MANY: Final = 20
+"""Fewest readings or values that exclude chance: of as many independent ones, all have one bit set with p = 1e-6, and
+none lies in a band where as many are expected with p = 2e-9."""
 _T = TypeVar("_T")
 
 
@@ -148,6 +151,12 @@ class Evidence:
     def zeros(self) -> Indices:
         """Number of zero readings of each channel, shape (6,)."""
         return np.asarray(np.count_nonzero(self.columns == 0.0, axis=1))
+
+    @cached_property
+    def cut_at_zero(self) -> Mask:
+        """True for each channel that reads zero often, and one of the signs never, shape (6,)."""
+        low, high = self.extremes
+        return np.asarray((self.zeros >= MANY) & (low * high == 0.0) & (low < high))
 
     @cached_property
     def some(self) -> tuple[Array, Array]:
@@ -298,8 +307,10 @@ class Evidence:
     """Stationary rates and the design matrix of their model."""
     stationary_rate_fit = _of(stationary_rate_fit, "stationary_rates", "recording")
     """Bias, drift, g-sensitivity and Earth rate of the stationary rates."""
-    earth_rate = _of(earth_rate, "stationary_rate_fit", "recording")
-    """Earth rate in the windows."""
+    base_tilt = _of(base_tilt, "data", "poses")
+    """Tilt of the base in the static poses."""
+    earth_rate = _of(earth_rate, "stationary_rate_fit", "recording", "base_tilt")
+    """Earth rate in the windows, in level axes."""
     turning_windows = _of(turning_windows, "data", "columns", "raw_integrals")
     """True for each window in which the unit rotates as in a manoeuvre, shape (W,): its label is wrong."""
 

@@ -122,6 +122,13 @@ def turning_blocks(recording: Recording, turns: ManoeuvreReadings, means: tuple[
     return TurningBlocks(step_s, turn, size * (i + 1), angle, 0.5 * (force[i] + force[i + 1]), force[i + 1] - force[i])
 
 
+_SCALE: Final = 0.2
+"""Largest difference from one of the rotation of gravity over that of the gyros below a limit: twice the scale-factor
+error of a working sensor. Where it is larger, the windows are no rests, or the axes are wrong."""
+_LARGEST_HALF: Final = 1.0
+"""Largest half angle of a block, rad: 20 rad/s, faster than any gyro reads; beyond, the unit of the rates is wrong."""
+
+
 class Limit(NamedTuple):
     """Limit below whose noise the readings of an axis stay, and the samples of blocks at the limit."""
 
@@ -149,22 +156,33 @@ def force_limit(turns: ManoeuvreReadings, blocks: TurningBlocks) -> Limit | None
 def rate_limit(blocks: TurningBlocks) -> Limit | None:
     """Limit of the rate: near the largest readings gravity rotates faster than the gyros read, but not at lower ones.
 
-    Statistic: difference of the two ratios over its standard deviation from the scatter. Distribution: normal.
+    It may be that of one axis, or of all. Statistic: difference of the two ratios over its standard deviation from the
+    scatter. Distribution: normal, four tests.
     """
-    size, expected = np.abs(blocks.angle).max(axis=1), cross(blocks.force, blocks.angle)
-    top = float(size.max(initial=0.0))
-    near, ratio, variance = size > (1.0 - _NEAR_TOP) * top, [], []
-    for part in (near, (size > 2.0 * _UPRIGHT * top) & (size < (1.0 - 2.0 * _NEAR_TOP) * top)):
-        power = float(np.sum(expected[part] ** 2))
-        if np.count_nonzero(part) < SECOND or power == 0.0:
-            return None
-        ratio.append(float(np.sum(expected[part] * blocks.change[part])) / power)
-        left = blocks.change[part] - ratio[-1] * expected[part]
-        variance.append(float(np.mean(left**2)) / power)
-    if ratio[0] - ratio[1] <= max(_NEAR_TOP * ratio[1], limit("normal") * math.sqrt(sum(variance))):
+    half = 0.5 * np.linalg.norm(blocks.angle, axis=1)
+    if half.max(initial=0.0) > _LARGEST_HALF:
         return None
-    axis = int(np.argmax(np.abs(blocks.angle).max(axis=0)))
-    return Limit(axis, top / blocks.step_s, blocks.at[near])
+    # Between the means of two blocks, the chord of a rotation is that of its arc times tan(x) / x.
+    arc = blocks.angle * (np.tan(half) / np.where(half > 0.0, half, 1.0))[:, None]
+    for axes in (np.ones(3), *np.eye(3)):
+        size, expected = np.abs(blocks.angle * axes).max(axis=1), cross(blocks.force, arc * axes)
+        change = blocks.change - cross(blocks.force, arc * (1.0 - axes))
+        top = float(size.max(initial=0.0))
+        near, ratio, variance = size > (1.0 - _NEAR_TOP) * top, [], []
+        for part in (near, (size > 2.0 * _UPRIGHT * top) & (size < (1.0 - 2.0 * _NEAR_TOP) * top)):
+            power = float(np.sum(expected[part] ** 2))
+            if np.count_nonzero(part) < SECOND or power == 0.0:
+                break
+            ratio.append(float(np.sum(expected[part] * change[part])) / power)
+            left = change[part] - ratio[-1] * expected[part]
+            variance.append(float(np.mean(left**2)) / power)
+        if len(ratio) < 2 or abs(ratio[1] - 1.0) > _SCALE:
+            continue
+        doubt = limit("normal", tests=4) * math.sqrt(sum(variance))
+        if ratio[0] - ratio[1] > max(_NEAR_TOP * ratio[1], doubt):
+            axis = int(np.argmax(np.abs(blocks.angle * axes).max(axis=0)))
+            return Limit(axis, top / blocks.step_s, blocks.at[near])
+    return None
 
 
 def missed_rotations(turns: ManoeuvreReadings | None, blocks: TurningBlocks | None) -> tuple[Array, Array]:

@@ -130,7 +130,7 @@ def scores(causes: Sequence[ScaleCause], gyro: ScaleRatios, accel: ScaleRatios, 
         clock = clock + np.expand_dims(on_clock * mean, 2 - axis)
         doubt = doubt + np.expand_dims(on_clock**2 * variance, 2 - axis)
     if earth is not None:
-        total = total + _earth_term(clock, doubt, *earth)
+        total = total + _earth_term(clock, doubt, *earth[:3])
     prior = np.log([cause.prior for cause in causes])
     return np.asarray(prior + np.logaddexp.reduce(np.logaddexp.reduce(total, axis=-1), axis=-1))
 

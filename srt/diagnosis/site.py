@@ -7,13 +7,16 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from srt.constants import DEG, DEG_PER_H, EARTH_RATE_RAD_S, normal_gravity_m_s2
+from srt.diagnosis.cause_comparison import Cause, with_known_noise
 from srt.diagnosis.evidence import SAMPLES
 from srt.diagnosis.false_alarms import limit
-from srt.diagnosis.findings import Fault, Finding
+from srt.diagnosis.findings import Fault, Finding, with_runner_up
+from srt.sequences.plausibility import LEGAL_RATIO
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from srt.diagnosis.cause_comparison import Explanation
     from srt.diagnosis.evidence import Evidence
     from srt.types import Array
 
@@ -66,66 +69,95 @@ def _gravity_range(latitude_rad: float) -> tuple[float, float]:
 def earth_rate(evidence: Evidence) -> Iterator[Finding]:
     """Test the stated latitude and heading against the Earth rate in the stationary windows.
 
-    The tests are likelihood-ratio tests. The stated latitude is wrong if the best latitude explains the vertical
-    component and the horizontal magnitude significantly better. The stated heading is wrong if the direction of the
-    horizontal component differs significantly. If an Earth rate of zero explains the readings significantly better than
-    any latitude, the unit removes the Earth rate.
+    The Earth rate is referred to the vertical that the accelerometers show, so that a tilt of the table explains
+    nothing else. The causes compete by likelihood: the rate as stated, none at all (a unit that removes it), another
+    latitude, another heading, both if one alone leaves a significant deviation, or a factor on all readings, as by a
+    wrong sample rate.
 
-    Statistic: difference of the squared deviations of the components over their variances. Distribution: F, with one
-    degree of freedom and those of the stationary rates.
+    Statistic: decrease of the squared deviations over their variances by the most likely cause. Distribution: F, with
+    one degree of freedom and those of the stationary rates.
     """
-    site, fixture = evidence.recording.site, evidence.recording.fixture
-    fit, earth = evidence.stationary_rate_fit, evidence.earth_rate
-    if site.latitude_rad is None or fixture is None or fit is None or earth is None:
+    fit, causes = evidence.stationary_rate_fit, _causes(evidence)
+    if fit is None or not causes:
         return
     largest = float(limit("F", 1, fit.freedom))
-
-    def misfit(latitude_rad: Array) -> Array:
-        true = EARTH_RATE_RAD_S * np.stack([-np.sin(latitude_rad), np.cos(latitude_rad)], axis=-1)
-        return np.asarray(np.sum(((earth.found - true) / earth.sigma) ** 2, axis=-1))
-
-    by_latitude = misfit(_LATITUDES)
-    best = int(np.argmin(by_latitude))
-    if float(by_latitude[best] - np.sum((earth.found / earth.sigma) ** 2)) > largest:
-        yield EARTH_RATE_ABSENT.found(
-            found=float(np.hypot(*earth.found) / DEG_PER_H),
-            sigma=float(np.hypot(*earth.sigma) / DEG_PER_H),
-            expected=float(EARTH_RATE_RAD_S / DEG_PER_H),
-        )
+    single = [explanation for explanation in causes if len(explanation.cause.details) < 2]
+    least = min(explanation.square for explanation in single) - largest
+    causes = single + [both for both in causes if both not in single and both.square < least]
+    ranked = sorted(causes, key=lambda explanation: -round(explanation.score, 6))
+    best, faults = ranked[0], ranked[0].cause.details
+    if causes[0].square - best.square <= largest:
         return
-    latitude = site.latitude_rad
-    # A wrong sample rate is a factor on the Earth rate; a latitude keeps its magnitude.
-    found, true = earth.found / earth.sigma, earth.true / earth.sigma
-    by_factor = float(found @ found - (true @ found) ** 2 / (true @ true))
-    if by_factor >= by_latitude[best] - largest and float(misfit(np.array(latitude)) - by_latitude[best]) > largest:
-        near = np.flatnonzero(by_latitude <= by_latitude[best] + 1.0)
-        step = float(_LATITUDES[1] - _LATITUDES[0])
-        yield LATITUDE.found(
-            found=float(_LATITUDES[best] / DEG),
-            sigma=max(0.5 * float(np.ptp(near)), 1.0) * step / DEG,
-            stated=float(latitude / DEG),
-        )
-        latitude = float(_LATITUDES[best])
-    if fixture.heading_rad is None or fit.horizontal is None:
-        return
+    for fault in (EARTH_RATE_ABSENT, LATITUDE, NORTH):
+        if fault.name in faults:
+            finding = fault.found(**faults[fault.name])
+            yield with_runner_up(finding, ranked) if fault.name == best.cause.fault else finding
+
+
+def _causes(evidence: Evidence) -> list[Explanation]:
+    """Explanations of the Earth rate, the one as stated first; empty if it is not observable.
+
+    Their details are those of the faults, by name.
+    """
+    site, fixture, earth = evidence.recording.site, evidence.recording.fixture, evidence.earth_rate
+    if site.latitude_rad is None or fixture is None or earth is None:
+        return []
+    known, sigma, (x, y) = fixture.heading_rad is not None, earth.sigma[[0, 1, 1]], earth.horizontal.tolist()
     # In base axes, the azimuth of north is minus the heading.
-    x, y = fit.horizontal.tolist()
-    off = float(np.angle(np.exp(1j * (np.arctan2(-y, x) - fixture.heading_rad))))
-    size, sigma = float(earth.found[1]), float(earth.sigma[1])
-    level = EARTH_RATE_RAD_S * float(np.cos(latitude))
-    if 2.0 * size * level * (1.0 - np.cos(off)) / sigma**2 > largest:
-        yield NORTH.found(
-            found=float((fixture.heading_rad + off) / DEG),
-            sigma=float(min(sigma / size, np.pi) / DEG),
-            stated=float(fixture.heading_rad / DEG),
-        )
+    off = float(np.angle(np.exp(1j * (np.arctan2(-y, x) - (fixture.heading_rad or 0.0)))))
+
+    def rate(latitude_rad: Array | float, off_rad: float) -> Array:
+        """Downward component, and those of the horizontal one along and across the direction found."""
+        level = EARTH_RATE_RAD_S * np.cos(latitude_rad)
+        parts = [-EARTH_RATE_RAD_S * np.sin(latitude_rad), level * np.cos(off_rad), level * np.sin(off_rad)]
+        return np.stack(parts, axis=-1) / sigma
+
+    seen = np.append(earth.found, 0.0) / sigma
+    turned = off if known else 0.0  # an unknown heading is that found
+    true = rate(site.latitude_rad, turned)
+
+    def explained(square: Array | float, parameters: int, **faults: dict[str, float]) -> Explanation:
+        name = next(iter(faults), "")
+        cause = Cause(name, np.zeros((3, 0)), faults)
+        return with_known_noise(cause, float(square), parameters, 2 + known)
+
+    def by_latitude(off_rad: float) -> tuple[float, dict[str, float]]:
+        squares = np.sum((seen - rate(_LATITUDES, off_rad)) ** 2, axis=-1)
+        best, step = int(np.argmin(squares)), float(_LATITUDES[1] - _LATITUDES[0])
+        near = np.flatnonzero(squares <= squares[best] + 1.0)
+        at = {"found": float(_LATITUDES[best] / DEG), "sigma": max(0.5 * float(np.ptp(near)), 1.0) * step / DEG}
+        return float(squares[best]), at | {"stated": float(site.latitude_rad or 0.0) / DEG}
+
+    absent = {
+        "found": float(np.hypot(*earth.found) / DEG_PER_H),
+        "sigma": float(np.hypot(*earth.sigma) / DEG_PER_H),
+        "expected": float(EARTH_RATE_RAD_S / DEG_PER_H),
+    }
+    square, latitude = by_latitude(turned)
+    factor = np.clip((true @ seen) / (true @ true), *LEGAL_RATIO["gyro"])
+    out = [
+        explained(np.sum((seen - true) ** 2), 0),
+        explained(seen @ seen, 0, earth_rate_absent=absent),
+        explained(np.sum((seen - factor * true) ** 2), 1),
+        explained(square, 1, latitude=latitude),
+    ]
+    if known:
+        stated = fixture.heading_rad or 0.0
+        north = {
+            "found": float((stated + off) / DEG),
+            "sigma": float(min(sigma[1] / max(float(earth.found[1]), 1e-300), np.pi) / DEG),
+            "stated": float(stated / DEG),
+        }
+        square, latitude = by_latitude(0.0)
+        out.append(explained(np.sum((seen - rate(site.latitude_rad, 0.0)) ** 2), 1, north=north))
+        out.append(explained(square, 2, latitude=latitude, north=north))
+    return out
 
 
 EARTH_RATE_ABSENT: Final = Fault(
     "earth_rate_absent",
     "The gyros do not sense the Earth rate",
-    "vertical component and horizontal magnitude of the Earth rate, from the stationary windows: zero fits better than"
-    " any latitude",
+    "Earth rate in the stationary windows: zero is more likely than any latitude and heading",
     "The gyros measure an Earth rate of {found:.3g} ± {sigma:.2g} °/h at rest, but {expected:.3g} °/h is expected at "
     "any latitude: the unit removes the Earth rate (auto-zero, or a dead band); record raw readings.",
     "warning",
@@ -134,7 +166,8 @@ EARTH_RATE_ABSENT: Final = Fault(
 LATITUDE: Final = Fault(
     "latitude",
     "The Earth rate is inconsistent with the latitude",
-    "vertical component and horizontal magnitude of the Earth rate, from the stationary windows",
+    "Earth rate in the stationary windows, about the vertical of the accelerometers: another latitude is more likely "
+    "than the stated one, than none, and than another heading or a factor on all readings",
     "The gyros measure the Earth rate of {found:.3g}° ± {sigma:.2g}° latitude, but {stated:.4g}° is stated: correct "
     "latitude_deg (north is positive).",
     "warning",
@@ -143,7 +176,8 @@ LATITUDE: Final = Fault(
 NORTH: Final = Fault(
     "north",
     "The Earth rate is inconsistent with the heading",
-    "direction of the horizontal component of the Earth rate, from the stationary windows",
+    "Earth rate in the stationary windows, about the vertical of the accelerometers: another heading is more likely "
+    "than the stated one, than none, and than another latitude or a factor on all readings",
     "According to the Earth rate, the heading of the table's x axis is {found:.4g}° ± {sigma:.2g}°, but {stated:.4g}° "
     "is stated: correct heading_deg (clockwise is positive).",
     "warning",

@@ -8,12 +8,14 @@ from typing import TYPE_CHECKING
 from srt.arguments import require_type
 from srt.diagnosis.evidence import Evidence, plain
 from srt.diagnosis.faults import STAGES, sort_by_cause
+from srt.diagnosis.fitness import fitness
 from srt.diagnosis.units import refuted
 from srt.recording.recording import Recording
 from srt.result.diagnostics import Fault
 
 if TYPE_CHECKING:
     from srt.diagnosis.findings import Finding
+    from srt.diagnosis.fitness import Fitness
     from srt.estimation.options import Options
     from srt.result.calibration import Calibration
     from srt.result.verdict import Verdict
@@ -75,6 +77,11 @@ class StagedDiagnosis:
             if self._refused:
                 break
         return Diagnosis(sort_by_cause(self._findings))
+
+    def fitness(self, estimator: str = "auto") -> Fitness:
+        """Fitness of the recording for a calibration by an estimator; after :meth:`before_calibration`."""
+        refusal = Diagnosis(sort_by_cause(self._findings)).refusal
+        return fitness(self.evidence, refusal, estimator)
 
     def with_calibration(self, result: Calibration | None = None) -> Diagnosis:
         """Run the checks that need a calibration of this recording with these options; None computes one."""

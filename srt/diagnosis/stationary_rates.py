@@ -24,6 +24,7 @@ from srt.constants import EARTH_RATE_RAD_S
 from srt.diagnosis.false_alarms import limit
 from srt.diagnosis.triad_fits import LEAST_FREEDOM, MOST_OUTLIERS, OUTLIER
 from srt.estimation.error_sources import raw_rate_variance
+from srt.model.rotations import smallest_rotation
 from srt.noise.bias_instability import flicker_covariance
 from srt.sequences.manoeuvres import end_attitude
 from srt.sequences.preparation import nominal_attitude
@@ -85,12 +86,7 @@ def stationary_rates(data: PreparedRecording, gyro: LinearFit) -> StationaryRate
     # Base axes x and y, and the downward vertical, in uncompensated sensor axes.
     level, down = np.zeros((len(rate), 3, 0)), -force / np.maximum(size, 1e-300)
     if known:
-        axes = np.empty((W, 3, 3))  # base axes in table-mounted axes (C_T,base transposed) at each window
-        for k, sequence in enumerate(data.catalogue):
-            assert sequence is not None
-            axes[data.start[k]] = nominal_attitude(sequence)
-            axes[data.end[k]] = axes[data.start[k]] @ end_attitude(sequence)
-        turned = np.swapaxes(axes[chosen] @ gyro.matrix.T, 1, 2)
+        turned = np.swapaxes(_base_axes(data)[chosen] @ gyro.matrix.T, 1, 2)
         level, down = turned[:, :, :2], turned[:, :, 2]
     unit = np.tile(np.eye(3), (len(rate), 1, 1))
     drift = unit * ((middle - 0.5 * (middle.max() + middle.min())) / span)[:, None, None]
@@ -105,6 +101,40 @@ def stationary_rates(data: PreparedRecording, gyro: LinearFit) -> StationaryRate
     white = raw_rate_variance(data.noise, end - start).T + (doubt * EARTH_RATE_RAD_S) ** 2
     covariance = (recording.noise.gyro_bias_instability or 0.0) ** 2 * flicker + white[:, :, None] * np.eye(len(rate))
     return StationaryRates(chosen, start, end, rate, drift, X, np.asarray(covariance), flicker)
+
+
+def _base_axes(data: PreparedRecording) -> Array:
+    """Base axes in table-mounted axes at each window, as labelled (C_T,base transposed), shape (W, 3, 3)."""
+    axes = np.empty((len(data.windows.duration_s), 3, 3))
+    for k, sequence in enumerate(data.catalogue):
+        assert sequence is not None
+        axes[data.start[k]] = nominal_attitude(sequence)
+        axes[data.end[k]] = axes[data.start[k]] @ end_attitude(sequence)
+    return axes
+
+
+def base_tilt(data: PreparedRecording, poses: tuple[Array, Array]) -> Array:
+    """Components x and y of the true downward vertical in base axes, from the static poses, shape (2,); else zero.
+
+    The specific force of a pose is ``M n + b``, with its nominal value n. A tilt of the base is constant in base axes,
+    so that it turns with the poses in table axes; the matrix M, which includes the mounting, does not.
+    """
+    nominal, reading = poses
+    if not len(nominal) or any(sequence is None for sequence in data.catalogue):
+        return np.zeros(2)
+    axes = _base_axes(data)[np.stack([data.start, data.end], axis=1).ravel()]
+    unit = np.tile(np.eye(3), (len(nominal), 1, 1))
+    by_matrix = np.einsum("wij,wk->wijk", unit, nominal).reshape(len(nominal), 3, 9)
+    design = np.concatenate([by_matrix, unit, -data.gravity * np.swapaxes(axes[:, :2], 1, 2)], axis=2)
+    kept = np.ones(len(nominal), dtype=np.bool_)
+    for _ in range(2):  # the second time without the poses that the others contradict
+        A, y = design[kept].reshape(-1, design.shape[2]), reading[kept].ravel()
+        if np.linalg.matrix_rank(A, tol=_RANK * np.linalg.norm(A, axis=0).max()) < A.shape[1]:
+            return np.zeros(2)
+        solution = np.linalg.lstsq(A, y, rcond=None)[0]
+        left = np.linalg.norm(reading - design @ solution, axis=1)
+        kept = left <= max(OUTLIER * float(np.median(left)), np.finfo(float).eps * data.gravity)
+    return np.asarray(solution[-2:])
 
 
 def whitened(covariance: Array, table: Array) -> Array:
@@ -172,14 +202,15 @@ def _solve(rate: Array, columns: Array, covariance: Array) -> tuple[Array, Array
 
 
 class EarthRate(NamedTuple):
-    """Vertical and horizontal Earth rate, (2,) each, rad/s."""
+    """Earth rate about the true vertical: downward component and horizontal magnitude, (2,) each, rad/s."""
 
     found: Array
     sigma: Array
     true: Array  # at the stated latitude
+    horizontal: Array  # components along the level axes next to base x and y, (2,); each has the sigma of the magnitude
 
 
-def earth_rate(fit: StationaryRateFit, recording: Recording) -> EarthRate | None:
+def earth_rate(fit: StationaryRateFit, recording: Recording, tilt: Array) -> EarthRate | None:
     """Earth rate from the stationary rates; None if it is not observable.
 
     The sigmas include those of the alignment and, of the vertical component, the unknown trace of the g-sensitivity,
@@ -194,5 +225,7 @@ def earth_rate(fit: StationaryRateFit, recording: Recording) -> EarthRate | None
     sigma = np.array([fit.vertical_sigma, fit.horizontal_sigma])
     align = EARTH_RATE_RAD_S * fixture.alignment_sigma_rad
     true = EARTH_RATE_RAD_S * np.array([-np.sin(site.latitude_rad), np.cos(site.latitude_rad)])
-    found = np.array([fit.vertical, float(np.hypot(*fit.horizontal))])
-    return EarthRate(found, np.sqrt(sigma**2 + factor**2 * hidden + align**2), true)
+    down = np.array([*tilt, 1.0]) / np.sqrt(1.0 + tilt @ tilt)
+    x, y, z = smallest_rotation(down, np.array([0.0, 0.0, 1.0])) @ [*fit.horizontal, fit.vertical]
+    found = np.array([z, np.hypot(x, y)])
+    return EarthRate(found, np.sqrt(sigma**2 + factor**2 * hidden + align**2), true, np.array([x, y]))

@@ -10,6 +10,7 @@ import numpy as np
 
 from srt.diagnosis.false_alarms import limit
 from srt.diagnosis.findings import Fault
+from srt.diagnosis.fitness import at_rest
 from srt.diagnosis.scale_causes import TIME_UNITS, USUAL_S
 from srt.diagnosis.units import scale_findings
 from srt.recording.timing import ROUNDING_FRACTION
@@ -30,7 +31,7 @@ _SAME_UNIT: Final = math.log(2.0)
 """Largest logarithm of the ratio of rotation angles with the declared unit of time: others differ by 60 or more."""
 _SLOW: Final = (
     "The samples are {interval:.3g} s apart, but at most {longest:g} s is expected, and no rotation shows another time "
-    "unit: record at 10 Hz or more; if the stamps are in another unit, correct time_unit in recording.toml."
+    "unit{rest}: record at 10 Hz or more; if the stamps are in another unit, correct time_unit in recording.toml."
 )
 _BURSTS: Final = 0.05
 """Share of long steps above which these are not gaps, but pauses between bursts of samples."""
@@ -45,7 +46,10 @@ def time_unit(evidence: Evidence) -> Iterator[Finding]:
     scales = evidence.gyro_scales if evidence.recording.kind == "rate" else evidence.accel_scales
     # Without rotation angles, or where they agree with the stamps, nothing shows a wrong unit: the log is slow.
     if interval > LONGEST_INTERVAL_S and not (scales.known and abs(math.log(scales.typical)) > _SAME_UNIT):
-        yield replace(TIME_UNIT, message=_SLOW).found(interval=interval, longest=LONGEST_INTERVAL_S)
+        rest = at_rest(evidence)
+        rest = "" if rest is None else f" ({rest}, which shows no scale factor at any rate)"
+        slow = replace(TIME_UNIT, title="The log is too slow to follow a rotation", message=_SLOW)
+        yield slow.found(interval=interval, longest=LONGEST_INTERVAL_S, rest=rest)
         return
     _, unit, declared = _unit(evidence)
     why = f"but {SHORTEST_INTERVAL_S:g} to {LONGEST_INTERVAL_S:g} s is expected"

@@ -225,11 +225,15 @@ SCALES: Final = {
 
 
 def clipping(evidence: Evidence) -> Iterator[Finding]:
-    """Find readings at the stated range, or runs of the same extreme reading that noise does not explain."""
+    """Find readings at the stated range, runs of the same extreme reading, or rates limited below noise."""
     clipped = evidence.clipped_parts
     for sensor in ("gyro", "accel"):
         mine = [(k, part) for k, parts in clipped for part in parts if part.channel.startswith(sensor)]
         if not mine:
+            limited = _limited(evidence, "gyro") if sensor == "gyro" else None
+            # As the cause of wrong scales it is told there.
+            if limited is not None and not _ONE_FACTOR.intersection(evidence.once(_cause_of_readings)[0].faults):
+                yield limited
             continue
         k, first = mine[0]
         at = int(np.searchsorted(evidence.recording.time, first.first_s))

@@ -10,6 +10,7 @@ from scipy.special import ndtr
 
 from srt.constants import MICRO_G
 from srt.diagnosis.channels import MOVED, unread
+from srt.diagnosis.evidence import MANY
 from srt.diagnosis.false_alarms import limit
 from srt.diagnosis.findings import Fault, by_sensor
 from srt.diagnosis.rotation_readings import ROUNDING
@@ -24,9 +25,6 @@ if TYPE_CHECKING:
     from srt.diagnosis.findings import Finding
     from srt.types import Array, Indices
 
-_MANY: Final = 20
-"""Fewest readings or values that exclude chance: of as many independent ones, all have one bit set with p = 1e-6, and
-none lies in a band where as many are expected with p = 2e-9."""
 _WHOLE: Final = 1e-3
 """Largest distance of a reading from a multiple of the step, in steps: rounding leaves less."""
 
@@ -67,13 +65,13 @@ def words_of_one_polarity(evidence: Evidence) -> Iterator[Finding]:
     missed, read = evidence.missed_rotations
     turned = np.concatenate([turned, np.where(unread(missed, read), missed, read)])
     both = np.concatenate([np.any(x > MOVED, axis=0) & np.any(x < -MOVED, axis=0) for x in (turned, poses)])
-    often = evidence.zeros >= _MANY
+    often = evidence.zeros >= MANY
     alone = evidence.noisy_channels.any() & (often.reshape(2, 3).sum(axis=1) == 1).repeat(3)
-    for c in np.flatnonzero(often).tolist():
-        channel, column, (low, high) = CHANNELS[c], evidence.columns[c], (float(x[c]) for x in evidence.extremes)
+    for c in np.flatnonzero(evidence.cut_at_zero).tolist():
+        channel, column, low = CHANNELS[c], evidence.columns[c], float(evidence.extremes[0][c])
         sensor = channel[:-2]
         # Signed words that are read as unsigned ones have no negative values either.
-        if sensor in evidence.wrapped_readings or low * high != 0.0 or low == high:
+        if sensor in evidence.wrapped_readings:
             continue
         size = np.abs(column[column != 0.0])
         if both[c] or (alone[c] and not _on_grid(size, float(size.min()))):
@@ -137,7 +135,7 @@ def _stuck_bit(counts: Array) -> int | None:
         return None
     # Readings that pass through all values of the lower bits, as in rotations, pass through those without the bit, too.
     values, sixteenths = len(np.unique(whole >> bit)), len(np.unique((whole & ((1 << bit) - 1)) * 16 >> bit))
-    return bit if values >= _MANY or (values > 2 and sixteenths == 16) else None
+    return bit if values >= MANY or (values > 2 and sixteenths == 16) else None
 
 
 _NEAR_BAND: Final = 10.0
@@ -156,7 +154,7 @@ def dead_bands(evidence: Evidence) -> Iterator[Finding]:
             continue
         pulse = (noise.gyro_quantization if gyro else noise.accel_quantization) or 0.0
         zeros = evidence.zeros.reshape(2, 3)[0 if gyro else 1]
-        for axis in np.flatnonzero((zeros >= _MANY // 2) & (zeros < len(table))).tolist():
+        for axis in np.flatnonzero((zeros >= MANY // 2) & (zeros < len(table))).tolist():
             size = np.abs(table[table[:, axis] != 0.0, axis])
             threshold = float(size.min())
             near = size[size < _NEAR_BAND * threshold]
@@ -169,7 +167,7 @@ def dead_bands(evidence: Evidence) -> Iterator[Finding]:
                 near_zero = np.median(np.append(shown, 0.0)) < _NEAR_BAND * threshold
                 resting = bool(np.median(at_rest) == 0.0 and (near_zero or len(np.unique(shown)) > 0.5 * len(shown)))
             # If most readings are multiples of the threshold, it is the quantization step.
-            if not (resting or np.count_nonzero(near < 2.0 * threshold) >= _MANY) or _on_grid(size, threshold):
+            if not (resting or np.count_nonzero(near < 2.0 * threshold) >= MANY) or _on_grid(size, threshold):
                 continue
             values, counts = np.unique(near, return_counts=True)
             common = float(values[np.argmax(counts > 0.5 * counts.max())])

@@ -24,6 +24,8 @@ from srt.sensor_errors import (
 from srt.sequences.manoeuvres import end_attitude
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from srt.estimation.options import Options
     from srt.recording.recording import Recording
     from srt.sequences.preparation import PreparedRecording
@@ -221,8 +223,13 @@ def _about_vertical(data: PreparedRecording) -> bool:
 
 def reason_not_observed(name: str) -> str:
     """Reason text of a parameter that the data do not show, with what to add to the test."""
-    group = next(group for group in _REMEDIES if name.startswith(group))
-    return f"not distinguishable from the other parameters by this recording: add {_REMEDIES[group]}"
+    return f"not distinguishable from the other parameters by this recording: add {remedies([name])}"
+
+
+def remedies(names: Iterable[str]) -> str:
+    """Motion to add to a test that makes parameters observable."""
+    groups = [next(group for group in _REMEDIES if name.startswith(group)) for name in names]
+    return "; ".join(dict.fromkeys(_REMEDIES[group] for group in groups))
 
 
 def value_of_fixed(name: str, sigma: Array, data: PreparedRecording, options: Options) -> str:

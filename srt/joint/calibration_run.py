@@ -20,7 +20,8 @@ from srt.estimation.fixed_parameters import (
     seen_by_earth_rate_alone,
 )
 from srt.estimation.iterations import Iterations
-from srt.estimation.observability import observed_limit
+from srt.estimation.observability import default_prior, finest_sigma, observed_limit
+from srt.joint.block_solution import BlockSolution
 from srt.joint.initial_attitudes import placed
 from srt.joint.iteration import iterate, observable_parameters
 from srt.joint.linearisation import linearise
@@ -221,10 +222,17 @@ def _not_shown_by_poses(joint: JointModel) -> dict[str, str]:
     if not by_earth_rate:
         return {}
     wanted = np.array([name not in by_earth_rate and name not in joint.options.fixed_names for name in NAMES])
-    system = linearise(joint, *placed(joint, joint.start), wanted)
-    observable = observable_parameters(system, ~wanted)
+    observable = observable_parameters(linearise(joint, *placed(joint, joint.start), wanted), ~wanted)
     others = [name for name, lost in zip(NAMES, wanted & ~observable, strict=True) if lost]
     return by_earth_rate | {name: reason_not_observed(name) for name in others}
+
+
+def observable_at_start(joint: JointModel, wanted: Mask) -> Mask:
+    """Mask of those of the wanted parameters that are observed by the sigmas of the initial estimate, shape (27,)."""
+    start = placed(joint, joint.start)
+    observable = observable_parameters(linearise(joint, *start, wanted), ~wanted)
+    covariance = BlockSolution(linearise(joint, *start, wanted, default_prior())).covariance
+    return observable & (np.sqrt(np.diag(covariance)) <= observed_limit(joint.admission, finest_sigma(covariance)))
 
 
 def _with_sound_moves(

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from srt.constants import DEG, DEG_PER_H, STANDARD_GRAVITY_M_S2
-from srt.diagnosis import diagnose
 from srt.diagnosis.faults import FAULTS
+from srt.diagnosis.staged_diagnosis import StagedDiagnosis
 from srt.exceptions import DataError, MissingExtraError
 from srt.model.rotations import from_rotation_vector, prefix_product, rotation_vector, to_matrix
 from srt.model.table1 import AXES
@@ -28,11 +28,13 @@ from srt.result.document import to_document
 from srt.sequences.plausibility import check_interval
 from srt.sequences.recognition import recognise
 from srt.sequences.rest_detection import longest_rest
+from srt.sequences.stationary_windows import MIN_TURN_RAD
 
 if TYPE_CHECKING:
     from os import PathLike
 
     from srt.diagnosis import Diagnosis
+    from srt.diagnosis.fitness import Fitness
     from srt.noise.allan import AllanDeviation
     from srt.sequences.recognition import RecognisedManoeuvre, Recognition
     from srt.types import Array, Indices
@@ -80,7 +82,11 @@ def inspect(source: Any, *, deep: bool = False, **stated: Any) -> Inspection:
         windows = np.array([] if rest is None else [rest], dtype=np.intp).reshape(-1, 2)
     if recognition is not None and recording.fixture is None:
         if recognition.by_chance:
-            summary = f"{len(turns)} free rotations between {len(windows)} stationary windows; no fixture is stated."
+            # A drift of the biases, or a knock, parts windows without a rotation.
+            count = sum(
+                any(abs(leg.angle_deg) * DEG >= MIN_TURN_RAD for leg in (turn.net, *turn.legs)) for turn in turns
+            )
+            summary = f"{count} free rotations between {len(windows)} stationary windows; no fixture is stated."
             turns = tuple(replace(turn, sequence=None, confidence=0.0, reason="") for turn in turns)
         else:
             summary += (
@@ -88,7 +94,10 @@ def inspect(source: Any, *, deep: bool = False, **stated: Any) -> Inspection:
                 "was used."
             )
     noise, allan = _noise(recording, windows)
+    staged = StagedDiagnosis(recording, recognition=recognition)
+    diagnosis = staged.before_calibration()
     return Inspection(
+        fitness=staged.fitness(),
         kind=recording.kind,
         units=declared_units(recording.source) if recording.source else {},
         serial=recording.serial,
@@ -99,7 +108,7 @@ def inspect(source: Any, *, deep: bool = False, **stated: Any) -> Inspection:
         turns=turns,
         summary=summary,
         temperature=_temperature(recording),
-        diagnosis=diagnose(recording, calibrating=deep, recognition=recognition),
+        diagnosis=staged.with_calibration() if deep else diagnosis,
         calibrated=deep,
         hidden_gyro_step_rad_s=hidden_gyro_step(recording, windows) if len(windows) else 0.0,
     )
@@ -359,12 +368,14 @@ class TemperatureSummary:
 class Inspection(Presented):
     """Content of ``srt inspect``.
 
-    ``units`` are the declared units of ``gyro``, ``accel`` and ``time``, empty if unknown; ``stillness`` is None if no
-    stationary window was found; ``summary`` is the result of the recognition in one sentence. ``calibrated`` is True if
-    the checks that need a calibration were run. ``hidden_gyro_step_rad_s`` is the step to which rates were rounded
-    before they were corrected, 0 if the noise averages it out.
+    ``fitness`` is judged before any calibration. ``units`` are the declared units of ``gyro``, ``accel`` and ``time``,
+    empty if unknown; ``stillness`` is None if no stationary window was found; ``summary`` is the result of the
+    recognition in one sentence. ``calibrated`` is True if the checks that need a calibration were run.
+    ``hidden_gyro_step_rad_s`` is the step to which rates were rounded before they were corrected, 0 if the noise
+    averages it out.
     """
 
+    fitness: Fitness
     kind: str
     units: dict[str, str]
     serial: str | None
@@ -390,6 +401,7 @@ class Inspection(Presented):
         return {
             "format": FORMAT,
             "version": VERSION,
+            "fit": {"word": self.fitness.word, "reason": self.fitness.reason},
             "kind": self.kind,
             "units": self.units,
             "serial": self.serial,

@@ -305,8 +305,9 @@ def undisturbed_rest(recording: Recording) -> tuple[int, int]:
     Raises
     ------
     DataError
-        A recording without a stationary window.
+        An implausible sampling interval, or a recording without a stationary window.
     """
+    check_interval(recording)
     rest = longest_rest(recording)
     pieces = [] if rest is None else undisturbed(recording, *rest)
     if not pieces:

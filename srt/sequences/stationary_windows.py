@@ -389,7 +389,7 @@ def find_turns(recording: Recording) -> tuple[SequenceLabel, ...]:
     )
     if not labels:
         raise DataError(
-            f"{len(kept)} stationary windows were found, but no turn between two of them: the unit was not rotated. "
+            f"No turn was found between two stationary windows ({len(kept)} in all): the unit was not rotated. "
             "Poses alone show the accelerometers: label them, or name the protocol of the test."
         )
     return labels

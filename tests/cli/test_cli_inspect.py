@@ -69,7 +69,8 @@ def test_the_table_says_what_the_recording_is(folder, shell):
     assert err == ""
     lines = out.splitlines()
     assert max(map(len, lines)) <= 80
-    assert "serial T-7" in lines[0]
+    assert lines[0] == "Fit to calibrate: yes"
+    assert "serial T-7" in lines[1]
     for words in ("100 Hz, evenly spaced", "gyros deg/s, accelerometers g, time s", "34 windows", "16, the longest"):
         assert words in out
     rows = [line.split() for line in lines if "%" in line and "°" in line]

@@ -240,7 +240,9 @@ def test_files_of_which_nothing_is_measured_are_not_written(tmp_path, shell):
     np.savetxt(tmp_path / "log.csv", np.column_stack([time, gyro, accel]), delimiter=",")
     columns = ["--columns", "time,gyro,accel", "--gyro-unit", "rad/s", "--accel-unit", "m/s^2", "--time-unit", "s"]
     targets = ["--to", "kalibr", "--to", "openvins", "--to", "pyins"]
-    _, err = shell("calibrate", tmp_path / "log.csv", "-o", tmp_path / "out", "-q", *targets, *columns, *STATED[-4:])
+    given = [tmp_path / "log.csv", "-o", tmp_path / "out", "-q", *targets, *columns, *STATED[-4:]]
+    assert "Fit to calibrate: no (in the 2 stationary windows" in shell("calibrate", *given, code=1).err
+    _, err = shell("calibrate", *given, "--force", "--overwrite")
     assert "kalibr, openvins were not written: the log is too short or has too few turns" in err
     assert "record 20 to 30 turns between rests" in err
     assert not list((tmp_path / "out").glob("*.yaml"))

@@ -7,6 +7,7 @@ from functools import cache
 import injected_faults.site_and_drift  # noqa: F401 - registers its injections
 import numpy as np
 import pytest
+from accuracy_trials import fixture_errors
 from diagnosing import WithoutRecognition, case_of, findings_of_stage
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -62,6 +63,50 @@ def test_wrong_latitude_and_heading_are_both_named():
         fixture=replace(recording.fixture, heading_rad=90.0 * DEG),
     )
     assert [f.fault for f in findings(recording)] == ["latitude", "north"]
+
+
+def unit_on_a_table(tilt_rad, latitude_rad=LATITUDE_RAD):
+    """A unit with white noise of 0.01 °/√h and 20 µg/√Hz on a table that leans, which states 1 mrad, at 45°."""
+    rng = np.random.default_rng((SEED, 7))
+    draw = fixture_errors(rng, 1e-3)
+    motion = sims.table1_motion(
+        site=Site(normal_gravity_m_s2(LATITUDE_RAD, 0.0), latitude_rad=LATITUDE_RAD),
+        sample_rate_hz=50.0,
+        fixture_draw=replace(draw, base=np.array([*tilt_rad, 0.0])),
+        stated_fixture=Fixture(0.0),
+    )
+    imu = ImuModel(gyro_noise=0.01 * DEG / 60.0, accel_noise=2e-4)
+    recording = sims.read_out(motion, SensorErrors(rng.normal(0.0, 1e-3, 27)), imu, rng)
+    return replace(recording, site=replace(recording.site, latitude_rad=latitude_rad))
+
+
+@pytest.mark.parametrize("latitude_deg", [45.0, 40.0])
+@pytest.mark.parametrize("tilt_rad", [(0.05, 0.0), (0.0, -0.05), (-0.03, 0.04)])
+def test_a_table_that_leans_is_no_matter_of_the_place(tilt_rad, latitude_deg):
+    """The accelerometers show the vertical; a latitude that is wrong besides is found."""
+    found = {f.fault: f for f in findings(unit_on_a_table(tilt_rad, latitude_deg * DEG))}
+    if latitude_deg == 45.0:
+        assert found == {}
+    else:
+        assert found["latitude"].details["found"] == pytest.approx(45.0, abs=4.5 * found["latitude"].details["sigma"])
+        assert "north" not in found
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("first_s", [0.2, 1.0])
+def test_rates_that_are_zeroed_at_the_start_of_each_rest_have_no_place(first_s, seed):
+    """What the noise leaves is near zero, and no latitude or heading is more likely."""
+    recording = case("tactical-fog").recording
+    gyro = recording.gyro.copy()
+    rng = np.random.default_rng((SEED, seed))
+    noise = rng.normal(0.0, 0.05 * DEG / 60.0 * math.sqrt(recording.nominal_interval_s), gyro.shape)
+    gyro += noise * (1.0 if recording.kind == "increment" else 1.0 / recording.nominal_interval_s)
+    for label in recording.sequences:
+        for window in (label.start_static_s, label.end_static_s):
+            rows = recording.window_indices(*window)
+            gyro[rows] -= gyro[rows][: round(first_s / recording.nominal_interval_s)].mean(axis=0)
+    found = {f.fault for f in findings(replace(recording, gyro=gyro))}
+    assert found == {"earth_rate_absent"} if first_s == 1.0 else found <= {"earth_rate_absent"}
 
 
 @pytest.mark.parametrize("grade", ["tactical-fog", "industrial-mems"])

@@ -221,6 +221,43 @@ def clipped(unit, rests, _rng):
     return replace(unit, gyro=np.clip(unit.gyro, -limit, limit))
 
 
+@pytest.mark.parametrize("axes", [[1], [0, 1, 2]], ids=["y", "all"])
+@pytest.mark.parametrize("profile", ["raised-cosine", pytest.param("trapezoid", marks=pytest.mark.slow), "hand"])
+def test_a_limit_below_the_noise_is_saturation(profile, axes):
+    """Rates that stop at 0.8 of the second largest of a turn; gravity turns on, and 0.2 °/s of noise lie on top."""
+    rng, grade = np.random.default_rng((SEED, 59)), FOREIGN_GRADES["industrial"]
+    turned = hand_turns(rng, shortest_s=1.5, count=18)
+    unit = recording(turned, 5.0, drawn_errors(grade, rng), grade, rng, profile=profile)
+    turns = [np.abs(unit.gyro[unit.window_indices(a[1], b[0])]).max(axis=0) for a, b in pairwise(windows(turned, 5.0))]
+    most = 0.8 * np.sort(turns, axis=0)[-2][axes].min()
+    gyro = unit.gyro.copy()
+    gyro[:, axes] = np.clip(gyro[:, axes], -most, most)
+    gyro += rng.normal(0.0, np.deg2rad(0.2), gyro.shape)
+    for given, named in ((unit, None), (replace(unit, gyro=gyro), "gyro_clipped")):
+        found = diagnose(given, calibrating=False)
+        assert (found.first and found.first.fault) == named
+    assert found.first.effect == "exit 1"  # no turn can be left out
+
+
+@pytest.mark.parametrize(("profile", "seed"), [("raised-cosine", 1), ("raised-cosine", 4), ("hand", 1)])
+def test_accelerometers_cut_at_zero_show_no_filter_of_the_gyros(profile, seed):
+    """They read zero in rotations, too, as if the unit were at rest, while the rates fall."""
+    rng, grade = np.random.default_rng((59, seed)), FOREIGN_GRADES["consumer"]
+    turned = hand_turns(rng, count=12, shortest_s=1.0, longest_s=3.0, rest_s=1.5)
+    unit = recording(turned, 3.0, drawn_errors(grade, rng), grade, rng, profile=profile, hz=50.0)
+    found = diagnose(replace(unit, accel=np.maximum(unit.accel, 0.0)), calibrating=False)
+    assert "gyro_high_passed" not in {finding.fault for finding in found.findings}
+
+
+def test_readings_of_gravity_that_drift_are_not_without_gravity():
+    """A unit at rest, whose stamps are read in a wrong unit: a warm-up of 6 % takes four seconds."""
+    rng = np.random.default_rng(SEED)
+    time = np.arange(1, 8401) * 5e-4
+    accel = np.outer(1.03 - 0.015 * time, [0.1, -0.1, -9.5]) + rng.normal(0.0, 1e-2, (len(time), 3))
+    unit = srt.Recording(time, rng.normal(0.0, 1e-3, accel.shape), accel, srt.Site(9.81))
+    assert diagnose(unit, calibrating=False).findings == ()
+
+
 def shaken(unit, rests, rng):
     """A shake of all axes between two rests, at the rails of 16 bits."""
     at = int(np.searchsorted(unit.time, 0.5 * sum(rests[len(rests) // 2])))

@@ -24,9 +24,9 @@ if TYPE_CHECKING:
 
 PROBABILITY: Final = 0.95
 """Probability that the largest of the normalised errors stays below the bound that is stated."""
-_MOST_LINES: Final = 42
-"""Lines of the summary: the three that the command adds make 45, which a terminal of 50 lines shows with the prompt."""
-_MOST_BEFORE_TABLE: Final = 10  # lines before the table of the parameters
+_MOST_LINES: Final = 41
+"""Lines of the summary: the four that the command adds make 45, which a terminal of 50 lines shows with the prompt."""
+_MOST_BEFORE_TABLE: Final = 9  # lines before the table of the parameters, below the fitness
 _NOTE_LINES: Final = 2  # lines of one note; --details shows it whole
 _MORE: Final = " ..."  # mark of a text that is cut; --details shows all of it
 _ESTIMATE, _SCATTER = "estimated here:", "scatter of the biases here:"

@@ -31,7 +31,7 @@ def inspection_report(inspection: Inspection, *, title: str = "Inspection") -> s
     """Text of the whole report, in lines of at most 80 characters, without a line feed at the end."""
     serial = f" (serial {inspection.serial})" if inspection.serial else ""
     parts = [
-        "\n".join([*wrap(f"{title}{serial}"), *_overview(inspection)]),
+        "\n".join([*wrap(str(inspection.fitness)), *wrap(f"{title}{serial}"), *_overview(inspection)]),
         "\n".join(_noise(inspection)),
         "\n".join(_turns(inspection)),
         "\n".join(_findings(inspection)),
@@ -41,7 +41,8 @@ def inspection_report(inspection: Inspection, *, title: str = "Inspection") -> s
 
 def inspection_summary(inspection: Inspection, *, title: str, reworded: Callable[[str], str] = str) -> str:
     """Overview of the recording and findings (``reworded``), without the tables, in lines of at most 80 characters."""
-    return "\n".join([*wrap(title), *_overview(inspection), *_findings(inspection, reworded)])
+    head = [*wrap(reworded(str(inspection.fitness))), *wrap(title)]
+    return "\n".join([*head, *_overview(inspection), *_findings(inspection, reworded)])
 
 
 def significant(value: float, digits: int = 3) -> str:
