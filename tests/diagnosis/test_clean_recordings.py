@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from clean_recordings import main as clean_study
 from faults import clean_recording
 from scipy.ndimage import uniform_filter1d
 
@@ -66,6 +67,16 @@ def test_recordings_that_raised_a_finding(seed, number):
 )
 def test_g_sensitive_gyros_in_single_poses_are_sound(seed, number):
     assert clean_recording(number, seed)[1:] == ([], "sound")
+
+
+@pytest.mark.parametrize(
+    ("clean", "handled"),
+    [(3, 0), pytest.param(25, 10, marks=pytest.mark.slow)],
+)
+def test_clean_and_handled_recordings_are_not_accused(clean, handled, tmp_path, capsys):
+    """A twentieth of ``benchmarks/clean_recordings.py``, or less."""
+    code = clean_study(clean=clean, handled=handled, seed=SEED, results=tmp_path / "results.jsonl")
+    assert code == 0, capsys.readouterr().out
 
 
 @pytest.mark.parametrize("width", [1, 3])
