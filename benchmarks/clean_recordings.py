@@ -392,8 +392,8 @@ def as_read(
     if form == "pulses":  # a count contains the remainder of the one before
         total = np.cumsum(np.vstack([np.zeros(3), table / hz]), axis=0)
         return np.diff(np.floor(total / (least / hz)), axis=0) * (least / hz), (white, least / hz)
-    if form == "low pass":  # of first order, at a tenth to a third of the sample rate
-        kept = np.exp(-2.0 * np.pi * rng.uniform(0.1, 0.33))
+    if form == "low pass":  # of first order, at a fifth of the sample rate; gyros and accelerometers lag by the same
+        kept = np.exp(-2.0 * np.pi * 0.2)
         table = lfilter([1.0 - kept], [1.0, -kept], table, axis=0, zi=kept * table[:1])[0]
     if form == "exact":
         return table, (white, 0.0)
