@@ -61,12 +61,13 @@ FORMS = {
     "consumer": ("exact", "steps", "low pass"),
 }
 """Forms of the readings by grade: steps are those of a converter, 0.1 to 1 sigma of the noise, as pulses are."""
-CORRELATION_S = 4.0 ** np.arange(7)
+CORRELATION_S = 4.0 ** np.arange(-2, 7)
 """Correlation times of the bias: with a factor of 4 between them, each has the Allan floor as its sigma.
 
 The two-sided spectrum of the sum is sigma² / (2 |f| ln 4) = floor² / (4 |f| ln 2), that of flicker noise.
 """
-BIAS_HZ = 5.0
+BIAS_HZ = 50.0
+"""Rate at which the bias is drawn: faster flicker noise is far below the white noise."""
 SIGMAS, SOUND_SHARE, FINDINGS_SHARE = 4.0, 0.99, 1.0 / 500.0
 
 
