@@ -189,7 +189,7 @@ def missed_rotations(turns: ManoeuvreReadings | None, blocks: TurningBlocks | No
     """Angles that single gyros miss in each of K manoeuvres, and that they read, (K, 3) each, rad, with signs.
 
     The change of specific force that the gyros leave, ``df - f × dθ``, gives the angle about one axis that they miss.
-    It is zero where an angle about that axis does not explain this change.
+    It is zero where an angle about that axis does not explain this change. A knock, which comes and goes, is no angle.
     """
     missed, read = np.zeros((2, 0 if turns is None else len(turns.spans), 3))
     if blocks is None or not len(blocks.turn):
@@ -202,9 +202,15 @@ def missed_rotations(turns: ManoeuvreReadings | None, blocks: TurningBlocks | No
     first = np.flatnonzero(np.diff(blocks.turn, prepend=-1))
     rest = np.add.reduceat(np.sum((left[:, None] - angle[:, :, None] * about) ** 2, axis=2), first)
     explained = rest < UNEXPLAINED * np.add.reduceat(np.sum(left**2, axis=1), first)[:, None]
-    missed[blocks.turn[first]] = _extent(angle, first) * explained
+    missed[blocks.turn[first]] = _extent(_lasting(angle), first) * explained
     read[blocks.turn[first]] = _extent(blocks.angle, first)
     return missed, read
+
+
+def _lasting(steps: Array) -> Array:
+    """Steps (n, 3) whose sum is the median over five blocks: without what comes and goes within two of them."""
+    course = np.pad(np.cumsum(steps, axis=0), ((2, 2), (0, 0)), mode="edge")
+    return np.diff(np.median(np.lib.stride_tricks.sliding_window_view(course, 5, axis=0), axis=2), axis=0, prepend=0.0)
 
 
 def _extent(steps: Array, first: Indices) -> Array:

@@ -1,10 +1,15 @@
 """Sound recordings raise nothing: filtered, corrected and coarse ones that once did, and many draws of one channel."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from clean_recordings import main as clean_study
 from faults import clean_recording
+from foreign_motion import GRADES, Turn, drawn_errors, recording, windows
 from scipy.ndimage import uniform_filter1d
 
+from srt.diagnosis.staged_diagnosis import diagnose
 from srt.sequences.clipping import _limits_seen, _Triad
 
 SEED = 20261124
@@ -66,6 +71,32 @@ def test_recordings_that_raised_a_finding(seed, number):
 )
 def test_g_sensitive_gyros_in_single_poses_are_sound(seed, number):
     assert clean_recording(number, seed)[1:] == ([], "sound")
+
+
+@pytest.mark.parametrize(
+    ("clean", "handled"),
+    [(3, 1), pytest.param(25, 10, marks=pytest.mark.slow)],
+)
+def test_clean_and_handled_recordings_are_not_accused(clean, handled, tmp_path, capsys):
+    """A twentieth of ``benchmarks/clean_recordings.py``, or less."""
+    code = clean_study(clean=clean, handled=handled, first=8, seed=SEED, results=tmp_path / "results.jsonl")
+    assert code == 0, capsys.readouterr().out
+
+
+def test_knocks_in_turns_are_no_dead_gyro():
+    """Two knocks of 55 m/s² over 3 samples, in turns about other axes: gravity seems to turn by 95° and back."""
+    rng = np.random.default_rng((SEED, 5))
+    grade = GRADES["tactical"]
+    turns = [Turn(tuple(axis), sign * np.pi, 3.0, 4.0) for sign in (1.0, -1.0, 1.0) for axis in np.eye(3)]
+    unit = recording(turns, 5.0, drawn_errors(grade, rng), grade, rng)
+    accel = unit.accel.copy()
+    for _, begin in windows(turns, 5.0)[4:6]:
+        blocks = np.arange(int(100 * begin) + 20, int(100 * begin) + 280, 10)
+        at = blocks[np.argmin(np.abs(accel[blocks, 0]))] + 3
+        up = accel[at] / np.linalg.norm(accel[at])
+        accel[at : at + 3] += 47.0 * np.cross(up, np.eye(3)[0]) - 27.0 * up
+    found = diagnose(replace(unit, accel=accel), calibrating=False).findings
+    assert [finding.sentence for finding in found] == []
 
 
 @pytest.mark.parametrize("width", [1, 3])
