@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Final
+from dataclasses import replace
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 from scipy.special import ndtr
@@ -147,44 +148,59 @@ def dead_bands(evidence: Evidence) -> Iterator[Finding]:
 
     Gyros without noise may read zero at rest: those of a recording with noisy accelerometers have noise.
     """
-    data, noise = evidence.data, evidence.recording.noise
-    for sensor, table, steps in zip(DEAD_BAND, (evidence.rate, evidence.force), evidence.steps, strict=True):
-        gyro = sensor == "gyro"
-        if sensor in evidence.wrapped_readings or (gyro and not evidence.noisy_channels[3:].any()):
+    for sensor in DEAD_BAND:
+        if sensor in evidence.wrapped_readings:
             continue
-        pulse = (noise.gyro_quantization if gyro else noise.accel_quantization) or 0.0
-        zeros = evidence.zeros.reshape(2, 3)[0 if gyro else 1]
-        for axis in np.flatnonzero((zeros >= MANY // 2) & (zeros < len(table))).tolist():
-            size = np.abs(table[table[:, axis] != 0.0, axis])
-            threshold = float(size.min())
-            near = size[size < _NEAR_BAND * threshold]
-            resting = False
-            if gyro and data is not None:
-                at_rest = np.abs(np.concatenate([table[a:b, axis] for a, b in data.windows.samples.tolist()]))
-                # If readings at rest lie between pulses in some window, they come as near to zero as can be, in few
-                # sizes; a band that is subtracted leaves all sizes.
-                shown = at_rest[at_rest > 0.0]
-                near_zero = np.median(np.append(shown, 0.0)) < _NEAR_BAND * threshold
-                resting = bool(np.median(at_rest) == 0.0 and (near_zero or len(np.unique(shown)) > 0.5 * len(shown)))
-            # If most readings are multiples of the threshold, it is the quantization step.
-            if not (resting or np.count_nonzero(near < 2.0 * threshold) >= MANY) or _on_grid(size, threshold):
+        below = evidence.once(bands_below_noise).get(sensor)
+        if sensor == "accel" or evidence.noisy_channels[3:].any():
+            found = next(_gaps_around_zero(evidence, sensor), None)
+            if found is not None:
+                yield found
                 continue
-            values, counts = np.unique(near, return_counts=True)
-            common = float(values[np.argmax(counts > 0.5 * counts.max())])
-            grid = max(steps[axis] * evidence.per_rate, pulse / evidence.dt, common * _on_grid(near, common))
-            # A band of one step is told by many readings of the two steps that come next, and none of one.
-            many = np.count_nonzero(size < 2.0 * threshold - (1.0 + OFF_GRID) * grid) >= _MANY
-            if threshold > (2.0 + (-OFF_GRID if many else OFF_GRID)) * grid:
-                unit, mark = (1.0, "") if gyro else (MICRO_G, "_ug")
-                sizes = {f"threshold{mark}": threshold / unit, f"step{mark}": grid / unit}
-                yield DEAD_BAND[sensor].found(channel=f"{sensor}_{AXES[axis]}", count=int(zeros[axis]), **sizes)
-                break
+        if below is not None:
+            yield replace(DEAD_BAND[sensor], message=_BELOW_NOISE[sensor]).found(**below)
+
+
+def _gaps_around_zero(evidence: Evidence, sensor: str) -> Iterator[Finding]:
+    """Axes of a triad whose readings leave a gap around zero, or gyros that read zero at rest."""
+    data, noise, gyro = evidence.data, evidence.recording.noise, sensor == "gyro"
+    table, steps, zeros = (
+        (evidence.rate, evidence.steps[0], evidence.zeros[:3])
+        if gyro
+        else (evidence.force, evidence.steps[1], evidence.zeros[3:])
+    )
+    pulse = (noise.gyro_quantization if gyro else noise.accel_quantization) or 0.0
+    for axis in np.flatnonzero((zeros >= MANY // 2) & (zeros < len(table))).tolist():
+        size = np.abs(table[table[:, axis] != 0.0, axis])
+        threshold = float(size.min())
+        near = size[size < _NEAR_BAND * threshold]
+        resting = False
+        if gyro and data is not None:
+            at_rest = np.abs(np.concatenate([table[a:b, axis] for a, b in data.windows.samples.tolist()]))
+            # If readings at rest lie between pulses in some window, they come as near to zero as can be, in few sizes;
+            # a band that is subtracted leaves all sizes.
+            shown = at_rest[at_rest > 0.0]
+            near_zero = np.median(np.append(shown, 0.0)) < _NEAR_BAND * threshold
+            resting = bool(np.median(at_rest) == 0.0 and (near_zero or len(np.unique(shown)) > 0.5 * len(shown)))
+        # If most readings are multiples of the threshold, it is the quantization step.
+        if not (resting or np.count_nonzero(near < 2.0 * threshold) >= MANY) or _on_grid(size, threshold):
+            continue
+        values, counts = np.unique(near, return_counts=True)
+        common = float(values[np.argmax(counts > 0.5 * counts.max())])
+        grid = max(steps[axis] * evidence.per_rate, pulse / evidence.dt, common * _on_grid(near, common))
+        # A band of one step is told by many readings of the two steps that come next, and none of one.
+        many = np.count_nonzero(size < 2.0 * threshold - (1.0 + OFF_GRID) * grid) >= MANY
+        if threshold > (2.0 + (-OFF_GRID if many else OFF_GRID)) * grid:
+            unit, mark = (1.0, "") if gyro else (MICRO_G, "_ug")
+            sizes = {f"threshold{mark}": threshold / unit, f"step{mark}": grid / unit}
+            yield DEAD_BAND[sensor].found(channel=f"{sensor}_{AXES[axis]}", count=int(zeros[axis]), **sizes)
 
 
 DEAD_BAND: Final = by_sensor(
     "dead_band",
     "The [gyros|accelerometers] suppress small [rates|readings]",
-    "zeros, but no other reading below a threshold far above the quantization step",
+    "zeros, but no other reading below a threshold far above the quantization step; below the noise, zeros more often "
+    "than the readings next to zero make likely",
     "{channel} reads zero {count} times, and otherwise at least [{threshold:.3g} rad/s|{threshold_ug:.3g} µg], but its "
     "quantization step is [{step:.2g} rad/s|{step_ug:.2g} µg]: the unit suppresses small [rates|readings]; switch off "
     "its dead band.",
@@ -193,12 +209,57 @@ DEAD_BAND: Final = by_sensor(
 )
 
 
+_BELOW_NOISE: Final = {
+    sensor: f"{{channel}} reads zero {{count}} times, but {{expected}} times is expected by the readings next to zero: "
+    f"the unit suppresses small {what}, and takes about {{band:.2g}} {unit} off others, below its noise; switch off "
+    "its dead band."
+    for sensor, what, unit in (("gyro", "rates", "rad/s"), ("accel", "readings", "m/s²"))
+}
+
+
+def bands_below_noise(evidence: Evidence) -> dict[str, dict[str, object]]:
+    """Fields of the message on a dead band below the noise that is subtracted from larger readings, by sensor.
+
+    Such a band leaves no gap around zero. Of readings of fine resolution none repeats, but zero does; of coarse ones
+    zero is more frequent beside its neighbours than by rounding or truncation.
+    """
+    out: dict[str, dict[str, object]] = {}
+    for c in np.flatnonzero(evidence.noisy_channels & (evidence.zeros >= MANY // 2)).tolist():
+        sensor, axis = CHANNELS[c][:-2], c % 3
+        if sensor in out or sensor in evidence.wrapped_readings:
+            continue
+        column, triad = evidence.columns[c], evidence.columns[3 * (c // 3) : 3 * (c // 3) + 3]
+        size = np.abs(column[column != 0.0])
+        near = np.partition(size, MANY)[:MANY] if len(size) > MANY else size
+        sides = np.count_nonzero((column > 0.0) & (column <= near.max(initial=0.0)))
+        # A frozen axis counts once, and a lost sample that is written as zeros not at all.
+        zero = (column == 0.0) & ~np.all(triad == 0.0, axis=0)
+        before = column[:-1][zero[1:] & (column[:-1] != 0.0)]
+        # Readings beside zeros are other pulses, or evenly spread: of so many, one is below half of the largest.
+        fine = len(np.unique(near)) == MANY and len(np.unique(before)) > 0.5 * len(before)
+        if fine and len(before) >= MANY // 2 and 0 < sides < MANY and near.min() < 0.5 * near.max():
+            band = float(near.max()) * evidence.zeros[c] / MANY
+            out[sensor] = {"count": int(evidence.zeros[c]), "expected": 0}
+        elif (steps := evidence.once(zero_cells)[c].band) > 0:
+            band, beside = steps * float(evidence.steps[c // 3, axis]), 1.5 * float(evidence.steps[c // 3, axis])
+            expected = np.count_nonzero((column != 0.0) & (np.abs(column) < beside)) / 2.0
+            out[sensor] = {"count": int(evidence.zeros[c]), "expected": round(expected)}
+        else:
+            continue
+        out[sensor] |= {"channel": CHANNELS[c], "band": band * evidence.per_rate}
+    return out
+
+
 def _on_grid(sizes: Array, step: float) -> bool:
     """True if most readings are multiples of a step: three quarters, as half of those of half the step are, too."""
     multiple = sizes / step
     return bool(np.quantile(np.abs(multiple - np.rint(multiple)), 0.75) < _WHOLE)
 
 
+_CELLS: Final = 12
+"""Tests of the interval of inputs that read zero: six channels, for truncation and for a dead band."""
+_WIDEST: Final = 64
+"""Widest dead band in steps, beyond which the readings are finer than any band."""
 _NEAR: Final = 2
 """Largest reading that is counted, in steps: noise of any distribution is like normal noise over a few steps."""
 _OUTLIERS: Final = 1e-4
@@ -215,26 +276,48 @@ _PASSES: Final = 3
 """Passes over a finer and finer grid: the tails of little noise need its size to 1 %."""
 
 
-def truncation(evidence: Evidence) -> Iterator[Finding]:
-    """Find sensors whose stationary readings near zero are zero about twice as often as its neighbours.
+class ZeroCell(NamedTuple):
+    """Interval of inputs that read zero: twice the log-likelihood ratio of truncation, and of a dead band, in steps."""
 
-    Statistic: twice the logarithm of the ratio of the likelihoods of truncation and of rounding, for normal noise with
-    the most likely mean of each window and noise of each channel. Distribution: chi-square, one degree of freedom.
+    truncated: float = 0.0
+    band: int = 0
+
+
+def zero_cells(evidence: Evidence) -> list[ZeroCell]:
+    """Intervals of inputs that read zero in the windows, by channel.
+
+    Statistic: twice the logarithm of the ratio of the likelihoods of truncation and of rounding, and of a dead band and
+    the likelier of both, for normal noise with the most likely mean of each window and noise of each channel.
+    Distribution: chi-square, one degree of freedom.
     """
+    out = [ZeroCell()] * 6
     if evidence.data is None:
-        return
+        return out
     windows = evidence.data.windows.samples
-    least = limit("chi-square", 1, tests=6)
     steps, tables = evidence.steps * evidence.per_rate, (evidence.rate, evidence.force)
-    for sensor, table, step in zip(TRUNCATED, tables, steps, strict=True):
+    for s, sensor in enumerate(TRUNCATED):
         pulse = getattr(evidence.recording.noise, f"{sensor}_quantization")
         counted = pulse or (pulse is None and evidence.recording.kind == "increment")
         if counted or sensor in evidence.wrapped_readings:
             continue  # pulse counts carry the remainder over; wrapped readings lie on several grids
-        ratios = np.array([_likelihood_ratio(table[:, axis], step[axis], windows) for axis in range(3)])
-        if ratios.max() > least:
-            names = ", ".join(f"{sensor}_{AXES[axis]}" for axis in np.flatnonzero(ratios > least))
-            yield TRUNCATED[sensor].found(channels=names, half=0.5 * float(step[ratios > least].max()))
+        for axis in range(3):
+            out[3 * s + axis] = _zero_cell(tables[s][:, axis], steps[s, axis], windows)
+    return out
+
+
+def truncation(evidence: Evidence) -> Iterator[Finding]:
+    """Find sensors whose stationary readings near zero are zero about twice as often as its neighbours."""
+    least = limit("chi-square", 1, tests=_CELLS)
+    cells = evidence.once(zero_cells)
+    for s, sensor in enumerate(TRUNCATED):
+        if sensor in evidence.once(bands_below_noise):
+            continue
+        own = cells[3 * s : 3 * s + 3]
+        found = np.array([cell.truncated > least for cell in own])
+        if found.any():
+            names = ", ".join(f"{sensor}_{AXES[axis]}" for axis in np.flatnonzero(found))
+            half = 0.5 * float((evidence.steps[s] * evidence.per_rate)[found].max())
+            yield TRUNCATED[sensor].found(channels=names, half=half)
 
 
 TRUNCATED: Final = by_sensor(
@@ -249,41 +332,49 @@ TRUNCATED: Final = by_sensor(
 )
 
 
-def _likelihood_ratio(column: Array, step: float, windows: Indices) -> float:
-    """Twice the logarithm of the likelihood ratio of truncation and rounding; zero for readings without steps."""
+def _zero_cell(column: Array, step: float, windows: Indices) -> ZeroCell:
+    """Interval of inputs that a channel reads as zero; that of rounding for readings without steps."""
     if step == 0.0:
-        return 0.0
+        return ZeroCell()
     rows = []
     for a, b in windows.tolist():
         steps = column[a:b] / step
         whole = np.rint(steps).astype(np.intp)
         if np.abs(steps - whole).max() > OFF_GRID:
-            return 0.0
+            return ZeroCell()
         own = np.bincount(whole[np.abs(whole) <= _NEAR] + _NEAR, minlength=2 * _NEAR + 1)
         # Zeros without neighbours are a dead band, or stand for lost readings.
         if own[_NEAR] and (own[_NEAR - 1] + own[_NEAR + 1] or own[_NEAR] == b - a):
             rows.append((own, np.median(whole), whole.var(), np.ptp(np.cumsum(whole - whole.mean())) ** 2 / (b - a)))
     if not rows:
-        return 0.0
+        return ZeroCell()
     counts, middle, variance, of_sums = (np.array(values) for values in zip(*rows, strict=True))
     if np.sort(counts, axis=1)[:, -3].sum() < _FEWEST or of_sums.sum() < _CARRIED * variance.sum():
-        return 0.0
+        return ZeroCell()
     read = counts.sum(axis=0) > 0
     if np.any(read[[0, -1]] & ~read[[1, -2]]):
-        return 0.0  # words that never occur, as with a stuck bit
+        return ZeroCell()  # words that never occur, as with a stuck bit
     noise = math.sqrt(float(np.median(variance)))
-    # Edges of the values that are read as −2 to 2 steps, if readings are truncated or rounded to the nearest one. Other
-    # roundings differ by a bias.
-    edges = np.arange(-_NEAR - 1.0, _NEAR + 2.0)
-    truncated, rounded = (
-        _logarithm(limits, middle, noise, counts) for limits in (edges[edges != 0.0], edges[1:] - 0.5)
-    )
-    return 2.0 * (truncated - rounded)
+
+    def logarithm(half: float) -> float:
+        """Of a cell of zero that is as wide as truncation or a dead band makes it; other roundings make a bias."""
+        edges = half + np.arange(_NEAR + 1.0)
+        return _logarithm(np.concatenate([-edges[::-1], edges]), middle, noise, counts)
+
+    rounded, truncated = logarithm(0.5), logarithm(1.0)
+    best, bands = max(rounded, truncated), [0]
+    while truncated > rounded and bands[-1] < _WIDEST:
+        band = max(1, 2 * bands[-1])
+        likely = logarithm(band + 0.5)
+        if 2.0 * (likely - best) <= (limit("chi-square", 1, tests=_CELLS) if band == 1 else 0.0):
+            break
+        best, bands = likely, [*bands, band]
+    return ZeroCell(2.0 * (truncated - rounded), bands[-1])
 
 
 def _logarithm(limits: Array, mean: Array, seen: float, counts: Array) -> float:
     """Largest logarithm of the likelihood of counts near zero, shape (w, 5), over means of windows and one noise."""
-    far, low, high = 2.0 + seen, _LEAST_NOISE, 1.0 + 2.0 * seen
+    far, low, high = limits[-1] - 0.5 + seen, _LEAST_NOISE, limits[-1] - 1.5 + 2.0 * seen
     total: Array = np.zeros(1)
     for _ in range(_PASSES):
         noise = np.geomspace(low, high, _GRID)

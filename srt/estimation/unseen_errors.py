@@ -19,7 +19,7 @@ import numpy as np
 
 from srt.constants import DEG_PER_H, EARTH_RATE_RAD_S
 from srt.model.table1 import AXES
-from srt.recording.timing import sample_timing
+from srt.recording.timing import stamped_interval
 from srt.result.diagnostics import UnseenError
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS
 
@@ -31,8 +31,10 @@ if TYPE_CHECKING:
     from srt.types import Array, Mask
 
 _PPM = 1e6
-_EVEN_RATE: Final = 1e-3
-"""Largest relative difference of a stated sample rate from that of even stamps."""
+_CRYSTAL: Final = 1e-4
+"""Largest relative error of the clock that stamps samples: crystals are cut to 5e-5, and change by as much."""
+_SAME_RATE: Final = 1e-6
+"""Largest relative difference of equal rates: a rate is typed with few digits, and a clock is not known to more."""
 _EARTH_GRAVITY_M_S2: Final = (9.76, 9.84)
 """Range of gravity on land, from the highest summits of the tropics to the poles."""
 _GRAVITY_SIGMAS: Final = 3.0
@@ -59,9 +61,9 @@ def unseen_errors(data: PreparedRecording, observed: Mask) -> tuple[UnseenError,
         Parameters that the recording shows.
     """
     recording, site, fixture = data.recording, data.recording.site, data.recording.fixture
-    clock = recording.clock_sigma
+    clock, origin = _clock_sigma(recording)
     base = ("ppm", None if clock is None else clock * _PPM)
-    rows = [_row("time base", base, effect) for effect in _time_base(data)]
+    rows = [_row("time base", base, effect, origin) for effect in _time_base(data)]
     gravity = ("ppm", site.gravity_sigma_m_s2 / site.gravity_m_s2 * _PPM)
     rows.append(_row("gravity", gravity, _Effect("accel_scale", -1.0, "ppm")))
     if site.latitude_rad is not None:
@@ -78,18 +80,17 @@ def unseen_errors(data: PreparedRecording, observed: Mask) -> tuple[UnseenError,
 
 
 def contradicted_statements(recording: Recording) -> Iterator[str]:
-    """Sentences on a sample rate that contradicts even time stamps, and on a gravity that no place on Earth has."""
-    stated, timing = recording.sample_rate_hz, sample_timing(recording.time)
-    if stated is not None and isinstance(timing.interval_s, float):
-        excess = stated * timing.interval_s - 1.0
-        # One interval over the whole recording allows for the rounding of the stamps.
-        if abs(excess) > _EVEN_RATE + 1.0 / recording.time.size:
-            sensor = "gyro" if recording.kind == "rate" else "accelerometer"
-            yield (
-                f"sample_rate_hz is {stated:.6g}, but the time stamps are even at {1.0 / timing.interval_s:.6g} Hz: if "
-                f"they are right, every {sensor} scale factor is wrong by {abs(excess) * _PPM:.3g} ppm. Correct the "
-                "rate, or remove it."
-            )
+    """Sentences on a sample rate that contradicts the time stamps, and on a gravity that no place on Earth has."""
+    excess = _rate_excess(recording)
+    # One interval over the whole recording allows for the rounding of the stamps.
+    if abs(excess) > _CRYSTAL + 1.0 / recording.time.size:
+        stated = recording.sample_rate_hz or 0.0
+        sensor = "gyro" if recording.kind == "rate" else "accelerometer"
+        yield (
+            f"sample_rate_hz is {stated:.6g}, but the time stamps have a rate of {stated / (1.0 + excess):.6g} Hz: if "
+            f"they are right, every {sensor} scale factor is wrong by {abs(excess) * _PPM:.3g} ppm. Correct the rate, "
+            "or remove it."
+        )
     site = recording.site
     low, high = _EARTH_GRAVITY_M_S2
     beyond = max(low - site.gravity_m_s2, site.gravity_m_s2 - high)
@@ -101,13 +102,31 @@ def contradicted_statements(recording: Recording) -> Iterator[str]:
         )
 
 
+def _rate_excess(recording: Recording) -> float:
+    """Relative difference of a stated sample rate from that of the time stamps; zero within their precision."""
+    stated = recording.sample_rate_hz
+    if stated is None:
+        return 0.0
+    interval, largest = recording.memo("interval of stamps", lambda: stamped_interval(recording.time, recording.gaps))
+    excess = stated * interval - 1.0
+    return excess if abs(excess) > max(_SAME_RATE, stated * largest) else 0.0
+
+
+def _clock_sigma(recording: Recording) -> tuple[float | None, str]:
+    """1-sigma of the time base as stated; else what a stated sample rate differs from the stamps by, and its origin."""
+    if recording.clock_sigma is not None:
+        return recording.clock_sigma, ""
+    excess = abs(_rate_excess(recording))
+    return (excess, ", by which sample_rate_hz differs from the time stamps") if excess else (None, "")
+
+
 def clock_effect(data: PreparedRecording) -> Array:
     """Effect of one sigma of the time base on the parameters, shape (27,), SI."""
     out = np.zeros(N_PARAMETERS)
     for effect in _time_base(data):
         part = np.arange(N_PARAMETERS)[GROUP_SLICES[effect.group]]
         part = part[[AXES.index(axis) for axis in effect.axes]] if effect.axes else part
-        out[part] = effect.coefficient * (data.recording.clock_sigma or 0.0)
+        out[part] = effect.coefficient * (_clock_sigma(data.recording)[0] or 0.0)
     return out
 
 
@@ -156,7 +175,7 @@ def _stated_rates(data: PreparedRecording, observed: Mask) -> list[UnseenError]:
     return rows
 
 
-def _row(source: str, error: tuple[str, float | None], effect: _Effect) -> UnseenError:
+def _row(source: str, error: tuple[str, float | None], effect: _Effect, by: str = "") -> UnseenError:
     unit, sigma = error
     size = f"{'up to ' if effect.largest else ''}{effect.coefficient:.3g} {effect.unit}"
     name = effect.group.replace("_", " ")
@@ -172,5 +191,5 @@ def _row(source: str, error: tuple[str, float | None], effect: _Effect) -> Unsee
         coefficient=effect.coefficient,
         group_unit=effect.unit,
         largest=effect.largest,
-        sentence=f"An error of 1 {unit} in {origin} changes {where} by {size}. The 1-sigma of {origin} is {known}.",
+        sentence=f"An error of 1 {unit} in {origin} changes {where} by {size}. The 1-sigma of {origin} is {known}{by}.",
     )

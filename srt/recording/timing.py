@@ -10,10 +10,13 @@ pieces have the same slope; each has its own start.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from scipy.special import stdtrit
 
 from srt.exceptions import InputError
 
@@ -32,6 +35,8 @@ _FEW_STEPS = 100  # number of steps up to which rounding and gaps cannot be told
 _ROUNDING_UNITS = 0.6  # largest deviation of rounded stamps, in units of their last digit: 0.5, and 0.1 for the fit
 _TICK_ERROR = 0.01  # largest distance of steps from whole ticks, in ticks, by rounding
 _TICK_SHARE = 0.1  # least distance of the interval from whole ticks, in ticks: a burst then shows all delays
+_PARTS = 10  # parts of a recording whose intervals show the precision of its stamps
+_CHANCE = 1e-6  # probability of an error of their mean interval beyond its precision
 _CLOCK_ROUNDS = 3  # rounds of gaps and of the interval between them
 _RATE_MISMATCH = 0.2  # relative; MEMS oscillators deviate by up to 10 %, so more is a wrong number in the file
 
@@ -185,6 +190,22 @@ def _common_line(time: Array, gaps: Indices, typical: float) -> tuple[float, flo
     deviation -= correction * local
     ranges = np.maximum.reduceat(deviation, starts) - np.minimum.reduceat(deviation, starts)
     return typical + correction, 0.5 * float(ranges.max())
+
+
+def stamped_interval(time: Array, gaps: Indices) -> tuple[float, float]:
+    """Sampling interval by the time stamps, shape (n,), s, and the largest error by their scatter; inf for too few.
+
+    The scatter is that of the intervals of ten parts: it holds jitter, bursts, and a drift of the clock.
+    """
+    typical = float(np.median(np.diff(time)))
+    if time.size < _FEW_STEPS:
+        return typical, math.inf
+    edges = np.linspace(0, time.size, _PARTS + 1).astype(int).tolist()
+    slopes = np.array(
+        [_common_line(time[a:b], gaps[(gaps > a) & (gaps < b)] - a, typical)[0] for a, b in pairwise(edges)]
+    )
+    sigma = float(slopes.std(ddof=1)) / math.sqrt(_PARTS)
+    return float(slopes.mean()), float(-stdtrit(_PARTS - 1, 0.5 * _CHANCE)) * sigma
 
 
 def _read_only(indices: Indices) -> Indices:

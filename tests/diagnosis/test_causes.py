@@ -8,7 +8,8 @@ import injected_faults.logger
 import injected_faults.site_and_drift  # noqa: F401 - registers its injections
 import numpy as np
 import pytest
-from diagnosing import every_second_grade, grades_and_faults
+from diagnosing import every_second_grade, examine_stages, grades_and_faults
+from faults import foreign_unit
 from injected_faults.injection import GRADES, INJECTIONS, Case
 from scipy.ndimage import uniform_filter1d
 
@@ -57,6 +58,65 @@ def test_a_dead_band_that_readings_seldom_reach_is_told():
     gyro[small, axis] = 0.0
     assert 100 < np.count_nonzero(small) <= 300
     assert causes(replace(recording("consumer-mems"), gyro=gyro))[0] == "gyro_dead_band"
+
+
+@cache
+def foreign(grade, by_hand):
+    """Unit of a generator that shares nothing with the checks, with bias."""
+    return foreign_unit(grade, 5_151, np.random.default_rng(5_151), by_hand=by_hand)[0].recording
+
+
+def banded(unit, sensor, *, count, band):
+    """Readings rounded to a count (or not), and less by a band, both in units of their noise; zero below the band."""
+    x = getattr(unit, sensor)
+    rows = unit.window_indices(*unit.sequences[0].start_static_s)
+    noise = float(np.median(np.std(np.diff(x[rows], axis=0), axis=0))) / np.sqrt(2.0)
+    lsb, band = (count or 1.0) * noise, band * noise
+    read = np.rint(x / lsb) * lsb if count else x
+    return replace(unit, **{sensor: np.sign(read) * np.maximum(np.abs(read) - band, 0.0)})
+
+
+@pytest.mark.parametrize(("count", "band"), [(0.0, 0.1), (0.0, 0.7), (1.0, 1.0), (0.25, 0.25), (0.25, 1.0)])
+@pytest.mark.parametrize(
+    ("grade", "sensor", "by_hand"),
+    [("industrial-mems", "gyro", True), ("tactical-fog", "gyro", False), ("industrial-mems", "accel", False)],
+)
+def test_a_dead_band_subtracted_below_the_noise_is_told(grade, sensor, by_hand, count, band):
+    """The readings leave no gap, and their median is not zero."""
+    found = examine_stages(banded(foreign(grade, by_hand), sensor, count=count, band=band), ["channels"])
+    assert found[0].fault == f"{sensor}_dead_band"
+    details, expected = found[0].details, found[0].details["expected"]
+    assert details["count"] > 2 * expected
+    assert (expected > 0) == (count > 0.0)
+    assert "below its noise" in found[0].sentence
+
+
+def test_a_bias_hides_a_dead_band_of_coarse_readings_alone():
+    """Readings that reach zero in rotations alone show it if they are fine."""
+    unit = foreign("consumer-mems", False)
+    fine, coarse = (examine_stages(banded(unit, "gyro", count=n, band=0.5), ["channels"]) for n in (0.0, 0.5))
+    assert [finding.fault for finding in fine] == ["gyro_dead_band"]
+    assert coarse == ()
+
+
+@pytest.mark.parametrize("count", [0.0, 2.0, 1.0, 0.25, 0.05])
+@pytest.mark.parametrize("by_hand", [False, True])
+@pytest.mark.parametrize("grade", GRADES)
+def test_rounded_readings_have_no_dead_band(grade, by_hand, count):
+    unit = foreign(grade, by_hand)
+    coarse = banded(banded(unit, "gyro", count=count, band=0.0), "accel", count=count, band=0.0)
+    assert examine_stages(coarse, ["channels"]) == ()
+
+
+def test_a_frozen_or_lost_reading_of_zero_is_no_dead_band():
+    """An axis that reads zero for 10 s, and samples written as zeros, are other faults."""
+    unit = foreign("industrial-mems", False)
+    gyro, accel = unit.gyro.copy(), unit.accel.copy()
+    gyro[2000:2500, 1] = 0.0
+    gyro[3000:9000:97] = accel[3000:9000:97] = 0.0
+    found = {finding.fault for finding in examine_stages(replace(unit, gyro=gyro, accel=accel), ["channels"])}
+    assert found
+    assert not found & {"gyro_dead_band", "accel_dead_band"}
 
 
 def test_samples_filled_by_straight_lines_have_no_dead_band():

@@ -198,30 +198,38 @@ def table_1_test(folder, **tables):
     return errors
 
 
-@pytest.mark.parametrize(("rate_hz", "warned"), [(50.2, True), (49.8, True), (50.02, False)])
-@pytest.mark.parametrize("checks", [True, False])
-def test_a_sample_rate_against_even_stamps_warns_and_is_doubtful(tmp_path, rate_hz, warned, checks, shell):
-    """0.4 % of the rate is 0.4 % of every gyro scale factor, in agreement with all residuals."""
-    errors = table_1_test(tmp_path / "unit", recording={"sample_rate_hz": rate_hz})
-    found = srt.calibrate(tmp_path / "unit", checks=checks)
+@pytest.mark.parametrize("stamps", ["even", "milliseconds", "jitter"])
+@pytest.mark.parametrize(("ppm", "warned"), [(-4000.0, True), (200.0, True), (80.0, False), (0.0, False)])
+def test_a_sample_rate_against_the_stamps_is_named_or_in_the_sigmas(tmp_path, ppm, warned, stamps):
+    """An error of the rate is one of every gyro scale, in agreement with all residuals; crystals have 100 ppm."""
+    errors = table_1_test(tmp_path / "unit")
+    unit = srt.load_recording(tmp_path / "unit")
+    jitter = np.random.default_rng(20261204).uniform(-4e-3, 4e-3, unit.time.size)
+    time = {"even": unit.time, "milliseconds": np.floor(unit.time * 1e3) / 1e3, "jitter": unit.time + jitter}[stamps]
+    found = srt.calibrate(replace(unit, time=time, sample_rate_hz=50.0 * (1.0 + ppm * 1e-6)), checks=False)
     at = GROUP_SLICES["gyro_scale"]
-    expected = [50.0 / rate_hz * (1.0 + errors[name]) - 1.0 for name in NAMES[at]]
-    assert np.all(np.abs(found.errors.vector[at] - expected) < 3.5 * found.sigma[at])
-    said = f"sample_rate_hz is {rate_hz:g}, but the time stamps are even at 50 Hz"
+    expected = np.array([(1.0 + errors[name]) / (1.0 + ppm * 1e-6) - 1.0 for name in NAMES[at]])
+    base = found.contributions.get("clock", np.zeros(27))[at]
+    # Of the jitter, 2.3 ms over 25,000 samples, the mean of the rates of ten parts has 1 ppm.
+    np.testing.assert_allclose(base, abs(ppm) * 1e-6, atol=0.05e-6 * abs(ppm) + (4e-6 if stamps == "jitter" else 1e-12))
+    assert np.all(np.abs(found.errors.vector[at] - expected) < 3.5 * np.sqrt(found.sigma[at] ** 2 - base**2))
+    said = "but the time stamps have a rate of 50 Hz"
     assert any(said in text for text in found.warnings) == warned
     assert (found.judgement.word, said in found.judgement.reason) == (
         ("doubtful", True) if warned else ("sound", False)
     )
-    if checks:
-        assert (said in shell("calibrate", tmp_path / "unit", "-q").err) == warned
 
 
-def test_a_sample_rate_in_place_of_uneven_stamps_does_not_warn(tmp_path):
-    table_1_test(tmp_path / "unit")
-    unit = srt.load_recording(tmp_path / "unit")
-    jitter = np.random.default_rng(20261204).uniform(-4e-3, 4e-3, unit.time.size)
-    found = srt.calibrate(replace(unit, time=unit.time + jitter, sample_rate_hz=50.0))
-    assert found.judgement.word == "sound", found.judgement
+def test_a_stated_clock_replaces_the_difference_from_the_stamps(tmp_path, shell):
+    table_1_test(tmp_path / "unit", recording={"sample_rate_hz": 50.01})
+    found = srt.calibrate(tmp_path / "unit")
+    assert found.diagnostics.unseen_errors[0].sentence.endswith(
+        "is 200 ppm, by which sample_rate_hz differs from the time stamps."
+    )
+    assert "every gyro scale factor is wrong by 200 ppm" in shell("calibrate", tmp_path / "unit", "-q").err
+    stated = srt.calibrate(replace(srt.load_recording(tmp_path / "unit"), clock_sigma=5e-6))
+    np.testing.assert_allclose(stated.contributions["clock"][GROUP_SLICES["gyro_scale"]], 5e-6, rtol=1e-6)
+    assert stated.judgement.word == "doubtful"
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from srt.exceptions import InputError
-from srt.recording.timing import sample_timing, stamp_resolution
+from srt.recording.timing import sample_timing, stamp_resolution, stamped_interval
 
 N = 5000
 
@@ -83,6 +83,28 @@ def test_a_given_rate_overrides_the_stamps():
     timing = sample_timing(time, 100.0)
     assert timing.interval_s == 0.01
     assert timing.gaps.size == 0
+
+
+@pytest.mark.parametrize("kind", ["even", "rounded", "jitter", "bursts", "late once", "gaps", "slow clock"])
+def test_interval_of_stamps_lies_within_its_precision(kind):
+    """Arrival times of a host: bursts of ten, one of them late by half a second, and a clock that is slewed."""
+    rng, true = np.random.default_rng(20261128), stamps(0.01, 20_000)
+    index, gaps = np.arange(true.size), np.array([], dtype=int)
+    time = {
+        "rounded": np.floor(true * 1e3) / 1e3,
+        "jitter": true + rng.uniform(-0.004, 0.004, true.size),
+        "bursts": true[index // 10 * 10 + 9] + 1e-5 * (index % 10) + rng.uniform(0.0, 0.02, 2000)[index // 10],
+        "late once": true + 0.5 * (index // 10 == 1234),
+        "gaps": true + 60.0 * (index // 700) + rng.uniform(-0.004, 0.004, true.size),
+        "slow clock": true + 3e-3 * np.sin(true / 40.0),
+    }.get(kind, true)
+    if kind == "gaps":
+        gaps = np.arange(700, true.size, 700)
+    interval, largest = stamped_interval(time, gaps)
+    assert abs(interval - 0.01) <= largest
+    # Of 0.5 s late in one part of 20 s, a slope of 6 * 10 * 0.5 / 2000² at most; a tenth of it, Student's factor 10.
+    assert largest < {"even": 1e-12, "rounded": 7.5e-7}.get(kind, 7.5e-6)
+    assert stamped_interval(time[:50], gaps[:0])[1] == np.inf
 
 
 def test_with_a_given_rate_lost_samples_are_gaps_but_bursts_are_not():
