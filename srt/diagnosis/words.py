@@ -260,6 +260,8 @@ _CELLS: Final = 12
 """Tests of the interval of inputs that read zero: six channels, for truncation and for a dead band."""
 _WIDEST: Final = 64
 """Widest dead band in steps, beyond which the readings are finer than any band."""
+_OTHERS: Final = (*range(-8, 0), *range(1, 9))
+"""Readings, in steps, whose intervals are compared with that of zero."""
 _NEAR: Final = 2
 """Largest reading that is counted, in steps: noise of any distribution is like normal noise over a few steps."""
 _OUTLIERS: Final = 1e-4
@@ -293,7 +295,7 @@ def zero_cells(evidence: Evidence) -> list[ZeroCell]:
     out = [ZeroCell()] * 6
     if evidence.data is None:
         return out
-    windows = evidence.data.windows.samples
+    windows, uneven = evidence.data.windows.samples, limit("chi-square", 1, tests=_CELLS * len(_OTHERS))
     steps, tables = evidence.steps * evidence.per_rate, (evidence.rate, evidence.force)
     for s, sensor in enumerate(TRUNCATED):
         pulse = getattr(evidence.recording.noise, f"{sensor}_quantization")
@@ -301,7 +303,12 @@ def zero_cells(evidence: Evidence) -> list[ZeroCell]:
         if counted or sensor in evidence.wrapped_readings:
             continue  # pulse counts carry the remainder over; wrapped readings lie on several grids
         for axis in range(3):
-            out[3 * s + axis] = _zero_cell(tables[s][:, axis], steps[s, axis], windows)
+            column, step = tables[s][:, axis], steps[s, axis]
+            cell = _zero_cell(column, step, windows)
+            # A converter with uneven steps has other readings that are as frequent beside their neighbours.
+            others = (_zero_cell(column - k * step, step, windows) for k in _OTHERS if cell.truncated > 0.0)
+            if all(other.truncated < uneven for other in others):
+                out[3 * s + axis] = cell
     return out
 
 

@@ -264,3 +264,18 @@ def test_each_injection_is_named_first(grade, fault):
 def test_noise_in_one_window_between_pulses_is_no_dead_band(grade):
     """Readings off the grid of the pulses, in one window alone, come as near to zero as can be."""
     assert causes(INJECTIONS["noisy_window"].recording(Case(grade, 60_000)))[0] == "noisy_window"
+
+
+def test_a_converter_with_uneven_steps_is_no_truncation():
+    """Odd numbers are read half as often as even ones, zero among these: so reads a real converter."""
+    own, rng = recording(GRADES[2]), np.random.default_rng(20261128)
+    rests = np.concatenate(
+        [np.arange(*own.window_indices(*s.start_static_s).indices(10**9)[:2]) for s in own.sequences]
+    )
+    gyro = own.gyro - np.median(own.gyro[rests], axis=0)
+    counts = gyro / (0.3 * gyro[rests].std())
+    odd = np.rint(counts) % 2 != 0
+    uneven = np.rint(counts) + (odd & (rng.random(counts.shape) < 0.5))
+    step = 0.3 * gyro[rests].std()
+    assert "gyro_truncated" not in causes(replace(own, gyro=step * uneven))
+    assert "gyro_truncated" in causes(replace(own, gyro=step * np.trunc(counts)))
