@@ -9,9 +9,9 @@ the rotations every sample is compensated by its sign; changes of sign within a 
 Detection: a bin of the spectrum stands out in a window if the power of a channel over the mean power of the
 neighbouring bins is large. Means of both sides are taken and the larger one counts, so that the slopes of filtered
 readings are no lines. The ratio to one side is an F-ratio with 2 and 2 n degrees of freedom, and that to the larger one
-does not exceed it. It is a line if it stands out in more than half of the windows. The probability of that for any bin
-and sensor of a recording with smooth spectra is at most :data:`FALSE_ALARM` (Bonferroni's inequality and the binomial
-distribution).
+does not exceed it. It is a line if it stands out in more than half of the windows, or further in more than a quarter.
+The probability of that for any bin and sensor of a recording with smooth spectra is at most :data:`FALSE_ALARM`
+(Bonferroni's inequality and the binomial distribution).
 """
 
 from __future__ import annotations
@@ -42,6 +42,8 @@ _NEIGHBOURS: Final = 8
 """Bins on one side whose mean is the power without a line: few, as filtered readings have lobes of 20 bins."""
 _LOWEST: Final = 10
 """Lowest bin that is tested: slower motion is drift or creep."""
+_SHARES: Final = (2, 4)
+"""Windows of which more than one has the line: what runs for a time only is in some of them."""
 _FEWEST_SAMPLES: Final = 256
 """Samples of a window from which the spectrum of its second half has enough bins."""
 _FEWEST_WINDOWS: Final = 4
@@ -52,6 +54,9 @@ _REFINED_BINS: Final = 2.0
 _DITHERED: Final = 2.0
 """Random walk over a window, in quantization steps, from which pulses have no line: it would be 20 bins wide. Pulses of
 a quieter unit at rest are periodic, with an amplitude of less than one step."""
+_PERIODS: Final = 3.0
+"""Periods next to an edge that give the amplitude there, and its growth. Their noise is 0.3 / √(f T) of that of a
+rotation by angle random walk."""
 _PIECE: Final = 1 << 13
 """Samples of windows whose spectra are computed together: they fit into a processor's cache."""
 
@@ -64,6 +69,8 @@ class Vibration:
     ----------
     gyro, accel : ndarray of complex, shape (W, 3), rad/s and m/s²
         Amplitude of the raw channels in every window, with the phase at the first sample.
+    edges : ndarray of complex, shape (W, 2, 3), rad/s
+        That of the gyros at the first and at the last edge of every window: a line may grow, decay or pause.
     interval_s : float
         Sampling interval. Readings are means over it, which attenuates the amplitude.
     """
@@ -71,6 +78,7 @@ class Vibration:
     frequency_hz: float
     gyro: Any
     accel: Any
+    edges: Any
     interval_s: float
 
     @property
@@ -89,11 +97,12 @@ class Vibration:
         step = 2.0 * self._half_step
         n = samples[:, 1] - samples[:, 0]
         # θ(k) − θ(k−1) is the increment of sample k, Re(Z exp(i step (k − 1)) dt) with k = 1 the first sample.
-        per_edge = self.gyro * self.interval_s / (2j * np.sin(0.5 * step)) * np.exp(-0.5j * step)
+        per_rate = self.interval_s / (2j * np.sin(0.5 * step)) * np.exp(-0.5j * step)
         edges = np.exp(1j * step * np.stack([np.zeros(len(n)), n], axis=1))
         # The mean over the window of exp(i step k) for k from 0 to n, between the edges.
         mean = np.exp(0.5j * step * n) * np.sinc(0.5 * step * n / np.pi)
-        return np.asarray(((edges - mean[:, None])[:, :, None] * per_edge[:, None]).real)
+        angle = edges[:, :, None] * self.edges - (mean[:, None] * self.gyro)[:, None]
+        return np.asarray((angle * per_rate).real)
 
     def removed(self, recording: Recording, samples: Indices) -> Recording:
         """Recording whose windows lack the line, shape (W, 2) of ``samples``: what is left of them is noise."""
@@ -147,19 +156,22 @@ def vibration(recording: Recording, samples: Indices, noise: Callable[[], NoiseM
         groups = (ends[i : i + together] for i in range(0, len(ends), together))
         each = [_spectra(np.stack([table[b - n : b] for b in group]) * recording.rates_factor) for group in groups]
         power, ratio = (np.concatenate(spectra) for spectra in zip(*each, strict=True))
-        tests = 2 * (ratio.shape[1] - _LOWEST)
-        more_than_half = len(chosen) // 2 + 1
-        stands_out = np.sort(ratio, axis=0)[-more_than_half] > _limit(len(chosen), tests)
+        tests = 2 * len(_SHARES) * (ratio.shape[1] - _LOWEST)
+        ratio, power = np.sort(ratio, axis=0), np.sort(power, axis=0)
+        rows = np.array([-(len(chosen) // share + 1) for share in _SHARES])
+        beyond = ratio[rows] / np.array([[_limit(len(chosen), tests, share)] for share in _SHARES])
+        # The share of the windows by which a bin exceeds its limit the furthest.
+        stands_out, row = beyond.max(axis=0) > 1.0, rows[np.argmax(beyond, axis=0)]
         stands_out[:_LOWEST] = False
         if not stands_out.any():
             continue
         # Amplitude of the integral, angle or velocity, of all channels.
-        bins = np.maximum(np.arange(ratio.shape[1]), 1)
-        size = np.sqrt(np.median(power, axis=0)) * 2.0 / n / (2.0 * np.pi * bins / (n * dt))
+        bins = np.arange(ratio.shape[1])
+        size = np.sqrt(power[row, bins]) * 2.0 / n / (2.0 * np.pi * np.maximum(bins, 1) / (n * dt))
         walk, step = getattr(noise(), f"{sensor}_white") * np.sqrt(n * dt), _step(recording, sensor, chosen)
         stands_out &= size > np.where(walk < _DITHERED * step, step, 0.0).max()
         if stands_out.any():
-            score = np.where(stands_out, np.median(ratio, axis=0), 0.0)
+            score = np.where(stands_out, ratio[row, bins], 0.0)
             found.append((float(score.max()), int(np.argmax(score))))
     if not found:
         return None
@@ -176,10 +188,10 @@ def _step(recording: Recording, sensor: str, windows: Indices) -> Array:
     return step * recording.nominal_interval_s * recording.rates_factor
 
 
-def _limit(windows: int, tests: int) -> float:
+def _limit(windows: int, tests: int, one_in: int) -> float:
     """F-ratio above which a bin stands out in a window, for a false-alarm probability over all windows and tests."""
     # More than k of the windows: the tail of the binomial distribution is an incomplete beta function.
-    k = windows // 2
+    k = windows // one_in
     each = float(betaincinv(k + 1, windows - k, FALSE_ALARM / tests))
     # Any of the three channels of a window. With 2 and 2 m degrees of freedom, P(F > t) = (1 + t / m)^−m.
     single, m = each / 3.0, float(_NEIGHBOURS)
@@ -229,14 +241,26 @@ def _refined(recording: Recording, windows: Indices, n: int, k: int) -> float:
     return float((f[top] + beside * (f[1] - f[0])) / recording.nominal_interval_s)
 
 
-def _fitted(recording: Recording, samples: Indices, frequency_hz: float) -> tuple[Any, Any]:
-    """Complex amplitude of the raw channels in every window by least squares, with a constant and a trend."""
-    dt = recording.nominal_interval_s
-    out = np.empty((len(samples), 6), dtype=np.complex128)
+def _fitted(recording: Recording, samples: Indices, frequency_hz: float) -> tuple[Any, Any, Any]:
+    """Complex amplitude of the raw channels in every window, (W, 3), and of the gyros at its edges, (W, 2, 3)."""
+    step = 2.0 * np.pi * frequency_hz * recording.nominal_interval_s
+    out, edges = np.empty((len(samples), 6), dtype=np.complex128), np.empty((len(samples), 2, 3), dtype=np.complex128)
+    beside = int(np.ceil(_PERIODS * 2.0 * np.pi / step))
     for w, (a, b) in enumerate(samples.tolist()):
-        k = np.arange(b - a)
-        phase = 2.0 * np.pi * frequency_hz * dt * k
-        A = np.column_stack([np.cos(phase), np.sin(phase), np.ones(b - a), k / (b - a)])
-        c = np.linalg.lstsq(A, six_channels(recording, slice(a, b)))[0]
-        out[w] = c[0] - 1j * c[1]
-    return out[:, :3], out[:, 3:]
+        x, phase = six_channels(recording, slice(a, b)), step * np.arange(b - a)
+        out[w] = _amplitude(x, phase)
+        if 2 * beside > b - a:
+            edges[w] = out[w, :3]
+            continue
+        away = np.arange(beside) / beside
+        edges[w, 0] = _amplitude(x[:beside, :3], phase[:beside], away)
+        edges[w, 1] = _amplitude(x[-beside:, :3], phase[-beside:], away[::-1])
+    return out[:, :3], out[:, 3:], edges
+
+
+def _amplitude(x: Array, phase: Array, growth: Array | None = None) -> Any:
+    """Complex amplitude of columns (n, c) by least squares with a constant and a trend; where ``growth`` is 0, (c,)."""
+    wave, trend = np.column_stack([np.cos(phase), np.sin(phase)]), np.linspace(-0.5, 0.5, len(x))
+    growing = () if growth is None else (growth[:, None] * wave,)
+    c = np.linalg.lstsq(np.column_stack([wave, np.ones(len(x)), trend, *growing]), x)[0]
+    return c[0] - 1j * c[1]
