@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from clean_recordings import drawn
 from clean_recordings import main as clean_study
 from faults import clean_recording
 from foreign_motion import GRADES, Turn, drawn_errors, recording, windows
@@ -120,3 +121,9 @@ def test_full_scale_by_chance_is_no_limit():
     shaken = counts - 500
     shaken[[7000, 9000], 0] = 2047
     np.testing.assert_array_equal(_limits_seen(_Triad.of(shaken), 100.0)[1], [2047.0, np.inf, np.inf])
+
+
+@pytest.mark.slow  # 200 Hz
+def test_knocks_of_opposite_signs_are_no_word_that_wraps():
+    """A knock deviates from the slopes beside it by 1.5 times its size, which is the range of two knocks here."""
+    assert diagnose(drawn(50, 20261129, handled=True).recording, calibrating=False).refusal is None
