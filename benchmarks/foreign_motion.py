@@ -22,6 +22,8 @@ SUBSTEPS = 8
 DEG = np.pi / 180.0
 
 PROFILES = ("raised-cosine", "trapezoid", "constant-rate", "hand")
+SHAKING = "shaking hand"
+"""Another profile: the hand trembles in every turn, and sets the unit down with a knock."""
 
 
 @dataclass(frozen=True)
@@ -79,16 +81,31 @@ def attitudes(turns: list[Turn], start: Rotation, first_rest_s: float, dt: float
         s = s[: np.searchsorted(s, 1.0) + 1]  # the first step at rest stands for all of them
         vector = np.array(turn.axis) / np.linalg.norm(turn.axis) * turn.angle_rad
         moved = attitude * Rotation.from_rotvec(angle_share(profile, s)[:, None] * vector)
-        if profile == "hand":  # a hand leads the body astray by some degrees on the way, and comes back to rest
+        if profile in (
+            "hand",
+            SHAKING,
+        ):  # a hand leads the body astray by some degrees on the way, and comes back to rest
             bump = np.where((s > 0.0) & (s < 1.0), np.sin(np.pi * np.clip(s, 0.0, 1.0)) ** 3, 0.0)
             waves = rng.normal(0.0, 0.05, (3, 3))
             stray = bump[:, None] * (np.sin(2.0 * np.pi * np.outer(np.clip(s, 0.0, 1.0), [1.0, 2.3, 3.7])) @ waves)
             moved = moved * Rotation.from_rotvec(stray)
+        if profile == SHAKING:
+            moved = moved * Rotation.from_rotvec(bump[:, None] * tremor(s * turn.duration_s, rng))
         parts += [moved, Rotation.from_quat(np.tile(moved[-1].as_quat(), (b - a - len(s), 1)))]
         attitude = attitude * Rotation.from_rotvec(vector)
     whole = Rotation.concatenate(parts)
     assert len(whole) == n + 1, (len(whole), n + 1)
     return whole
+
+
+def tremor(time: np.ndarray, rng) -> np.ndarray:
+    """Rotation vectors of a tremor of 4 to 12 Hz and some 0.3°, and of knocks of 1° within 20 to 60 ms, (n, 3), rad."""
+    phase = 2.0 * np.pi * (np.outer(time, rng.uniform(4.0, 12.0, 3)) + rng.random(3))
+    out = np.sin(phase) @ rng.normal(0.0, 0.2 * DEG, (3, 3))
+    for begin, length in zip(rng.uniform(0.2, 0.8, 4) * time[-1], rng.uniform(0.02, 0.06, 4), strict=True):
+        share = np.clip((time - begin) / length, 0.0, 1.0)
+        out += np.outer(np.sin(np.pi * share) ** 2, rng.normal(0.0, 1.0 * DEG, 3))
+    return out
 
 
 def true_samples(body: Rotation, dt: float, latitude_rad: float) -> tuple[np.ndarray, np.ndarray]:
@@ -116,7 +133,7 @@ def motion_samples(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Samples of :func:`true_samples` for turns; a motion that several units execute is computed once."""
     motion = (first_rest_s, dt, profile)
-    if profile == "hand":  # it draws random numbers
+    if profile in ("hand", SHAKING):  # they draw random numbers
         return true_samples(attitudes(turns, start, *motion, rng), dt, latitude_rad)
     return _same_motion(tuple(turns), tuple(start.as_quat().tolist()), *motion, latitude_rad)
 

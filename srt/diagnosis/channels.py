@@ -396,7 +396,8 @@ def duplicated_samples(evidence: Evidence) -> Iterator[Finding]:
         if len(rows) >= _FEW * max(1.0, expected) and gammainc(len(rows), expected) <= BY_CHANCE:
             break
     else:
-        rows, expected = np.unique(evidence.spikes.sample[evidence.spikes.of_repeats(evidence.repeats[0])]), 0.0
+        every = evidence.spikes + evidence.unused_spikes
+        rows, expected = np.unique(every.sample[every.of_repeats(evidence.repeats[0])]), 0.0
         again = sample_twice(evidence) if rows.size == 0 else None
         rows = rows if again is None else np.array([again])
     if rows.size:
@@ -473,10 +474,12 @@ def spikes(evidence: Evidence) -> Iterator[Finding]:
         return
     most = int(np.argmax(np.bincount(there.channel)))
     k = int(np.argmax(np.where(there.channel == most, np.abs(there.jump), -1.0)))
+    length = int(np.count_nonzero(there.number == there.number[k]))
     yield SPIKES.found(
         channel=CHANNELS[most],
         size=f"{abs(float(there.jump[k])) * evidence.per_rate:.3g} {'rad/s' if most < 3 else 'm/s²'}",
-        time=float(evidence.recording.time[there.sample[k]]),
+        length="one sample" if length == 1 else f"{length} samples",
+        time=float(evidence.recording.time[there.first[k]]),
         count=int(there.sample.size),
         sequence=evidence.place_title(int(there.sample[k])),
     )
@@ -484,9 +487,10 @@ def spikes(evidence: Evidence) -> Iterator[Finding]:
 
 SPIKES: Final = Fault(
     "spikes",
-    "Spikes: single outlying readings",
-    "deviation of every reading from its neighbours, relative to the noise around it",
-    "{channel} jumps by {size} for one sample at {time:.6g} s, far more than its noise ({count} such readings in the "
+    "Spikes: single outlying readings, or bursts of up to five",
+    "deviation of every reading from its neighbours, relative to the noise around it; in turns by hand, also to the "
+    "other channels, and the agreement of the turns with the reading and with its prediction",
+    "{channel} jumps by {size} for {length} at {time:.6g} s, far more than its noise ({count} such readings in the "
     "recording): look for a bad contact or transmission errors, and repeat {sequence}.",
     "warning",
     spikes,

@@ -19,7 +19,7 @@ from srt.diagnosis.gravity_rotation import (
     recognised_manoeuvres,
     turning_blocks,
 )
-from srt.diagnosis.jumps import NO_SPIKES, find_spikes, wrapped_readings
+from srt.diagnosis.jumps import NO_SPIKES, false_in_turns, find_jumps, wrapped_readings
 from srt.diagnosis.label_shift import label_shift
 from srt.diagnosis.rotation_readings import (
     ROUNDING,
@@ -381,6 +381,9 @@ class Evidence:
         if path is None or effects is None or self.recording.fixture is None:
             return None
         void = [k for k, _ in self.clipped_parts if k is not None]
+        # A spike of an accelerometer is a step of the specific force.
+        spikes = self.unused_spikes[~self.unused_spikes.of_repeats(self.repeats[0])]
+        void += [k for at in spikes.sample.tolist() if (k := self.sequence_at(at)) is not None]
         return attitude_step(path, effects, self.time_offset, self.dt, void)
 
     # --- single readings and scales ----------------------------------------------------------------------------------
@@ -401,16 +404,25 @@ class Evidence:
     wrapped_readings = _from(wrapped_readings, "columns", "extremes", "recording", "data")
     """First axis of a triad that wraps, and the numbers of the samples after its jumps, by sensor."""
 
+    _jumps = _of(find_jumps, "columns", "data", "contiguous", "quantization")
+
     @cached_property
     def spikes(self) -> Spikes:
         """Spikes inside the sequences, also those of samples that repeat."""
-        if self.data is None or self.quantization is None:
+        found = self._jumps
+        if found is None:
             return NO_SPIKES
-        found = find_spikes(self.columns, self.data, self.contiguous, self.quantization)
+        spikes = found.spikes
         # Shifted labels include fast moves of the fixture, which look like spikes of the gyros.
         turning = self.turning_windows
-        moves = turning is not None and np.any(found.channel < 3) and turning.sum() > 1
-        return found[found.channel >= 3] if moves else found
+        if turning is not None and np.any(spikes.channel < 3) and turning.sum() > 1:
+            spikes = spikes[spikes.channel >= 3]
+        return spikes + false_in_turns(self._with_labels, self.options, found.suspects)
+
+    @property
+    def unused_spikes(self) -> Spikes:
+        """Spikes of the accelerometers in rotations, which enter no result."""
+        return NO_SPIKES if self._jumps is None else self._jumps.unused
 
     @cached_property
     def gyro_scales(self) -> ScaleRatios:

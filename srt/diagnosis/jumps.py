@@ -1,23 +1,27 @@
 """Readings that jump: spikes, and binary words that wrap around or whose sign is misread.
 
-A spike deviates from its neighbours by far more than the noise around it. A cubic through the two readings before and
-the two readings after predicts each reading. If the slopes between these four readings differ much, the unit moves
-abruptly, and the reading is not a spike. A bump that rotates the unit within one sample looks like a spike of the
-gyros, but the direction of gravity stays rotated by its angle. A hand shakes the unit, and sets it down: in its
-rotations and next to them, a spike is a single sample of a single channel, whose other channels move far less.
+A spike is one reading, or a burst of up to five, that deviates from its neighbours by far more than the noise around
+it. A cubic through the two readings before and the two readings after predicts each reading. If the slopes between
+these four readings differ much, the unit moves abruptly, and the reading is not a spike. A bump that rotates the unit
+within one sample looks like a spike of the gyros, but the direction of gravity stays rotated by its angle. A hand
+shakes the unit, and sets it down: in its rotations and next to them, a spike is one of a single channel, whose other
+channels move far less; in rotations, the turns must not contradict it (:mod:`srt.joint.replaced_readings`).
+Accelerometer readings of rotations enter no result, and are not accused.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
 from srt.diagnosis.false_alarms import limit, robust_freedom, robust_sigma
 from srt.diagnosis.rotation_readings import BESIDE, ROUNDING, SLOWEST_RAD_S
+from srt.joint.replaced_readings import Suspects, false_readings
 
 if TYPE_CHECKING:
+    from srt.estimation.options import Options
     from srt.recording.recording import Recording
     from srt.sequences.preparation import PreparedRecording
     from srt.types import Array, Indices, Mask
@@ -27,6 +31,8 @@ _JERK: Final = 3.0
 neighbours; a step or a kink of the motion gives at most 1."""
 _OF_ONE_SAMPLE: Final = np.array([1.0, -4.0, 6.0, -4.0, 1.0]) / 6.0
 """Deviations of a sample that deviates by one, and of the samples beside it."""
+_LONGEST: Final = 5
+"""Largest number of readings of a burst."""
 _ALONE: Final = 7.0
 """Smallest ratio of a spike in a rotation by hand to the other deviations at its sample, in units of the noise. If the
 unit is shaken or set down, the other channels and the next samples deviate, too: in 130 such jumps of the gyros in real
@@ -34,11 +40,14 @@ recordings, the largest ratio is 4.5."""
 _QUIET: Final = 5.0
 """Deviation at the sample of a spike, in units of the noise, that is not called motion: 20 normal values exceed it with
 p = 1e-5."""
-_QUANTILE: Final = 0.7
-"""Quantile of the magnitudes of the deviations from which the noise is taken, as larger ones may be spikes."""
 _FOR_NOISE: Final = 200
 """Number of readings from which the noise of a window or rotation is taken: in 10 s at 100 Hz, their deviations have no
 reading in common."""
+_QUANTILE: Final = 0.7
+"""Quantile of the magnitudes of the deviations from which the noise is taken, as larger ones may be spikes."""
+_TAILS: Final = 2.0
+"""Largest ratio of that noise to the one by the median, which is 1.1 for Laplace's distribution: spikes in a tenth of
+the readings make two fifths of the deviations larger."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,9 +57,20 @@ class Spikes:
     sample: Indices
     channel: Indices  # 0 to 5: gyro x, y, z, accelerometer x, y, z
     jump: Array  # reading less its prediction, in the units of the stored values
+    first: Indices  # first sample of its burst: its own, if it is alone
+    alone: Array  # deviation over the largest one of other readings at the same time, or over the noise
 
-    def __getitem__(self, chosen: Mask) -> Spikes:
-        return Spikes(self.sample[chosen], self.channel[chosen], self.jump[chosen])
+    def __getitem__(self, chosen: Mask | Indices) -> Spikes:
+        return Spikes(*(getattr(self, name)[chosen] for name in self.__slots__))
+
+    def __add__(self, other: Spikes) -> Spikes:
+        both = [np.concatenate([getattr(self, name), getattr(other, name)]) for name in self.__slots__]
+        return Spikes(*both)[np.lexsort(both[:2])]
+
+    @property
+    def number(self) -> Indices:
+        """Number of the burst of each reading."""
+        return np.asarray(np.unique(np.stack([self.channel, self.first]), axis=1, return_inverse=True)[1].ravel())
 
     def of_repeats(self, same: Mask) -> Mask:
         """True for spikes whose sample equals the previous or the next one in all channels; ``same`` is (N - 1,)."""
@@ -58,66 +78,132 @@ class Spikes:
 
 
 _NONE: Final = np.array([], dtype=np.intp)
-NO_SPIKES: Final = Spikes(_NONE, _NONE, np.array([]))
+NO_SPIKES: Final = Spikes(_NONE, _NONE, np.array([]), _NONE, np.array([]))
 
 
-def find_spikes(columns: Array, data: PreparedRecording, contiguous: Mask, step: Array) -> Spikes:
-    """Spikes inside the sequences without a gap, which are the true ones of a mask; bumps are excluded.
+class Jumps(NamedTuple):
+    """Readings that jump: spikes, gyro readings in turns by hand that may be spikes, and spikes of no effect."""
+
+    spikes: Spikes = NO_SPIKES
+    suspects: Spikes = NO_SPIKES
+    unused: Spikes = NO_SPIKES
+
+
+def find_jumps(columns: Array, data: PreparedRecording, contiguous: Mask, step: Array) -> Jumps:
+    """Readings that jump inside the sequences without a gap, which are the true ones of a mask; bumps are excluded.
 
     ``columns`` are the readings of all channels, shape (6, N), and ``step`` are their quantization steps. Statistic:
     deviation over its standard deviation in the window or rotation. Distribution: t, with the degrees of freedom of a
     quantile of 200 magnitudes.
     """
-    x, windows, sequences = columns, data.windows.samples, np.flatnonzero(contiguous)
+    x, turns = columns, data.rotation[np.flatnonzero(contiguous)]
     # The deviation from the cubic is the fourth difference over 6, of the sample two later than its first one.
     off = np.diff(x, 4) / 6.0
     size = np.abs(off)
+    spans, noise, least = _noise(x, off, data, contiguous, step)
+    if not len(spans):
+        return Jumps()
+    factor = limit("t", robust_freedom(_FOR_NOISE, _QUANTILE), tests=x.size, both_sides=True)
+    found = [
+        np.argwhere(size[:, a:b] > own[:, None]) + np.array([0, a + 2])
+        for (a, b), own in zip(spans.tolist(), factor * noise, strict=True)
+    ]
+    channel, sample = np.unique(np.concatenate(found), axis=0).T  # rotations share windows
+    level = off / np.where(least > 0.0, least, 1.0)[:, None]  # an empty column has none
+    jump, jerk = off[channel, sample - 2], np.ptp(_slopes(x, channel, sample, 1), axis=1)
+    there = Spikes(sample, channel, jump, sample, _alone(level, sample, channel))
+    spiky = np.abs(jump) > _JERK * jerk
+    there = there[spiky] + _bursts(x, there[~spiky], least, factor)
+    bump = [_is_bump(columns, data, int(i), there) for i in there.sample]
+    there = there[~np.array(bump, dtype=np.bool_)]
+    rotating = _inside(there.sample, turns[:, 0] - 1, turns[:, 1])
+    rate = x[:3, there.sample] * data.recording.rates_factor - np.median(data.windows.gyro_mean, axis=0)[:, None]
+    used = (there.channel < 3) | ~rotating | (np.abs(rate).max(axis=0) < SLOWEST_RAD_S)
+    there, unused = there[used], there[~used]
+    if data.recording.fixture is not None:
+        return Jumps(there, unused=unused)
+    suspected = _inside(there.sample, turns[:, 0] - 1, turns[:, 1]) & (there.channel < 3)
+    near = _inside(there.sample, turns[:, 0] - 1 - BESIDE, turns[:, 1] + BESIDE)
+    burst, alone = np.bincount(there.number)[there.number] > 1, there.alone > _ALONE
+    # A hand that sets the unit down rocks it for some samples.
+    return Jumps(there[~suspected & (~near | (alone & ~burst))], there[suspected & alone], unused)
+
+
+def _noise(x: Array, off: Array, data: PreparedRecording, contiguous: Mask, step: Array) -> tuple[Array, Array, Array]:
+    """Spans of deviations, (n, 2), their noise, (n, 6), and the noise at rest, (6,), of windows and rotations."""
+    windows, sequences = data.windows.samples, np.flatnonzero(contiguous)
     start, end = windows[data.start[sequences]], windows[data.end[sequences]]
     spans = np.concatenate([start - np.array([0, 2]), end - np.array([2, 4]), data.rotation[sequences] - 2])
     length = np.diff(spans, axis=1)
     long = length[:, 0] >= 4
     if not long.any():
-        return NO_SPIKES
+        return spans[long], np.zeros((0, 6)), np.zeros(6)
     some = np.clip(spans[:, :1] + length * np.arange(_FOR_NOISE) // _FOR_NOISE, 0, off.shape[1] - 1)
-    noise = robust_sigma(off[:, some], axis=2, quantile=_QUANTILE).T.reshape(3, -1, 6)
+    noise, median = (robust_sigma(off[:, some], axis=2, quantile=q).T.reshape(3, -1, 6) for q in (_QUANTILE, 0.5))
+    noise = np.where(median > 0.0, np.minimum(noise, _TAILS * median), noise)
     # In rotations, saturated readings or evenly spaced pulses hardly scatter. The median excludes disturbed windows.
     least = np.maximum(np.median(noise[:2], axis=(0, 1)), step)
+    least = np.maximum(least, ROUNDING * np.abs(x).max(axis=1))
     noise[2] = noise.max(axis=0)  # the noise of a window reaches into the rotation beside it
-    floor = ROUNDING * np.abs(x).max(axis=1)
-    noise = np.maximum(noise, np.maximum(least, floor)).reshape(-1, 6)
-    limits = limit("t", robust_freedom(_FOR_NOISE, _QUANTILE), tests=x.size, both_sides=True) * noise
-    found = [
-        np.argwhere(size[:, a:b] > own[:, None]) + np.array([0, a + 2])
-        for (a, b), own in zip(spans[long].tolist(), limits[long], strict=True)
-    ]
-    channel, sample = np.unique(np.concatenate(found), axis=0).T  # rotations share windows
-    slopes = np.diff(x[channel[:, None], sample[:, None] + (-2, -1, 1, 2)]) * (1.0, 0.5, 1.0)
-    jump = off[channel, sample - 2]
-    keep = np.abs(jump) > _JERK * np.ptp(slopes, axis=1)
-    there = Spikes(sample[keep], channel[keep], jump[keep])
-    bump = [_is_bump(columns, data, int(i), there) for i in there.sample]
-    there = there[~np.array(bump, dtype=np.bool_)]
-    if data.recording.fixture is not None:
-        return there
-    # A hand shakes, and sets the unit down. The accelerometer readings of its rotations enter no result.
-    near = _inside(there.sample, data.rotation[sequences, 0] - 1 - BESIDE, data.rotation[sequences, 1] + BESIDE)
-    rotating = _inside(there.sample, data.rotation[sequences, 0] - 1, data.rotation[sequences, 1])
-    rate = x[:3, there.sample] * data.recording.rates_factor - np.median(data.windows.gyro_mean, axis=0)[:, None]
-    used = (there.channel < 3) | ~rotating | (np.abs(rate).max(axis=0) < SLOWEST_RAD_S)
-    several = np.bincount(there.sample)[there.sample] > 1
-    return there[used & (~near | (~several & _alone(off / np.maximum(least, floor)[:, None], there)))]
+    return spans[long], np.maximum(noise, least).reshape(-1, 6)[long], least
 
 
-def _alone(level: Array, there: Spikes) -> Mask:
-    """True for spikes that no motion explains: one sample deviates, in one channel.
+def false_in_turns(recording: Recording, options: Options, suspects: Spikes) -> Spikes:
+    """Suspects in turns by hand that the turns do not show as motion."""
+    if not suspects.sample.size:
+        return suspects
+    own = Suspects(suspects.sample, suspects.channel, suspects.number, suspects.jump)
+    return suspects[false_readings(recording, options, own)[own.number]]
+
+
+def _slopes(x: Array, channel: Indices, first: Indices, count: int) -> Array:
+    """Slopes between the two readings before ``count`` ones and the two readings after them, shape (n, 3)."""
+    beside = x[channel[:, None], first[:, None] + np.array([-2, -1, count, count + 1])]
+    return np.asarray(np.diff(beside) / np.array([1.0, count + 1.0, 1.0]))
+
+
+def _bursts(x: Array, edges: Spikes, noise: Array, factor: float) -> Spikes:
+    """Bursts of two to five readings of one channel that deviate alone, among those that begin at ``edges``.
+
+    ``noise`` is that of the deviations of all channels, and ``factor`` its multiple that is the limit of one reading.
+    """
+    found = NO_SPIKES
+    edges = edges[(edges.sample > 1) & (edges.sample < x.shape[1] - _LONGEST - 1)]
+    channel, first = edges.channel, edges.sample
+    for count in range(2, _LONGEST + 1) if first.size else ():
+        own, nodes = np.arange(count), np.array([-2, -1, count, count + 1])
+        # Cubic through the readings beside the burst.
+        weights = np.linalg.solve(np.vander(nodes, increasing=True).T, np.vander(own, 4, increasing=True).T)
+        every = x[:, first[:, None] + own] - x[:, first[:, None] + nodes] @ weights
+        jump = every[channel, np.arange(len(first))]
+        # The deviation of a single reading has 35/18 times the variance of a reading.
+        limits = factor * noise[channel, None] * np.sqrt((1.0 + np.sum(weights**2, axis=0)) * 18.0 / 35.0)
+        least = np.abs(jump).min(axis=1)
+        others = np.abs(every).max(axis=2) / np.where(noise > 0.0, noise, 1.0)[:, None]
+        others[channel, np.arange(len(first))] = 0.0
+        alone = _over_others(least / noise[channel], others.max(axis=0))
+        jerk = np.ptp(_slopes(x, channel, first, count), axis=1)
+        chosen = np.all(np.abs(jump) > limits, axis=1) & (least > _JERK * jerk) & (alone > _ALONE)
+        sample, which = (first[:, None] + own)[chosen].ravel(), np.repeat(np.flatnonzero(chosen), count)
+        found += Spikes(sample, channel[which], jump[chosen].ravel(), first[which], alone[which])
+    return found
+
+
+def _alone(level: Array, sample: Indices, channel: Indices) -> Array:
+    """Ratio of deviations to others that motion would cause, as of :class:`Spikes`.
 
     ``level`` (6, N - 4) are the deviations in units of their noise at rest.
     """
-    at = np.clip(there.sample[:, None] + np.arange(-4, 1), 0, level.shape[1] - 1)
-    own = level[there.channel[:, None], at]
+    at = np.clip(sample[:, None] + np.arange(-4, 1), 0, level.shape[1] - 1)
+    own = level[channel[:, None], at]
     beside = np.abs(level[:, at[:, 1:4]]).max(axis=2)
-    beside[there.channel, np.arange(len(at))] = np.abs(own - own[:, 2:3] * _OF_ONE_SAMPLE).max(axis=1)
-    return np.asarray(beside.max(axis=0) < np.maximum(_QUIET, np.abs(own[:, 2]) / _ALONE))
+    beside[channel, np.arange(len(at))] = np.abs(own - own[:, 2:3] * _OF_ONE_SAMPLE).max(axis=1)
+    return _over_others(np.abs(own[:, 2]), beside.max(axis=0))
+
+
+def _over_others(level: Array, others: Array) -> Array:
+    """Ratio of deviations to others, in units of the noise; to the noise, where the others are not above it."""
+    return np.asarray(level / np.where(others < _QUIET, 1.0, others))
 
 
 def _is_bump(columns: Array, data: PreparedRecording, at: int, there: Spikes) -> bool:

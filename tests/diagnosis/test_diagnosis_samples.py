@@ -163,13 +163,17 @@ def test_a_spike_is_placed_and_counted():
     recording = case("navigation-rlg").recording
     first, _ = rows_of(recording.sequences[7], recording)
     accel = recording.accel.copy()
-    accel[[first + 300, first + 1200], 1] += [0.02, -0.05]
+    accel[[first + 300, first + 700], 1] += [0.02, -0.05]
     (finding,) = examine(replace(recording, accel=accel))
     assert finding.details["channel"] == "accel_y"
     assert finding.details["count"] == 2
-    assert finding.details["time"] == pytest.approx(recording.time[first + 1200])
+    assert finding.details["time"] == pytest.approx(recording.time[first + 700])
     assert "5 m/s²" in finding.sentence  # 0.05 m/s in 0.01 s, known to a sample's noise: 5 µg/√Hz is 5e-4 m/s²
     assert finding.sentence.endswith("repeat sequence 5.")
+    # Accelerometer readings of rotations enter no result; what they say of lost samples is not used.
+    accel = recording.accel.copy()
+    accel[first + 1200, 1] -= 0.5
+    assert examine(replace(recording, accel=accel)) == ()
 
 
 @pytest.mark.parametrize("count", [50, 500])
@@ -183,6 +187,21 @@ def test_many_spikes_are_no_quantization_steps(sensor, count):
     findings = srt.diagnose(replace(unit, **{sensor: values}), calibrating=False).findings
     assert findings[0].fault == "spikes"
     assert findings[0].details["count"] > 0.5 * count  # neighbouring spikes hide each other
+
+
+@pytest.mark.parametrize("readings", [2, 5])
+@pytest.mark.parametrize("sensor", ["gyro", "accel"])
+def test_a_burst_at_rest_is_placed_with_its_length(sensor, readings):
+    unit, _ = unstated_unit(0, "fixture", "industrial")
+    first, last = rows_of(unit.sequences[3], unit)
+    at = first + (last - first) // 10
+    values = getattr(unit, sensor).copy()
+    values[at : at + readings, 2] += 100.0 * np.std(np.diff(values[first : first + 100, 2]))
+    finding = srt.diagnose(replace(unit, **{sensor: values}), calibrating=False).findings[0]
+    assert finding.fault == "spikes"
+    assert finding.details["count"] == readings
+    assert finding.details["time"] == pytest.approx(unit.time[at])
+    assert f"for {readings} samples" in finding.sentence
 
 
 @pytest.mark.parametrize("grade", GRADES)
