@@ -206,7 +206,7 @@ def run(
         A recording that cannot be read, a truth that is not its own, fewer than two estimators that can run.
     """
     from srt.cli.progress import iteration_progress
-    from srt.comparison.comparison_run import runnable_estimators
+    from srt.comparison.comparison_run import runnable_estimators, with_findings
     from srt.comparison.estimator_comparison import compare as compare_calibrations
     from srt.comparison.estimator_comparison import run_estimators
     from srt.recording.folder import load_recording
@@ -233,6 +233,7 @@ def run(
         calibrations |= done
         seconds |= took
         failures |= failed
+    calibrations = with_findings(recording, options, calibrations)
     return compare_calibrations(
         calibrations, reference=reference, seconds=seconds, failures=failures, left_out=left_out, truth=true_errors
     )

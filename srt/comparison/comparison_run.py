@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from srt.comparison.estimator_comparison import compare as compare_calibrations
 from srt.comparison.estimator_comparison import default_estimators, run_estimators
+from srt.diagnosis import diagnose
 from srt.estimation.options import Options, chosen_options
 from srt.exceptions import DataError, InputError
 from srt.recording.reading import READING_KEYS, read
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from srt.comparison.estimator_comparison import Comparison
     from srt.recording.recording import Recording
+    from srt.result.calibration import Calibration
     from srt.sensor_errors import SensorErrors
 
 
@@ -59,9 +62,21 @@ def compare(
     recording = read(source, **stated)
     names, left_out = runnable_estimators(recording, estimators, reference)
     calibrations, seconds, failures = run_estimators(recording, names, options, progress)
+    calibrations = with_findings(recording, options, calibrations)
     return compare_calibrations(
         calibrations, reference=reference, seconds=seconds, failures=failures, left_out=left_out, truth=truth
     )
+
+
+def with_findings(
+    recording: Recording, options: Options, calibrations: Mapping[str, Calibration]
+) -> dict[str, Calibration]:
+    """Calibrations with the faults of the recording, as :func:`srt.calibrate` finds them before it calibrates."""
+    faults = diagnose(recording, options, calibrating=False).faults
+    return {
+        name: replace(found, diagnostics=replace(found.diagnostics, faults=faults))
+        for name, found in calibrations.items()
+    }
 
 
 def runnable_estimators(

@@ -173,6 +173,11 @@ def test_a_spike_of_a_gyro_in_a_turn_by_hand_is_named():
     found = srt.calibrate(replace(unit, gyro=gyro))
     assert found.diagnostics.faults[0].fault == "spikes"
     assert found.judgement.word != SOUND
+    assert srt.inspect(replace(unit, gyro=gyro)).diagnosis.first.fault == "spikes"
+    compared = srt.compare(replace(unit, gyro=gyro), ("least-squares", "graph"))
+    for result in compared.calibrations.values():
+        assert result.diagnostics.faults[0] == found.diagnostics.faults[0]
+        assert result.judgement.word != SOUND
     # A knock there and back leaves the attitude as it is.
     gyro[at + 1, 0] -= 3.0
     assert "spikes" not in {fault.fault for fault in srt.calibrate(replace(unit, gyro=gyro)).diagnostics.faults}
