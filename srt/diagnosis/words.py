@@ -174,6 +174,10 @@ def _gaps_around_zero(evidence: Evidence, sensor: str) -> Iterator[Finding]:
         size = np.abs(table[table[:, axis] != 0.0, axis])
         threshold = float(size.min())
         near = size[size < _NEAR_BAND * threshold]
+        step = float(steps[axis]) * evidence.per_rate
+        two, three = (np.count_nonzero(np.abs(size - n * step) < 0.5 * step) for n in (2, 3))
+        if threshold > 1.5 * step and min(two, three) >= MANY and not _counts_pulses(evidence, sensor):
+            yield _gap(evidence, sensor, axis, threshold, step)  # a band of one step
         resting = False
         if gyro and data is not None:
             at_rest = np.abs(np.concatenate([table[a:b, axis] for a, b in data.windows.samples.tolist()]))
@@ -191,9 +195,20 @@ def _gaps_around_zero(evidence: Evidence, sensor: str) -> Iterator[Finding]:
         # A band of one step is told by many readings of the two steps that come next, and none of one.
         many = np.count_nonzero(size < 2.0 * threshold - (1.0 + OFF_GRID) * grid) >= MANY
         if threshold > (2.0 + (-OFF_GRID if many else OFF_GRID)) * grid:
-            unit, mark = (1.0, "") if gyro else (MICRO_G, "_ug")
-            sizes = {f"threshold{mark}": threshold / unit, f"step{mark}": grid / unit}
-            yield DEAD_BAND[sensor].found(channel=f"{sensor}_{AXES[axis]}", count=int(zeros[axis]), **sizes)
+            yield _gap(evidence, sensor, axis, threshold, grid)
+
+
+def _gap(evidence: Evidence, sensor: str, axis: int, threshold: float, grid: float) -> Finding:
+    unit, mark = (1.0, "") if sensor == "gyro" else (MICRO_G, "_ug")
+    sizes = {f"threshold{mark}": threshold / unit, f"step{mark}": grid / unit}
+    count = int(evidence.zeros[CHANNELS.index(f"{sensor}_{AXES[axis]}")])
+    return DEAD_BAND[sensor].found(channel=f"{sensor}_{AXES[axis]}", count=count, **sizes)
+
+
+def _counts_pulses(evidence: Evidence, sensor: str) -> bool:
+    """True for a sensor whose readings are counts that carry the remainder over."""
+    pulse = getattr(evidence.recording.noise, f"{sensor}_quantization")
+    return bool(pulse) or (pulse is None and evidence.recording.kind == "increment")
 
 
 DEAD_BAND: Final = by_sensor(
@@ -298,10 +313,8 @@ def zero_cells(evidence: Evidence) -> list[ZeroCell]:
     windows, uneven = evidence.data.windows.samples, limit("chi-square", 1, tests=_CELLS * len(_OTHERS))
     steps, tables = evidence.steps * evidence.per_rate, (evidence.rate, evidence.force)
     for s, sensor in enumerate(TRUNCATED):
-        pulse = getattr(evidence.recording.noise, f"{sensor}_quantization")
-        counted = pulse or (pulse is None and evidence.recording.kind == "increment")
-        if counted or sensor in evidence.wrapped_readings:
-            continue  # pulse counts carry the remainder over; wrapped readings lie on several grids
+        if _counts_pulses(evidence, sensor) or sensor in evidence.wrapped_readings:
+            continue  # wrapped readings lie on several grids
         for axis in range(3):
             column, step = tables[s][:, axis], steps[s, axis]
             cell = _zero_cell(column, step, windows)

@@ -400,10 +400,8 @@ class PreparedRecording:
             return np.zeros(self.K)
         squares = np.zeros(stream.increments.shape[1] + 1)
         differences = np.diff(stream.increments, _DIFFERENCES, axis=1)
-        squares[1 : 1 + differences.shape[1]] = np.sum(differences**2, axis=0) / math.comb(
-            2 * _DIFFERENCES, _DIFFERENCES
-        )
-        total = np.cumsum(squares)
+        squares[1 : 1 + differences.shape[1]] = np.sum(differences**2, axis=0)
+        total = np.cumsum(squares) / math.comb(2 * _DIFFERENCES, _DIFFERENCES)
         first, last = stream.starts[:-1], np.maximum(stream.starts[1:] - _DIFFERENCES, stream.starts[:-1])
         lengths = np.diff(stream.starts)
         white = np.sum(self.noise.gyro_white**2) * recording.nominal_interval_s * (last - first)

@@ -91,6 +91,15 @@ def test_a_dead_band_subtracted_below_the_noise_is_told(grade, sensor, by_hand, 
     assert "below its noise" in found[0].sentence
 
 
+@pytest.mark.parametrize("count", [1.0, 0.4])
+def test_a_dead_band_of_one_count_is_told(count):
+    unit = banded(foreign("industrial-mems", False), "gyro", count=count, band=0.0)
+    lsb = float(np.abs(unit.gyro[unit.gyro != 0.0]).min())
+    found = examine_stages(replace(unit, gyro=np.where(np.abs(unit.gyro) < 1.5 * lsb, 0.0, unit.gyro)), ["channels"])
+    assert found[0].fault == "gyro_dead_band"
+    assert (found[0].details["threshold"], found[0].details["step"]) == pytest.approx((2.0 * lsb, lsb))
+
+
 def test_a_bias_hides_a_dead_band_of_coarse_readings_alone():
     """Readings that reach zero in rotations alone show it if they are fine."""
     unit = foreign("consumer-mems", False)
