@@ -6,9 +6,8 @@ after an interruption, or variants in the forms of foreign loggers and operators
 kind of fault and place of each recording; its units are those of a generator that shares nothing with the
 simulator or the checks, on a fixture or turned by hand, with labels or without, unless the fault is one of the motion.
 ``faults.py clean`` draws recordings without a fault, of all grades, protocols, profiles and forms of processing; by
-design, all checks together raise a finding in at most 1e-4 of them. ``faults.py spikes`` draws spikes: 1 to 500 single
-readings, or bursts of 2 and 5, at rest or in turns, on a fixture, turned by smooth hands and by shaking ones. ``--units
-N`` takes that many, from ``--first`` on.
+design, all checks together raise a finding in at most 1e-4 of them. ``--units N`` takes that many, from
+``--first`` on.
 
 A fault is harmless if nothing is named, the verdict is sound or partial, and no error is beyond 4 sigma. The exit code
 is 1 if a fault of the catalogue is named in fewer than 99 % of its injections, if the right cause is first in less than
@@ -23,14 +22,13 @@ from collections.abc import Callable, Collection, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import lru_cache, partial
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple, get_args
 
 import harness
 import numpy as np
 from foreign_fixture import on_fixture, table_1
-from foreign_motion import DEG, PROFILES, SHAKING, drawn_errors, hand_turns
+from foreign_motion import DEG, PROFILES, drawn_errors, hand_turns
 from foreign_motion import GRADES as FOREIGN_GRADES
 from foreign_motion import recording as free_recording
 from protocols import PROTOCOLS
@@ -47,19 +45,15 @@ import srt
 from sims.physics.turn_profiles import ProfileName
 from sims.scenarios.scenario import scenario_from_dict
 from sims.scenarios.simulation import simulate
-from srt.diagnosis.evidence import Evidence
 from srt.diagnosis.faults import FAULTS
 from srt.estimation.options import Options
 from srt.exceptions import DataError, InputError
-from srt.noise.allan import CHANNELS
 from srt.recording.protocol import load_protocol
 from srt.recording.recording import SequenceLabel
-from srt.result.verdict import SOUND, USABLE
 from srt.sensor_errors import NAMES
 
-SEEN, SHARE, SIGMAS, FOUND = 0.99, 0.85, 4.0, 0.95
-"""Smallest shares of the injections, and of the drawn faults, that are named; largest error over sigma in silence;
-smallest share of the spikes that are named on a fixture and by smooth hands, if they shift the result by 2 sigma."""
+SEEN, SHARE, SIGMAS = 0.99, 0.85, 4.0
+"""Smallest shares of the injections, and of the drawn faults, that are named; largest error over sigma in silence."""
 LADDER_UNITS = 40
 """Units of each severity below the stated one; 40 of 40 give a lower limit of 92.8 % at 95 % confidence."""
 FIRST_UNITS = 8
@@ -429,94 +423,6 @@ def clean(seeds: range, seed: int, jobs: int) -> bool:
     return alarms > 0
 
 
-MOTIONS = ("fixture", "hand", SHAKING)
-PLACES = ("rest", "start", "middle", "end")
-"""Places of spikes; the start and the end are the first and the last tenth of a turn."""
-SPIKES = ((1, 1), (5, 1), (50, 1), (500, 1), (1, 2), (1, 5), (10, 5))
-"""Numbers of the bursts, and the readings of each."""
-HARMFUL = (2.0, 4.0, 10.0, math.inf)
-"""Limits of the classes of spikes by the shift of the result, in its sigmas; the first ones do no harm."""
-
-
-@lru_cache(len(MOTIONS) * len(FOREIGN_GRADES))
-def spiked_unit(motion: str, grade: str, seed: int) -> tuple[srt.Recording, Any, np.ndarray]:
-    """Recording without spikes, its calibration, and its true errors, shape (27,), SI."""
-    rng = np.random.default_rng((seed, MOTIONS.index(motion), list(FOREIGN_GRADES).index(grade)))
-    white = FOREIGN_GRADES[grade]
-    errors = drawn_errors(white, rng)
-    if motion == "fixture":
-        moved = on_fixture(table_1(), rng, rest_s=8.0, rate_rad_s=60.0 * DEG, sigma_rad=1e-3)
-        unit = moved.recording(errors, white, rng, hz=50.0, profile="trapezoid", noise=srt.ImuNoise())
-    else:
-        unit = free_recording(hand_turns(rng, count=18), 5.0, errors, white, rng, profile=motion)
-    return unit, srt.calibrate(unit, force=True), np.array([errors.get(name, 0.0) for name in NAMES])
-
-
-class Spiked(NamedTuple):
-    """Outcome of spikes: ``shift`` of the result in its sigmas, ``named`` as spikes, ``silent``: sound but wrong."""
-
-    title: str
-    motion: str
-    place: str
-    shift: float
-    named: bool
-    silent: bool
-
-
-def spiked(number: int, seed: int) -> Spiked:
-    """Outcome of drawn spikes."""
-    rng = np.random.default_rng((seed, 59, number))
-    motion, place, grade = MOTIONS[number % len(MOTIONS)], str(rng.choice(PLACES)), str(rng.choice([*FOREIGN_GRADES]))
-    unit, before, truth = spiked_unit(motion, grade, seed)
-    data = Evidence(unit).data
-    spans = data.rotation if place != "rest" else data.windows.samples
-    low, high = {"rest": (0.05, 0.95), "start": (0.0, 0.1), "middle": (0.1, 0.9), "end": (0.9, 1.0)}[place]
-    begin, length = spans[:, 0], np.diff(spans, axis=1)[:, 0]
-    parts = np.stack([begin + low * length, begin + high * length], axis=1).astype(int).tolist()
-    rows = np.concatenate([np.arange(a + 1, max(a + 2, b - 5)) for a, b in parts])
-    count, readings = SPIKES[int(rng.integers(len(SPIKES)))]
-    channel, size = int(rng.integers(6)), 10.0 ** rng.uniform(math.log10(3.0), 3.0)
-    values = np.hstack([unit.gyro, unit.accel])
-    a, b = data.windows.samples[0].tolist()
-    sigma = float(np.std(np.diff(values[a:b, channel]))) / math.sqrt(2.0)
-    for at in rng.choice(rows, min(count, len(rows) // 2), replace=False).tolist():
-        values[at : at + readings, channel] += size * sigma * rng.choice([-1.0, 1.0])
-    found = srt.calibrate(replace(unit, gyro=values[:, :3], accel=values[:, 3:]), force=True)
-    both = before.observed & found.observed & (before.sigma > 0.0) & (found.sigma > 0.0)
-    shift = np.max(np.abs(found.errors.vector - before.errors.vector)[both] / before.sigma[both], initial=0.0)
-    if found.status not in USABLE:
-        shift = math.inf
-    error = np.max(np.abs(found.errors.vector - truth)[both] / found.sigma[both], initial=0.0)
-    faults, word = {fault.fault for fault in found.diagnostics.faults or ()}, found.judgement.word
-    title = (
-        f"{number}: {count} of {readings} in {CHANNELS[channel]}, {size:.3g} sigma, {motion} ({place}), {grade}: "
-        f"{word}, {', '.join(faults) or 'nothing named'}, result shifted by {shift:.1f}, wrong by {error:.1f} sigma"
-    )
-    return Spiked(title, motion, place, float(shift), "spikes" in faults, word == SOUND and error > SIGMAS)
-
-
-def spikes(seeds: range, seed: int, jobs: int) -> bool:
-    """Print the share of spikes that are named, by the shift of the result; True if it is small, or one is silent."""
-    rows = list(harness.in_processes(jobs, spiked, ((number, seed) for number in seeds)))
-    print(*(row.title for row in rows if row.silent or (row.shift > HARMFUL[0] and not row.named)), sep="\n")
-    classes = [f"named at {a:g}-{b:g} sigma" for a, b in pairwise(HARMFUL)]
-    print(*markdown(("motion", "place", f"named below {HARMFUL[0]:g} sigma", *classes, "silent"), (), 2), sep="\n")
-    for motion in MOTIONS:
-        for place in PLACES:
-            own = [row for row in rows if (row.motion, row.place) == (motion, place)]
-            at = np.searchsorted(HARMFUL[:-1], [row.shift for row in own])
-            cells = [[row.named for row, k in zip(own, at, strict=True) if k == n] for n in range(len(HARMFUL))]
-            told = " | ".join(f"{sum(cell)}/{len(cell)}" for cell in cells)
-            print(f"| {motion} | {place} | {told} | {sum(row.silent for row in own)} |")
-    clean = [spiked_unit(motion, grade, seed)[1] for motion in MOTIONS for grade in FOREIGN_GRADES]
-    alarms = sum("spikes" in {fault.fault for fault in result.diagnostics.faults or ()} for result in clean)
-    print(f"named in {alarms} of {len(clean)} recordings without spikes")
-    smooth = [row.named for row in rows if row.motion != SHAKING and row.shift > HARMFUL[0]]
-    share = sum(smooth) / max(1, len(smooth))
-    print(f"on a fixture and by smooth hands {share:.0%} of {len(smooth)} named beyond {HARMFUL[0]:g} sigma")
-    return share < FOUND or alarms > 0 or any(row.silent for row in rows)
-
-
 def main(
     study: str = "catalogue",
     *,
@@ -530,8 +436,8 @@ def main(
     numbers = range(first, first + units)
     if study == "catalogue":
         return int(catalogue(kinds, grades, range(seed + first, seed + first + units), jobs))
-    return int({"drawn": drawn, "clean": clean, "spikes": spikes}[study](numbers, seed, jobs))
+    return int((drawn if study == "drawn" else clean)(numbers, seed, jobs))
 
 
 if __name__ == "__main__":
-    harness.run(main, __doc__, study=("catalogue", "drawn", "clean", "spikes"), kinds=KINDS, grades=GRADES)
+    harness.run(main, __doc__, study=("catalogue", "drawn", "clean"), kinds=KINDS, grades=GRADES)
