@@ -1,4 +1,4 @@
-"""Spikes in recordings of a generator that shares nothing with the checks: are they named, and is none silent?
+"""Spikes in recordings of a generator that shares nothing with the checks: which are named, and which are silent.
 
 ``python benchmarks/spikes.py`` draws 1 to 500 single readings, or bursts of 2 and 5, of 3 to 1000 sigma, at rest or in
 turns, on a fixture, turned by smooth hands and by shaking ones, in units of four grades. It prints the share that is
