@@ -273,7 +273,8 @@ def _jumps(
             # One reading between two that agree is a spike, unless it jumps from one end of the range to the other.
             alone = np.abs(column[inner[:, None] + np.array([1, 0])] - column[inner[:, None] - np.array([1, 2])])
             ends = np.abs(np.sort(column[inner[:, None] - np.array([1, 0])], axis=1) - np.array([a, b]))
-            inner = inner[np.all(alone > _EDGE * size, axis=1) | np.all(ends < _EDGE * size, axis=1)]
+            word: Mask = np.all(alone > _EDGE * size, axis=1) | np.all(ends < _EDGE * size, axis=1)
+            inner = inner[word]
             # Vibration that reaches the extremes jumps everywhere.
             beside = np.clip(inner[:, None] - 2 + np.arange(-BESIDE, BESIDE + 1), 0, len(jump) - 1)
             usual: Array = limit("normal", tests=len(column), both_sides=True) * robust_sigma(jump[beside], axis=1)
