@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -403,7 +404,9 @@ def _show_fitness(fitness: Fitness) -> None:
     """Print the fitness of a recording, in lines of at most 80 characters."""
     from srt.reports.tables import wrap
 
-    show("\n".join(wrap(str(fitness))))
+    # An output that cannot be written is told after the result is saved.
+    with suppress(InputError, BrokenPipeError):
+        show("\n".join(wrap(str(fitness))))
 
 
 def inspected(job: Job, recording: Recording) -> str:

@@ -12,8 +12,6 @@ from srt.diagnosis.channels import MOVED
 from srt.estimation.fixed_parameters import in_frame_of_poses, parameters_due, remedies, seen_by_earth_rate_alone
 from srt.estimation.registry import automatic_estimator
 from srt.exceptions import DataError
-from srt.joint.calibration_run import observable_at_start
-from srt.joint.recording_opening import open_joint_model
 from srt.model.closed_form import formulas, missing_parameters
 from srt.model.table1 import SEQUENCES
 from srt.sensor_errors import GROUP_SLICES, NAMES, collapse_names
@@ -77,9 +75,12 @@ def fitness(evidence: Evidence, refusal: Finding | None, estimator: str = "auto"
     biases = np.zeros_like(due)
     for group in ("gyro_bias", "accel_bias"):
         biases[GROUP_SLICES[group]] = True
-    if level is not None or not np.any(observed & due & ~biases):
-        needed = [name for name, own in zip(NAMES, due & ~biases, strict=True) if own]
-        return Fitness(NO, level or f"nothing but biases is observable; {_remedy(data, needed)}", stops=True)
+    asked = due & ~biases
+    if level is not None or (asked.any() and not np.any(observed & asked)):
+        needed = [name for name, own in zip(NAMES, asked, strict=True) if own]
+        # The closed form itself says which estimator takes sequences that are not of its table.
+        stops = level is not None or estimator != "closed-form"
+        return Fitness(NO, level or f"nothing but biases is observable; {_remedy(data, needed)}", stops=stops)
     missing = [name for name, lacks in zip(NAMES, due & ~observed, strict=True) if lacks]
     if not missing:
         return Fitness(YES)
@@ -102,6 +103,9 @@ def _observability(recording: Recording, evidence: Evidence, estimator: str) -> 
     if chosen == "closed-form":
         data = prepare_checked(recording, recording.sequences, options.average)
         return data, ~np.isin(NAMES, missing_parameters(formulas(frozenset(data.ids), asymmetry=True))), wanted
+    from srt.joint.calibration_run import observable_at_start  # heavy, and the closed form does without
+    from srt.joint.recording_opening import open_joint_model
+
     joint = open_joint_model(recording, options)
     wanted &= ~np.isin(NAMES, list(seen_by_earth_rate_alone(joint.data)))
     return joint.data, observable_at_start(joint, wanted), wanted

@@ -18,7 +18,6 @@ import numpy as np
 
 from srt.diagnosis.false_alarms import limit, robust_freedom, robust_sigma
 from srt.diagnosis.rotation_readings import BESIDE, ROUNDING, SLOWEST_RAD_S
-from srt.joint.replaced_readings import Suspects, false_readings
 
 if TYPE_CHECKING:
     from srt.estimation.options import Options
@@ -152,6 +151,8 @@ def false_in_turns(recording: Recording, options: Options, suspects: Spikes) -> 
     """Suspects in turns by hand that the turns do not show as motion."""
     if not suspects.sample.size:
         return suspects
+    from srt.joint.replaced_readings import Suspects, false_readings  # heavy, and few recordings have suspects
+
     own = Suspects(suspects.sample, suspects.channel, suspects.number, suspects.jump)
     return suspects[false_readings(recording, options, own)[own.number]]
 

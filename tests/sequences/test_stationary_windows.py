@@ -84,7 +84,7 @@ def test_a_recording_without_turns_is_refused():
         np.array([0.0, 0.0, -9.8]) + 1e-2 * rng.standard_normal((n, 3)),
         accuracy_trials.SITE,
     )
-    with pytest.raises(srt.DataError, match=r"stationary window"):
+    with pytest.raises(srt.DataError, match=r"rests in one attitude for 40 s"):
         srt.calibrate(still)
 
 
