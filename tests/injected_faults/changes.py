@@ -50,11 +50,11 @@ def restamped(recording: Recording, clock: Callable[[Array], Array]) -> Recordin
     return replace(recording, time=clock(recording.time), sequences=moved_labels(recording.sequences, clock))
 
 
-def somewhere(recording: Recording, rng: np.random.Generator, count: int) -> slice:
-    """Consecutive samples at a random place in the windows or the rotation of a random sequence."""
+def somewhere(recording: Recording, rng: np.random.Generator, count: int, *, at_rest: bool = False) -> slice:
+    """Consecutive samples at a random place in the windows or the rotation of a random sequence, or in one window."""
     label = recording.sequences[int(rng.integers(len(recording.sequences)))]
     first = recording.window_indices(*label.start_static_s).start + _EDGE
-    last = recording.window_indices(*label.end_static_s).stop - _EDGE
+    last = recording.window_indices(*(label.start_static_s if at_rest else label.end_static_s)).stop - _EDGE
     count = min(count, last - first)
     start = int(rng.integers(first, last - count + 1))
     return slice(start, start + count)

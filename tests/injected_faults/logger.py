@@ -234,14 +234,17 @@ def gyro_dead_band(case: Case, severity: float, rng: np.random.Generator) -> Rec
 
 @injection("spikes", 0.05, "of the range")
 def spikes(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """One to three readings of a channel have a transmission error of ``severity`` times the range of the sensor."""
+    """One to three readings of a channel have a transmission error of ``severity`` times the range of the sensor.
+
+    Those of the accelerometers are at rest: readings in rotations enter no result.
+    """
     recording, imu = case.recording, case.simulation.imu
     sensor = str(rng.choice(["gyro", "accel"]))
     limit = imu.gyro_range if sensor == "gyro" else imu.accel_range
     size = severity * limit * per_sample(recording)
     values, axis = getattr(recording, sensor).copy(), int(rng.integers(3))
     for _ in range(int(rng.integers(1, 4))):
-        values[somewhere(recording, rng, 1), axis] += size * sign(rng)
+        values[somewhere(recording, rng, 1, at_rest=sensor == "accel"), axis] += size * sign(rng)
     return with_sensor(recording, sensor, values)
 
 
