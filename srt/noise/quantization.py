@@ -24,15 +24,11 @@ _BULK: Final = (0.25, 0.9)
 
 
 def smallest_step(values: Array) -> Array:
-    """Smallest difference between repeated readings, per column of an (n, c) table; 0 where readings hardly repeat.
-
-    A reading that occurs once may be a spike beside the steps.
-    """
-    columns = np.sort(np.ascontiguousarray(values.T), axis=1)
-    gaps = np.diff(columns, axis=1)
+    """Smallest difference between distinct readings, per column of an (n, c) table; 0 where readings hardly repeat."""
+    gaps = np.diff(np.sort(np.ascontiguousarray(values.T), axis=1), axis=1)
     step, distinct = np.zeros(values.shape[1]), 1 + np.count_nonzero(gaps, axis=1)
     for axis in np.flatnonzero((distinct > 1) & (distinct <= 0.5 * len(values))).tolist():
-        own = np.diff(columns[axis, 1:][gaps[axis] == 0.0])
+        own = gaps[axis]
         step[axis] = own[own > 1e-9 * np.abs(values[:, axis]).max()].min(initial=np.inf)
     step[~np.isfinite(step)] = 0.0
     return step
