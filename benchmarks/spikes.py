@@ -25,6 +25,7 @@ from studies import markdown
 
 import srt
 from srt.diagnosis.evidence import Evidence
+from srt.exceptions import DataError
 from srt.noise.allan import CHANNELS
 from srt.result.verdict import SOUND, USABLE
 from srt.sensor_errors import NAMES
@@ -83,7 +84,11 @@ def spiked(number: int, seed: int) -> Spiked:
     sigma = float(np.std(np.diff(values[a:b, channel]))) / math.sqrt(2.0)
     for at in rng.choice(rows, min(count, len(rows) // 2), replace=False).tolist():
         values[at : at + readings, channel] += size * sigma * rng.choice([-1.0, 1.0])
-    found = srt.calibrate(replace(unit, gyro=values[:, :3], accel=values[:, 3:]), force=True)
+    title = f"{number}: {count} of {readings} in {CHANNELS[channel]}, {size:.3g} sigma, {motion} ({place}), {grade}"
+    try:
+        found = srt.calibrate(replace(unit, gyro=values[:, :3], accel=values[:, 3:]), force=True)
+    except DataError as refused:
+        return Spiked(f"{title}: refused, {refused.fault}", motion, place, math.inf, refused.fault == "spikes", False)
     both = before.observed & found.observed & (before.sigma > 0.0) & (found.sigma > 0.0)
     shift = np.max(np.abs(found.errors.vector - before.errors.vector)[both] / before.sigma[both], initial=0.0)
     if found.status not in USABLE:
@@ -91,8 +96,7 @@ def spiked(number: int, seed: int) -> Spiked:
     error = np.max(np.abs(found.errors.vector - truth)[both] / found.sigma[both], initial=0.0)
     faults, word = {fault.fault for fault in found.diagnostics.faults or ()}, found.judgement.word
     title = (
-        f"{number}: {count} of {readings} in {CHANNELS[channel]}, {size:.3g} sigma, {motion} ({place}), {grade}: "
-        f"{word}, {', '.join(faults) or 'nothing named'}, result shifted by {shift:.1f}, wrong by {error:.1f} sigma"
+        f"{title}: {word}, {', '.join(sorted(faults)) or 'nothing named'}, shift {shift:.1f}, error {error:.1f} sigma"
     )
     return Spiked(title, motion, place, float(shift), "spikes" in faults, word == SOUND and error > SIGMAS)
 
