@@ -49,7 +49,7 @@ def status_line(first: str) -> Iterator[Callable[[str], None] | None]:
     from rich.text import Text
 
     line = Spinner("dots", Text(printable(first)))
-    # What is printed meanwhile goes above the line on a terminal, and as it is to a file.
+    # Other output goes above the line on a terminal, and as it is to a file.
     shared = sys.stdout is not None and sys.stdout.isatty()
     with Live(line, console=console, refresh_per_second=12.5, transient=True, redirect_stdout=shared):
         yield lambda text: line.update(text=Text(printable(text)))

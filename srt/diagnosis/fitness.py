@@ -45,7 +45,7 @@ class Fitness:
     word : str
         "yes"; "partly": parameters that such a recording should show are not observable; "no".
     reason : str
-        What is missing, or why not, and what to record; empty for "yes".
+        Missing parameters or cause, and advice on what to record; empty for "yes".
     stops : bool
         True if no estimator is to be tried.
     """
@@ -88,7 +88,7 @@ def fitness(evidence: Evidence, refusal: Finding | None, estimator: str = "auto"
 
 
 def _remedy(data: PreparedRecording, names: Sequence[str]) -> str:
-    """What to add to a recording so that it shows parameters, in a few words."""
+    """Advice, in a few words, on what a recording lacks to show parameters."""
     if any(name in SEQUENCES for name in data.ids):
         return "add the other sequences of Table 1"
     single = remedies(names)

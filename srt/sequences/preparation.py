@@ -391,7 +391,7 @@ class PreparedRecording:
     def fast_motion(self) -> Array:
         """Motion of every rotation near half the sample rate, as an angle of each axis, shape (K,), rad.
 
-        What lies above half the sample rate folds back, and no integration undoes it. It continues what lies below:
+        Motion above half the sample rate folds back, and no integration undoes it. It continues the motion below:
         eighth differences pass the upper third of the band, and leave white noise as it is. Increments hold the whole
         angle of their interval, so that there is none.
         """
