@@ -10,7 +10,7 @@ import numpy as np
 
 from srt.planning.plan_document import format_sigma, symbols
 from srt.planning.timetable import clock
-from srt.ranking import ranked
+from srt.ranking import ranked, significant
 from srt.reports.parameters import sigma_text, value_text
 from srt.reports.tables import text_table, wrap
 from srt.reports.text.calibration import source_label
@@ -66,7 +66,8 @@ def _sequence_table(plan: Plan) -> str:
 def _accuracy_table(plan: Plan) -> str:
     rows = []
     for k in range(N_PARAMETERS):
-        sigma, target = float(plan.sigma[k]), float(plan.targets[k])
+        # Half a digit, as 1.95, is printed alike whatever the last bit.
+        sigma, target = float(plan.sigma[k]), significant(float(plan.targets[k]))
         if math.isinf(sigma):
             rows.append([SYMBOLS[k], DISPLAY_UNITS[k], "not observed", "", "", ""])
             continue
