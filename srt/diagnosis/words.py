@@ -377,7 +377,7 @@ def _zero_cell(column: Array, step: float, windows: Indices) -> ZeroCell:
     noise = math.sqrt(float(np.median(variance)))
 
     def logarithm(half: float) -> float:
-        """Of a cell of zero that is as wide as truncation or a dead band makes it; other roundings make a bias."""
+        """Log-likelihood of a cell of zero as wide as by truncation or a dead band; other roundings make a bias."""
         edges = half + np.arange(_NEAR + 1.0)
         return _logarithm(np.concatenate([-edges[::-1], edges]), middle, noise, counts)
 

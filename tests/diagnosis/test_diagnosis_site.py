@@ -95,7 +95,7 @@ def test_a_table_that_leans_is_no_matter_of_the_place(tilt_rad, latitude_deg):
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("first_s", [0.2, 1.0])
 def test_rates_that_are_zeroed_at_the_start_of_each_rest_have_no_place(first_s, seed):
-    """What the noise leaves is near zero, and no latitude or heading is more likely."""
+    """Rests zeroed beside noise: the rate that is left is near zero, and no latitude or heading is more likely."""
     recording = case("tactical-fog").recording
     gyro = recording.gyro.copy()
     rng = np.random.default_rng((SEED, seed))

@@ -210,7 +210,7 @@ def test_a_sample_rate_against_the_stamps_is_named_or_in_the_sigmas(tmp_path, pp
     at = GROUP_SLICES["gyro_scale"]
     expected = np.array([(1.0 + errors[name]) / (1.0 + ppm * 1e-6) - 1.0 for name in NAMES[at]])
     base = found.contributions.get("clock", np.zeros(27))[at]
-    # Of the jitter, 2.3 ms over 25,000 samples, the mean of the rates of ten parts has 1 ppm.
+    # The jitter of 2.3 ms over 25,000 samples gives the mean rate of ten parts 1 ppm.
     np.testing.assert_allclose(base, abs(ppm) * 1e-6, atol=0.05e-6 * abs(ppm) + (4e-6 if stamps == "jitter" else 1e-12))
     assert np.all(np.abs(found.errors.vector[at] - expected) < 3.5 * np.sqrt(found.sigma[at] ** 2 - base**2))
     said = "but the time stamps have a rate of 50 Hz"
