@@ -112,7 +112,7 @@ def _undersampling(joint: JointModel, solution: BlockSolution, fit: tuple[float,
     none = likelihood.logarithm(np.zeros(2))
     equal = likelihood.variances(np.array([True, False]))
     turning = np.diff(joint.data.rotation, axis=1) * joint.data.recording.nominal_interval_s
-    decades = math.log(_LARGEST_TURN_RAD / float(joint.data.noise.gyro_white.max() * np.sqrt(np.median(turning))))
+    width = math.log(_LARGEST_TURN_RAD / float(joint.data.noise.gyro_white.max() * np.sqrt(np.median(turning))))
     median, spread = _FOLDED
 
     def logarithm(log_share: float) -> float:
@@ -127,7 +127,7 @@ def _undersampling(joint: JointModel, solution: BlockSolution, fit: tuple[float,
         return math.exp(float(best.x))
     if 2.0 * explained < chdtri(1, 2.0 * MISFIT_PROBABILITY):
         return None
-    if -float(best.fun) < likelihood.logarithm(equal) - math.log(max(decades, 1.0)):
+    if -float(best.fun) < likelihood.logarithm(equal) - math.log(max(width, 1.0)):
         return None
     gain = likelihood_gain(2.0 * explained, 1, *fit)
     return None if _one_is_faulty(joint, solution, fit, gain) else math.exp(float(best.x))
