@@ -23,6 +23,9 @@ _POWERS: Final = (3.0, 16.0)
 """Powers of the mean over the targets that stands for their largest in two rounds of search: it is differentiable."""
 _MOST_PASSES: Final = 12
 """Passes over all places at most; the search ends before when a pass gains too little."""
+_WEAK: Final = 1e-4
+"""Information on every unknown in a search, over squared targets: far less than any plan gives. Selections that show
+next to nothing are nearly singular without it, and rounding errors would decide which is the better one."""
 _FACTORS: Final = np.geomspace(0.03, 2.0, 9)
 """Common factors of the windows for which the information is computed; it is interpolated between them."""
 _STEP: Final = 1e-3
@@ -157,6 +160,7 @@ class SelectionSearch:
     def __init__(self, criterion: AccuracyCriterion, pool: CandidatePool, total_s: float, most: int) -> None:
         self.criterion, self.total_s, self.pool, self.most = criterion, total_s, pool, most
         self._windows = np.clip(_FACTORS[:, None, None] * pool.windows_s, criterion.shortest_s, criterion.longest_s)
+        self.prior = criterion.prior + _WEAK * np.eye(len(criterion.prior))
         # The last of the pool is no sequence: it costs and tells nothing.
         self.nothing = len(pool.which)
         information = np.stack([criterion.information(pool.which, w) for w in self._windows])
@@ -216,7 +220,7 @@ class SelectionSearch:
             at, part, k = level[fits], share[fits, None, None], added[fits]
             M = (1.0 - part) * information[at] + part * information[at + 1]
             M += (1.0 - part) * self.information[at, k] + part * self.information[at + 1, k]
-            g = self.criterion.variances(self.criterion.prior + M)
+            g = self.criterion.variances(self.prior + M)
             largest = g.max(axis=1)
             out[fits] = np.log(largest) + np.log(((g / largest[:, None]) ** self.power).mean(axis=1)) / self.power
         return out
@@ -249,7 +253,7 @@ class SelectionSearch:
         """Candidates of the pool that decrease the criterion most, by its derivative and by its derivative per time."""
         level, _ = self._level(cost[:, None])
         own = self.criterion
-        g, X = target_variances(own.prior + information[level[0]], own.targets, own.floor)
+        g, X = target_variances(self.prior + information[level[0]], own.targets, own.floor)
         wanted = own.correction * g
         weight = own.correction * (wanted / wanted.max()) ** (self.power - 1.0) / wanted.max()
         gain = self.information[level[0], :-1].reshape(self.nothing, -1) @ ((X * weight) @ X.T).ravel()
