@@ -74,6 +74,7 @@ class _Tilts(NamedTuple):
         # The mounting is free: U follows the rotation axes.
         mounting = tilt(tilt_axes(np.broadcast_to(np.eye(3), (*units, data.K, 3, 3)), up))
         white, flicker = (x[..., None, :] ** 2 for x in (data.noise.accel_white, data.noise.accel_flicker))
+        white = white + data.windows.accel_excess[..., data.start, :]
         variance = white * data.windows.white_factor[data.start, None] + flicker
         by_noise = tilt(_apart(np.sqrt(variance) / gravity))
         by_errors = tilt(force_error_jacobian(force, m.accel) / gravity[..., None])

@@ -66,7 +66,7 @@ def build_calibration(
     turned = ExecutedRotations(data, result, np.sqrt(np.diag(covariance)))
     evidence = None
     if observed.any():
-        evidence = verdict(result.sequences, covariance, observed, chi_square, freedom, free=free)
+        evidence = verdict(result.sequences, covariance, observed, chi_square, freedom)
         if _unmodelled_drift(result):  # it is in the residuals of all sequences
             evidence = replace(evidence, contradicting=None)
         evidence = _with_sensor_noise(evidence, data, result, covariance, observed, inflation, turned)

@@ -100,12 +100,13 @@ def white_noise(data: PreparedRecording, by: Slopes, integrated: Mask | None = N
     if integrals.noise is None:
         raise ValueError("the measurements were processed without their noise integrals")
     T, q = windows.duration_s, noise.gyro_white
-    rate = _through(by.rate, q[..., None, :] ** 2 / T[:, None])
+    squared = q[..., None, :] ** 2 + windows.gyro_excess
+    rate = _through(by.rate, squared / T[:, None])
     turn = np.einsum("...kacb,...b->...kac", integrals.noise, q**2)
     shared: dict[str, list[tuple[Indices, Array]]] = {}
     if integrated is not None and integrated.any():
         number = np.where(integrated, np.cumsum(integrated) - 1, -1)
-        mean = by.rate * (q[..., None, :] / np.sqrt(T)[:, None])[..., None, :]
+        mean = by.rate * np.sqrt(squared / T[:, None])[..., None, :]
         rate = np.where(integrated[:, None, None], 0.0, rate)
         shared = {"rate": [(number, mean)], "turn": []}
         for which, C in ((data.start, np.broadcast_to(np.eye(3), turn.shape)), (data.end, integrals.C_end)):
@@ -113,8 +114,20 @@ def white_noise(data: PreparedRecording, by: Slopes, integrated: Mask | None = N
             part = 0.5 * T[which, None, None] * C @ mean[..., which, :, :]
             shared["turn"].append((number[which], part))
             turn = turn - np.where(integrated[which, None, None], part @ np.swapaxes(part, -1, -2), 0.0)
-    force = _through(by.force, noise.accel_white[..., None, :] ** 2 * windows.white_factor[:, None])
+        turn = turn + excess_of_turns(data, by, integrated)
+    squared = noise.accel_white[..., None, :] ** 2 + windows.accel_excess
+    force = _through(by.force, squared * windows.white_factor[:, None])
     return {"gyro_noise": Source({"rate": rate, "turn": turn}, shared), "accel_noise": Source({"force": force})}
+
+
+def excess_of_turns(data: PreparedRecording, by: Slopes, integrated: Mask) -> Array:
+    """Covariance of φ by windows that are noisier than the others and integrated, shape (..., K, 3, 3), rad²."""
+    windows, total = data.windows, np.zeros(())
+    # φ grows over a window at its start, and falls off over one at its end: the mean of the squares is a third.
+    squared = windows.gyro_excess * np.where(integrated, windows.duration_s / 3.0, 0.0)[:, None]
+    for which, C in ((data.start, np.eye(3)), (data.end, by.integrals.C_end)):
+        total = total + _through(C @ by.rate[..., which, :, :], squared[..., which, :])
+    return np.asarray(total)
 
 
 def quantization(data: PreparedRecording, by: Slopes, *, shared: bool = True) -> dict[str, Source]:

@@ -20,10 +20,7 @@ if TYPE_CHECKING:
 
 
 CONTRADICTION_PROBABILITY: Final = 1e-4
-"""p-value below which a sequence contradicts the others: over 17 sequences, one false alarm in about 600 recordings.
-
-For units turned by hand, where neither a label nor the fixture can be wrong, it is the p-value of all turns together.
-"""
+"""p-value of all sequences or turns together, below which one contradicts the others."""
 _ONE_FAULT: Final = 0.05
 """A group explains the misfit if the other measurements have a smaller share of chi-square than this.
 
@@ -76,7 +73,7 @@ def is_misfit(chi_square: float, degrees_of_freedom: int) -> bool:
 
 
 def contradicting_group(
-    tests: Sequence[tuple[float, int]], chi_square: float, degrees_of_freedom: int, *, free: bool = False
+    tests: Sequence[tuple[float, int]], chi_square: float, degrees_of_freedom: int
 ) -> tuple[int, float] | None:
     """Group of measurements that contradicts all others, and the p-value; None if none does.
 
@@ -89,10 +86,8 @@ def contradicting_group(
         Chi-square of each group against the prediction by the others, and its degrees of freedom.
     chi_square, degrees_of_freedom : float, int
         Of all residuals.
-    free : bool
-        The unit was turned by hand.
     """
-    limit = CONTRADICTION_PROBABILITY / (len(tests) if free and tests else 1)
+    limit = CONTRADICTION_PROBABILITY / max(len(tests), 1)
     worst: tuple[int, float] | None = None
     least = math.inf, -math.inf
     for number, (own, freedom) in enumerate(tests):
@@ -115,7 +110,6 @@ def one_group_explains(
     chi_square: float,
     degrees_of_freedom: int,
     *,
-    free: bool = False,
     against: float = -math.inf,
     wholly: bool = False,
 ) -> bool:
@@ -123,7 +117,7 @@ def one_group_explains(
 
     Parameters
     ----------
-    tests, chi_square, degrees_of_freedom, free
+    tests, chi_square, degrees_of_freedom
         As in :func:`contradicting_group`.
     against : float
         Gain of an effect on all groups that may explain the residuals instead, see
@@ -131,7 +125,7 @@ def one_group_explains(
     wholly : bool
         The other effect must explain all residuals to be chosen, and so must the group.
     """
-    worst = contradicting_group(tests, chi_square, degrees_of_freedom, free=free)
+    worst = contradicting_group(tests, chi_square, degrees_of_freedom)
     if worst is None:
         return False
     own, freedom = tests[worst[0]]

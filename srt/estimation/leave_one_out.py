@@ -261,8 +261,6 @@ def verdict(
     observed: Mask,
     statistic: float,
     freedom: int,
-    *,
-    free: bool = False,
 ) -> Consistency:
     """Verdict of the measurements on the result.
 
@@ -276,8 +274,6 @@ def verdict(
     statistic : float
         Chi-square of all residuals.
     freedom : int
-    free : bool
-        The unit was turned by hand.
     """
     # Far from a solution, where an iteration did not converge, the linear algebra may fail.
     rows = list(evidence)
@@ -288,18 +284,16 @@ def verdict(
         chi_square=statistic,
         degrees_of_freedom=freedom,
         probability=chi_square_probability(statistic, freedom),
-        contradicting=_contradicting(rows, statistic, freedom, free=free),
+        contradicting=_contradicting(rows, statistic, freedom),
         sequences=tuple(_sequence(row, sigma, observed) for row in rows),
         parameters=_parameters(rows, covariance, seen),
         weakest_combination=_weakest(covariance, seen),
     )
 
 
-def _contradicting(
-    rows: Sequence[SequenceDiagnostics], statistic: float, freedom: int, *, free: bool
-) -> Contradiction | None:
+def _contradicting(rows: Sequence[SequenceDiagnostics], statistic: float, freedom: int) -> Contradiction | None:
     tests = [(row.consistency.chi_square, row.consistency.degrees_of_freedom) for row in rows]
-    worst = contradicting_group(tests, statistic, freedom, free=free)
+    worst = contradicting_group(tests, statistic, freedom)
     if worst is None:
         return None
     row = rows[worst[0]]

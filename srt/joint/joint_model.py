@@ -426,6 +426,7 @@ class JointModel:
         if self.integrated.any():
             # In a window with integrated attitude the gyros measure motion: 1 rad/s gives the rate no weight.
             out["gyro_noise"].own["rate"][self.integrated] = np.eye(3)
+            out["gyro_noise"].own["turn"] += sources.excess_of_turns(self.data, by, self.integrated)
         for term, _ in self.drift.of("gyro"):
             if term.form == WALK:
                 out["gyro_drift"] = sources.walk_between_windows(self.data, by, term.sigma)

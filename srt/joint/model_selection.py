@@ -256,7 +256,7 @@ def _explains(joint: JointModel, solver: JointSolver, iteration: IterationState,
     solution = _solution(joint, solver, iteration, state)
     fit = goodness_of_fit(joint, solver, solution, solution.system)
     tests = [(test.chi_square, test.degrees_of_freedom) for test in contradictions(joint, solution)]
-    return not is_misfit(*fit) and contradicting_group(tests, *fit, free=joint.turned_by_hand) is None
+    return not is_misfit(*fit) and contradicting_group(tests, *fit) is None
 
 
 def _with_drift(joint: JointModel, state: JointState, terms: tuple[DriftTerm, ...]) -> tuple[DriftTerms, JointState]:
@@ -290,7 +290,7 @@ def _one_is_faulty(
 ) -> bool:
     """True if one sequence or move explains the misfit, and with a larger gain than an effect on all."""
     tests = [(test.chi_square, test.degrees_of_freedom) for test in contradictions(joint, solution)]
-    return one_group_explains(tests, *fit, free=joint.turned_by_hand, against=against, wholly=wholly)
+    return one_group_explains(tests, *fit, against=against, wholly=wholly)
 
 
 def _fixture_explains(

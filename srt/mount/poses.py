@@ -151,7 +151,9 @@ def find_poses(recording: Recording, calibration: Calibration, *, level_sigma_ra
         )
     noise = noise_model(recording, samples)
     _check_stationary(windows, accel, noise, used, names, level_sigma_rad)
-    variance = noise.accel_white**2 * windows.white_factor[:, None] + noise.accel_edge**2 * windows.edge_factor[:, None]
+    variance = (noise.accel_white**2 + windows.accel_excess) * windows.white_factor[
+        :, None
+    ] + noise.accel_edge**2 * windows.edge_factor[:, None]
     D = accel.sensitivity(force[used])
     # Bias instability is one drift over all poses, about the bias that the calibration states.
     draws = window_draws(samples[used], recording.time)

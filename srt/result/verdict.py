@@ -44,7 +44,8 @@ _MANY: Final = 30
 LEFT_TO_RESIDUALS: Final = frozenset({
     "gap_in_sequence", "gyro_clipped", "accel_clipped",  # these sequences are left out
     "sequence_missing", "window_short",  # the sigmas are larger, or parameters are not observed
-    "bump", "creep", "noisy_window",  # such a window is integrated, and its noise is in the residuals
+    "bump", "creep",  # such a window is integrated
+    "noisy_window",  # its noise is in the covariance
     "wrong_angle", "vibration", "gyro_noise", "accel_noise",  # the estimate uses what was measured, and corrects it
     "temperature_unit", "temperature_drift",  # no reading is wrong
 })  # fmt: skip

@@ -90,7 +90,7 @@ def together(units: Sequence[PreparedRecording]) -> PreparedUnits:
 
 def _joined(units: Sequence[PreparedRecording]) -> PreparedUnits:
     first = units[0]
-    by_unit = ("gyro_mean", "gyro_halves", "accel_halves", "accel_mean")
+    by_unit = ("gyro_mean", "gyro_halves", "accel_halves", "accel_mean", "gyro_excess", "accel_excess")
     windows = replace(
         first.windows, **{name: np.stack([getattr(unit.windows, name) for unit in units]) for name in by_unit}
     )

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from scipy.special import chdtri
 
+from srt.sequences.window_means import MEDIAN_OF_SQUARE, PARTS
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -23,13 +25,9 @@ if TYPE_CHECKING:
 
 PROBABILITY: Final = 1e-3
 """Probability that a still window is classified as moving, by both tests together."""
-_PARTS: Final = 16
-"""Number of parts of a window from which its own noise is estimated."""
 
 _FIGURES: Final = ("gyro_white", "gyro_edge", "accel_white", "accel_edge", "accel_wander")
 """Figures of the noise model that the halves of a window have."""
-_MEDIAN_OF_SQUARE: Final = 0.4549
-"""Median of chi-square with one degree of freedom."""
 
 
 def moved_windows(
@@ -147,15 +145,15 @@ def _own_noise(data: PreparedRecording, which: Mask) -> Array:
     )
     for w in np.flatnonzero(which).tolist():
         a, b = data.windows.samples[w].tolist()
-        count = (b - a) // _PARTS
+        count = (b - a) // PARTS
         if count == 0:
             continue
         tau = float(data.windows.duration_s[w]) * count / (b - a)
         for s, (samples, white, edge) in enumerate(sensors):
-            parts = samples[a : a + count * _PARTS].reshape(_PARTS, count, 3).sum(axis=1)
+            parts = samples[a : a + count * PARTS].reshape(PARTS, count, 3).sum(axis=1)
             means = parts / (tau if recording.kind == "increment" else count)
             bend = np.diff(means, n=2, axis=0)
-            seen = np.median(bend**2, axis=0) / _MEDIAN_OF_SQUARE
+            seen = np.median(bend**2, axis=0) / MEDIAN_OF_SQUARE
             expected = 6.0 * white**2 / tau + 20.0 * (edge / tau) ** 2
             ratio[s, w] = np.sqrt(np.maximum(seen / expected, 1.0))
     return ratio

@@ -23,6 +23,16 @@ if TYPE_CHECKING:
 
 LEAST_SAMPLES: Final = 2
 """Samples that a stationary window needs."""
+PARTS: Final = 16
+"""Parts of a window from whose means its noise is estimated."""
+MEDIAN_OF_SQUARE: Final = 0.4549
+"""Median of chi-square with one degree of freedom."""
+_LOUD: Final = 8.0
+"""Ratio of the noise variance of a window to that of the others from which it is its own, with p < 1e-7 otherwise."""
+_ROUNDED: Final = 2.5
+"""Range of readings in their smallest steps up to which a window may be louder than others by rounding alone."""
+_FEWEST: Final = 4
+"""Windows from which the noise of one is compared with that of the others."""
 
 Average = Literal["linear", "overlapping"]
 """Plain mean, or mean of overlapping half-window means (Savage 2020, after eq. 1: linear, average of averages)."""
@@ -55,6 +65,8 @@ class Windows:
         Means of the first and the second half, for the test of stillness.
     accel_mean : ndarray, shape (W, 3), m/s²
         By the averaging algorithm.
+    gyro_excess, accel_excess : ndarray, shape (W, 3), rad²/s and m²/s³
+        Squared random walk of windows that are noisier than the others, beyond that of the others; else zero.
     white_factor : ndarray, shape (W,), 1/s
         Variance of the accelerometer mean over squared random walk.
     edge_factor : ndarray, shape (W,), 1/s²
@@ -67,6 +79,8 @@ class Windows:
     gyro_halves: Array
     accel_halves: Array
     accel_mean: Array
+    gyro_excess: Array
+    accel_excess: Array
     white_factor: Array
     edge_factor: Array
 
@@ -107,11 +121,13 @@ def average_windows(recordings: Sequence[Recording], samples: Sequence[Indices],
     W, columns = len(samples[0]), 3 * len(recordings)
     duration, white, edge = np.empty(W), np.empty(W), np.empty(W)
     gyro, accel, halves = np.empty((W, columns)), np.empty((W, columns)), np.empty((2, W, 2, columns))
+    density = np.zeros((2, 2, W, columns))
     rates = recordings[0].kind == "rate"
     interval = recordings[0].interval_s
     both = (side_by_side([getattr(own, sensor) for own in recordings], samples) for sensor in ("gyro", "accel"))
     for (which, gyros), (_, forces) in zip(*both, strict=True):
         n = gyros.shape[1]
+        density[:, :, which] = np.stack([_noise_density(readings) for readings in (gyros, forces)])
         if isinstance(interval, float):
             each = [(slice(None), _weights(np.full(n, interval), algorithm, rates=rates))]
         else:
@@ -125,10 +141,41 @@ def average_windows(recordings: Sequence[Recording], samples: Sequence[Indices],
                 halves[0, w, h] = own.halves[h] @ gyros[part, half]
                 halves[1, w, h] = own.halves[h] @ forces[part, half]
             gyro[w] = own.shares @ halves[0, w]
-    by_unit = zip(samples, of_each(gyro), of_each(halves[0]), of_each(halves[1]), of_each(accel), strict=True)
+    # The motion of a hand is no noise that decreases with the length of a window.
+    if recordings[0].fixture is None:
+        density[:] = 0.0
+    per_step = duration / np.diff(samples[0], axis=1)[:, 0]
+    density *= (per_step if rates else 1.0 / per_step)[:, None]
+    by_unit = (gyro, *halves, accel, *(_excess(*each) for each in density))
     return [
-        Windows(own, duration, rate, rates, forces, force, white, edge) for own, rate, rates, forces, force in by_unit
+        Windows(own, duration, rate, rates, forces, force, of_gyro, of_accel, white, edge)
+        for own, rate, rates, forces, force, of_gyro, of_accel in zip(samples, *map(of_each, by_unit), strict=True)
     ]
+
+
+def _noise_density(readings: Array) -> Array:
+    """Squared random walk of equally long windows, per sample, (w, n, c) to (2, w, c); 0: too few samples.
+
+    It is the median of the squared second differences of means of parts: neither a drift nor a step changes it. The
+    second is zero where readings differ by no more than two of their steps, which may be those of rounding.
+    """
+    count = readings.shape[1] // PARTS
+    if count == 0:
+        return np.zeros((2, *readings.shape[::2]))
+    parts = readings[:, : count * PARTS].reshape(len(readings), PARTS, count, -1).mean(axis=2)
+    steps = np.abs(np.diff(readings, axis=1))
+    step = np.min(steps, axis=1, where=steps > 0.0, initial=np.inf)
+    density = np.median(np.diff(parts, n=2, axis=1) ** 2, axis=1) * count / (6.0 * MEDIAN_OF_SQUARE)
+    return np.stack([density, np.where(np.ptp(readings, axis=1) > _ROUNDED * step, density, 0.0)])
+
+
+def _excess(density: Array, dithered: Array) -> Array:
+    """Squared random walk of windows beyond the typical one, (W, 3 units); 0 where chance or rounding explains it."""
+    few = np.sum(density > 0.0, axis=0) < _FEWEST
+    typical = np.nanmedian(np.where(density > 0.0, density, np.where(few, 1.0, np.nan)), axis=0)
+    ratio = np.where(few | (dithered == 0.0), 1.0, dithered / typical).reshape(len(density), -1, 3)
+    loud = np.repeat(ratio.mean(axis=2) > _LOUD, 3, axis=1)
+    return np.where(loud & (ratio.reshape(density.shape) > 1.0), dithered - typical, 0.0)
 
 
 class _Weights(NamedTuple):

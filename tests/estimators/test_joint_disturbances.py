@@ -16,6 +16,7 @@ import accuracy_trials
 import numpy as np
 import pytest
 from injected_faults import disturbances
+from scipy.stats import norm
 
 import srt
 from sims.physics.imu import read_out
@@ -110,12 +111,12 @@ def with_lost_samples(seed, name, which):
 
 
 def with_bias_step(seed, name, which):
-    """Ten sigmas of a window's mean specific force, in that window alone."""
+    """Twelve sigmas of a window's mean specific force, in that window alone."""
     span = window(seed, name, which)
     T = span[1] - span[0]
     # Both edges of a window read their running integral to the pulse, uniformly.
     sigma = np.hypot(IMU.accel_noise / np.sqrt(T), IMU.accel_quantization / np.sqrt(6.0) / T)
-    return disturbances.accel_bias_step(clean(seed)[0], *span, 10.0 * sigma * np.ones(3))
+    return disturbances.accel_bias_step(clean(seed)[0], *span, 12.0 * sigma * np.ones(3))
 
 
 def noisier(seed, name, which):
@@ -129,8 +130,11 @@ def noisier(seed, name, which):
     )
 
 
-SHORT = [(tilted, "1"), (with_bias_step, "7"), (noisier, "7"), (noisier, "13"), (with_lost_samples, "4")]
-LONG = [(case, name) for case in (tilted, with_bias_step, noisier) for name in SEQUENCES]
+SHORT = [(tilted, "1"), (with_bias_step, "1"), (with_lost_samples, "4")]
+# A step of 7 is within what the instability of the accelerometers explains.
+LONG = [
+    (case, name) for case in (tilted, with_bias_step) for name in SEQUENCES if (case, name) != (with_bias_step, "7")
+]
 LONG += [(with_lost_samples, name) for name in ("1", "2", "4", "5")]
 
 
@@ -217,9 +221,7 @@ def test_indistinguishable_sequences_are_narrowed_down_to_two(name):
     assert calibration.status == "not_converged" or table[0].probability < 1e-6
 
 
-@pytest.mark.parametrize(
-    ("case", "name"), [(tilted, "13"), (with_bias_step, "13"), pytest.param(noisier, "4", marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize(("case", "name"), [(tilted, "13"), (with_bias_step, "13")])
 def test_the_filter_names_it_too(case, name):
     """The filter names the sequence as the graph does, and its innovations fail the test from that sequence on."""
     calibration = result(case, 101, name, estimator="ekf")
@@ -234,7 +236,7 @@ def test_the_filter_names_it_too(case, name):
 
 @pytest.mark.parametrize("estimator", ["ekf", "graph"])
 def test_nothing_is_named_without_a_fault(estimator):
-    """Once in 600 recordings something is; two recordings are looked at."""
+    """Once in 10,000 recordings something is; two recordings are looked at."""
     for seed in (101, 102):
         assert named_sequence(reference(seed, estimator)) is None
 
@@ -253,7 +255,28 @@ def moved_too_far(calibration, seed, name, loss):
     return {NAMES[i]: round(float(shifts[i]), 2) for i in np.flatnonzero(counted & (shifts > bar))}
 
 
-@partial(one_bad_sequence, short=[(noisier, "13"), (with_lost_samples, "4")])
+@pytest.mark.parametrize(
+    ("estimator", "name", "seed", "which"),
+    [
+        *[(estimator, "7", 104, "start") for estimator in ("closed-form", "least-squares", "ekf")],
+        *[
+            pytest.param("graph", name, seed, which, marks=pytest.mark.slow)
+            for name in SEQUENCES
+            for seed in (102, 103, 104)
+            for which in ("start", "end")
+        ],
+    ],
+)
+def test_a_window_that_is_noisier_than_the_others_has_its_own_noise(estimator, name, seed, which):
+    """It contradicts nothing, and no error exceeds its sigma by chance in 27 recordings."""
+    calibration = result(noisier, seed, name, which, estimator)
+    assert calibration.status == "converged", calibration.message
+    assert named_sequence(calibration) is None
+    errors = (calibration.errors.vector - clean(seed)[2].vector) / calibration.sigma
+    assert np.abs(errors).max() < norm.isf(0.005 / 27**2)
+
+
+@partial(one_bad_sequence, short=[(with_lost_samples, "4")])
 def test_a_robust_graph_stays_where_it_was(case, name, seed, which):
     """Cauchy's loss keeps every parameter that other sequences determine within 3 sigma of the undisturbed result."""
     calibration = result(case, seed, name, which, loss="cauchy")
