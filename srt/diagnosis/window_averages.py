@@ -13,7 +13,7 @@ import numpy as np
 from srt.diagnosis.false_alarms import limit, robust_sigma
 from srt.diagnosis.triad_fits import LEAST_FREEDOM
 from srt.noise.noise_model import ACCEL_FLOOR, GYRO_FLOOR
-from srt.noise.quantization import quantization_step
+from srt.noise.quantization import quantization_step, single_precision_step
 
 if TYPE_CHECKING:
     from srt.recording.recording import Recording
@@ -175,4 +175,6 @@ def quantization(data: PreparedRecording, least: Array) -> Array:
     shown = np.maximum(np.count_nonzero(steps, axis=0), 1)
     stated = np.repeat([noise.gyro_quantization or 0.0, noise.accel_quantization or 0.0], 3)
     per_pulse = recording.nominal_interval_s * recording.rates_factor
-    return np.asarray(np.max([seen[shown // 2, np.arange(6)], stated / per_pulse, least.ravel()], axis=0))
+    single = [single_precision_step(table, windows)[1] for table in (recording.gyro, recording.accel)]
+    own = seen[shown // 2, np.arange(6)]
+    return np.asarray(np.max([own, stated / per_pulse, least.ravel(), np.concatenate(single)], axis=0))

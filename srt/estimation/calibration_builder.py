@@ -105,11 +105,11 @@ def build_calibration(
 
 
 def _undersampling(data: PreparedRecording) -> Undersampling | None:
-    """Error of the rotations by motion too fast for the sample rate; None unless residuals show it."""
+    """Error of the rotations by motion too fast, or by integration; None unless residuals show it."""
     if data.undersampling is None:
         return None
     rms = float(np.sqrt(np.mean(data.fast_motion**2)))
-    return Undersampling(share=data.undersampling, angle_rad=data.undersampling * rms)
+    return Undersampling(share=data.undersampling, angle_rad=data.undersampling * rms, noise_free=data.noise.noise_free)
 
 
 def reported_covariance(data: PreparedRecording, total: Array, observed: Mask, inflation: float = 1.0) -> Array:
@@ -408,7 +408,7 @@ def _warnings(
             f"The unit moved in the stationary windows from {times}; their attitude was integrated, not kept fixed."
         )
     messages += [term.sentence for term in result.drift]
-    if (slow := _undersampling(data)) is not None:
+    if (slow := _undersampling(data)) is not None and not slow.noise_free:
         rate = 1.0 / data.recording.nominal_interval_s
         messages.append(
             f"The readings are too slow for these turns: motion faster than half of {rate:.3g} Hz is missed, "

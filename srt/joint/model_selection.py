@@ -49,6 +49,8 @@ if TYPE_CHECKING:
 _FOLDED: Final = (0.4, 0.3)
 """Error of a rotation over its motion near half the sample rate: median, and spread of its logarithm. Readings of gyros
 with known error, taken at a part of their rate, give 0.33 to 0.44, steps of the rate 0.52."""
+_INTEGRATION: Final = (1e-10, 5e-6)
+"""Range of the error of the rotations of a simulation without noise, over their angle."""
 _LARGEST_TURN_RAD: Final = 0.1
 """Largest error of a turn that is no fault of it."""
 _SIZES: Final = (-5.0, 5.0)
@@ -81,7 +83,8 @@ def add_g_sensitivity(joint: JointModel, solver: JointSolver, iteration: Iterati
 def add_undersampling(joint: JointModel, solver: JointSolver, iteration: IterationState) -> bool:
     """Model the error of rotations by motion too fast for the sample rate; True if it changed.
 
-    It must be more likely than an error that is equal in all rotations, and than a fault of one of them.
+    It must be more likely than an error that is equal in all rotations, and than a fault of one of them. Without noise
+    it is that of the integration of a simulation, which is too small to be anything else.
     """
     data = joint.data
     if solver.weights() or any(joint.unmodelled_sigma.of_unit) or not data.fast_motion.any():
@@ -114,16 +117,19 @@ def _undersampling(joint: JointModel, solution: BlockSolution, fit: tuple[float,
     turning = np.diff(joint.data.rotation, axis=1) * joint.data.recording.nominal_interval_s
     width = math.log(_LARGEST_TURN_RAD / float(joint.data.noise.gyro_white.max() * np.sqrt(np.median(turning))))
     median, spread = _FOLDED
+    simulated = joint.data.noise.noise_free
 
     def logarithm(log_share: float) -> float:
         by_prior = 0.5 * ((log_share - math.log(median)) / spread) ** 2 + math.log(spread * math.sqrt(2.0 * math.pi))
-        return likelihood.logarithm(np.array([0.0, math.exp(2.0 * log_share)])) - by_prior
+        return likelihood.logarithm(np.array([0.0, math.exp(2.0 * log_share)])) - (0.0 if simulated else by_prior)
 
     reach = 4.0 * spread
     bounds = math.log(median) - reach, math.log(median) + reach
+    if simulated:
+        bounds = math.log(_INTEGRATION[0]), math.log(_INTEGRATION[1])
     best = minimize_scalar(lambda x: -logarithm(x), bounds=bounds, method="bounded", options={"xatol": 1e-2})
     explained = -float(best.fun) - none
-    if joint.data.undersampling is not None:
+    if joint.data.undersampling is not None or simulated:
         return math.exp(float(best.x))
     if 2.0 * explained < chdtri(1, 2.0 * MISFIT_PROBABILITY):
         return None

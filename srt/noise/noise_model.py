@@ -16,7 +16,7 @@ from scipy.special import ndtr
 
 from srt.constants import STANDARD_GRAVITY_M_S2
 from srt.noise.instability_at_rest import InstabilityAtRest, instability_at_rest
-from srt.noise.quantization import smallest_step, thinned
+from srt.noise.quantization import single_precision_step, smallest_step, thinned
 from srt.noise.random_walk import random_walk
 from srt.noise.variance_components import expected_variance
 from srt.recording.readings import by_length
@@ -117,6 +117,11 @@ class NoiseModel:
     floored: tuple[str, ...] = ()
 
     @property
+    def noise_free(self) -> bool:
+        """True if the gyros have no noise but rounding, as in simulations."""
+        return "gyro_noise" in self.floored
+
+    @property
     def undithered(self) -> tuple[str, ...]:
         """Channels whose readings have steps that their noise does not dither."""
         both = (("gyro", self.gyro_rounding, self.gyro_step), ("accel", self.accel_rounding, self.accel_step))
@@ -170,12 +175,14 @@ def noise_model(recording: Recording, windows: Indices) -> NoiseModel:
         edge = seen_edge if pulse is None else np.full(3, pulse / math.sqrt(12.0))
         step = _resolution(recording, windows, sensor)
         rounding, own = _step_error(recording, windows, sensor, step, seen_edge)
-        resolution = step / math.sqrt(12.0)
+        at_rest_single, single = single_precision_step(getattr(recording, sensor), windows) * factor
+        resolution = np.maximum(step, single) / math.sqrt(12.0)
         if noise is not None:  # what the windows show contains the rounding
             undithered = np.any(rounding, axis=0) | (own > 0.0)
             white = np.hypot(noise, np.where(undithered, resolution * math.sqrt(dt), 0.0))
         shown = np.hypot(white / math.sqrt(dt), math.sqrt(2.0) * edge / dt)
         least = np.maximum(np.where(shown < resolution, resolution * math.sqrt(dt), 0.0), floor)
+        own = np.where(shown < at_rest_single, np.hypot(own, at_rest_single / math.sqrt(12.0)), own)
         if np.any(white < least):
             floored.append(f"{sensor}_noise")
         values = (np.maximum(white, least), edge, rounding, own)

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+
+from srt.constants import STANDARD_GRAVITY_M_S2
 
 if TYPE_CHECKING:
     from srt.recording.recording import Recording
@@ -39,6 +42,23 @@ def thinned(table: Array, windows: Indices | None = None) -> Array:
     spans = [(0, len(table))] if windows is None else windows.tolist()
     stride = max(1, sum(b - a for a, b in spans) // _SAMPLES)
     return np.concatenate([table[a:b:stride] for a, b in spans])
+
+
+def single_precision_step(table: Array, windows: Indices) -> Array:
+    """Step of numbers in single precision at the largest readings of windows and of all, (2, 3); 0: not stored so.
+
+    Readings of a log in °/s or g are single-precision numbers after the conversion back.
+    """
+    some, size = (
+        thinned(table),
+        np.stack([np.abs(part).max(axis=0) for part in (thinned(table, windows), thinned(table))]),
+    )
+    for unit in (1.0, math.pi / 180.0, STANDARD_GRAVITY_M_S2):
+        stored = some / unit
+        apart = np.abs(stored - stored.astype(np.float32))
+        if np.all(apart <= 4.0 * np.finfo(float).eps * np.abs(stored)):
+            return np.asarray(unit * np.spacing((size / unit).astype(np.float32)), dtype=np.float64)
+    return np.zeros((2, 3))
 
 
 def reading_steps(recording: Recording) -> Array:

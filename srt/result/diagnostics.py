@@ -136,18 +136,21 @@ class Drift:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Undersampling:
-    """Error of the rotations by motion too fast for the sample rate.
+    """Error of the rotations by motion too fast for the sample rate, or by the integration of a simulation.
 
     Attributes
     ----------
     share : float
-        Error over the motion near half the sample rate; 0.4 is expected, to 30 %.
+        Error over the motion near half the sample rate; 0.4 is expected, to 30 %. Without noise: over the angle.
     angle_rad : float
         1-sigma error of each axis, root mean square over the rotations.
+    noise_free : bool
+        The readings have no noise but rounding.
     """
 
     share: float
     angle_rad: float
+    noise_free: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

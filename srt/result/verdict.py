@@ -157,7 +157,9 @@ def modelled(calibration: Judged) -> Iterator[str]:
     drift = [row for row in calibration.diagnostics.drift or () if row.modelled]
     sensors = {"gyro": "the gyros", "accel": "the accelerometers"}
     names = [f"a bias drift of {sensors[row.sensor]} ({row.form})" for row in drift]
-    if (slow := calibration.diagnostics.undersampling) is not None:
+    if (slow := calibration.diagnostics.undersampling) is not None and slow.noise_free:
+        yield f"Readings without noise: the rotations agree to {slow.share:.0e} of their angle."
+    elif slow is not None:
         names.append(f"motion too fast for the sample rate ({math.degrees(slow.angle_rad):.2g}° per turn)")
     names += ["the g-sensitivity of the gyros"] * (calibration.diagnostics.g_sensitivity is not None)
     if names:

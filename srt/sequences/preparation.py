@@ -383,19 +383,20 @@ class PreparedRecording:
     @cached_property
     def rotation_stream(self) -> GyroStream:
         """Gyro samples of the rotations alone, the attitude constant in all windows."""
-        stream, none = self._gyro_stream(self.rotation, None), np.zeros(self.K, dtype=np.bool_)
-        self._remove_vibration(stream, none, none)
+        stream = self._gyro_stream(self.rotation, None)
+        self._remove_vibration(stream, *np.zeros((2, self.K), dtype=np.bool_))
         return stream
 
     @cached_property
     def fast_motion(self) -> Array:
         """Motion of every rotation near half the sample rate, as an angle of each axis, shape (K,), rad.
 
-        Motion above half the sample rate folds back, and no integration undoes it. It continues the motion below:
-        eighth differences pass the upper third of the band, and leave white noise as it is. Increments hold the whole
-        angle of their interval, so that there is none.
+        Motion above half the sample rate folds back, and continues that below: eighth differences pass the upper third
+        of the band, and leave white noise as it is. Increments have none. Without noise it is the angle turned.
         """
         stream, recording = self.rotation_stream, self.recording
+        if self.noise.noise_free:
+            return np.asarray(np.add.reduceat(np.linalg.norm(stream.increments, axis=0), stream.starts[:-1]))
         if recording.kind == "increment":
             return np.zeros(self.K)
         squares = np.zeros(stream.increments.shape[1] + 1)
