@@ -129,6 +129,8 @@ def _undersampling(joint: JointModel, solution: BlockSolution, fit: tuple[float,
         bounds = math.log(_INTEGRATION[0]), math.log(_INTEGRATION[1])
     best = minimize_scalar(lambda x: -logarithm(x), bounds=bounds, method="bounded", options={"xatol": 1e-2})
     explained = -float(best.fun) - none
+    if simulated and best.x > bounds[1] - _SIZE_TOLERANCE:
+        return None  # no error of an integration
     if joint.data.undersampling is not None or simulated:
         return math.exp(float(best.x))
     if 2.0 * explained < chdtri(1, 2.0 * MISFIT_PROBABILITY):

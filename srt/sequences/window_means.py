@@ -31,6 +31,8 @@ _LOUD: Final = 8.0
 """Ratio of the noise variance of a window to that of the others from which it is its own, with p < 1e-7 otherwise."""
 _ROUNDED: Final = 2.5
 """Range of readings in their smallest steps up to which a window may be louder than others by rounding alone."""
+_SAME: Final = 1e-9
+"""Difference of equal readings over the largest reading: rounding of what was computed from counts."""
 _FEWEST: Final = 4
 """Windows from which the noise of one is compared with that of the others."""
 
@@ -163,9 +165,10 @@ def _noise_density(readings: Array) -> Array:
     if count == 0:
         return np.zeros((2, *readings.shape[::2]))
     parts = readings[:, : count * PARTS].reshape(len(readings), PARTS, count, -1).mean(axis=2)
-    steps = np.abs(np.diff(readings, axis=1))
-    step = np.min(steps, axis=1, where=steps > 0.0, initial=np.inf)
-    density = np.median(np.diff(parts, n=2, axis=1) ** 2, axis=1) * count / (6.0 * MEDIAN_OF_SQUARE)
+    steps, rounding = np.abs(np.diff(readings, axis=1)), _SAME * np.abs(readings).max(axis=(0, 1))
+    step = np.min(steps, axis=1, where=steps > rounding, initial=np.inf)
+    bend = np.median(np.diff(parts, n=2, axis=1) ** 2, axis=1)
+    density = np.where(bend > rounding**2, bend * count / (6.0 * MEDIAN_OF_SQUARE), 0.0)
     return np.stack([density, np.where(np.ptp(readings, axis=1) > _ROUNDED * step, density, 0.0)])
 
 
