@@ -53,8 +53,8 @@ _WORTH_ADDING: Final = 1.0 - 1e-3
 """Value of a column's time over the mean value of the design's, from which on the column is added."""
 _NEW_SHARE: Final = 0.02
 """Share of the time that new columns get at first, together."""
-_SHARE_DIGITS: Final = 4
-"""Digits of the shares of the time; a column that has none is dropped."""
+_NO_SHARE: Final = 1e-5
+"""Share of the time below which a column is dropped."""
 _NO_INFORMATION: Final = 1e-11
 """Eigenvalue of the scaled information, over the largest, below which a direction is unobservable."""
 _NO_PART: Final = 1e-3
@@ -246,9 +246,8 @@ def _column_generation(
     active, share = start.which, start.weight * cost[start.which] / total_s
     bound = 0.0
     for _ in range(_MOST_ROUNDS):
-        # The shares of mirrored columns are free but for their sum: what rounding adds to them would grow by the round.
-        share = np.round(_best_shares(columns, active, share, total_s), _SHARE_DIGITS)
-        keep = share > 0.0
+        share = _best_shares(columns, active, share, total_s)
+        keep = share > _NO_SHARE
         active, share = active[keep], share[keep] / share[keep].sum()
         weight = share * total_s / cost[active]
         g, X = columns.variances(columns.information(active, weight))
@@ -270,7 +269,9 @@ def _column_generation(
         if fresh.size == 0:
             break
         active = np.concatenate([active, fresh])
-        share = np.concatenate([(1.0 - _NEW_SHARE) * share, np.full(len(fresh), _NEW_SHARE / len(fresh))])
+        # The shares of mirrored columns are free but for their sum: their rounding errors would grow by the round.
+        share = np.array([float(f"{own:.3g}") for own in share])
+        share = np.concatenate([(1.0 - _NEW_SHARE) / share.sum() * share, np.full(len(fresh), _NEW_SHARE / len(fresh))])
     return best
 
 
