@@ -1,7 +1,8 @@
-"""Three public sets of recorded data: readers, and the results of one beside published ones.
+"""Four public sets of recorded data: readers, and the results of one beside published ones.
 
-xsens_mti (Tedaldi, Pretto and Menegatti, ICRA 2014), mpu9150 (mikoff/imu-calib) and imucal's Ferraris example. The data
-are not part of the project; the environment variable :data:`DATA_VARIABLE` names their folder.
+xsens_mti (Tedaldi, Pretto and Menegatti, ICRA 2014), mpu9150 (mikoff/imu-calib), imucal's Ferraris example and an array
+of eight units (Carlsson et al., IEEE Sensors J. 2021). The data are not part of the project; the environment variable
+:data:`DATA_VARIABLE` names their folder.
 
 ``python benchmarks/recorded_sets.py [ESTIMATOR...]`` prints gains, offsets and 1-sigma values of the first beside
 published ones. Default estimators: least-squares, ekf, graph.
@@ -20,7 +21,7 @@ from scipy.linalg import rq
 from scipy.spatial.transform import Rotation
 
 import srt
-from srt.constants import DEG
+from srt.constants import DEG, STANDARD_GRAVITY_M_S2
 from srt.model.sensor_model import accel_triad, gyro_triad
 from srt.recording.recording import Recording, Site
 from srt.result.calibration import Calibration
@@ -77,6 +78,15 @@ def ferraris(folder: Path) -> Recording:
     rate = 102.4
     time = np.asarray(np.arange(1, len(table) + 1) / rate, dtype=np.float64)
     return Recording(time, table[:, 1:4] * DEG, table[:, 4:7], Site(9.81, 5e-3), sample_rate_hz=rate)
+
+
+def array_chip(folder: Path, repeat: int, chip: int) -> Recording:
+    """One of eight InvenSense units on a rigid board, 62.5 Hz, turned by hand; place known to some hundred km only."""
+    table = np.load(folder / "array" / f"exp_{repeat}.npz")
+    gyro, accel = (table[f"{sensor}_counts"][:, chip - 1] for sensor in ("gyro", "accel"))
+    return Recording(
+        np.asarray(table["time_s"]), gyro / 16.4 * DEG, accel / 2048.0 * STANDARD_GRAVITY_M_S2, Site(9.818, 5e-3)
+    )
 
 
 def residuals(recording: Recording, errors: SensorErrors | None) -> dict[str, float]:

@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
-from scipy.special import ndtr
+from scipy.special import chdtri, ndtr
 
 from srt.constants import MICRO_G
 from srt.diagnosis.channels import MOVED, unread
@@ -277,6 +277,10 @@ _WIDEST: Final = 64
 """Widest dead band in steps, beyond which the readings are finer than any band."""
 _OTHERS: Final = (*range(-8, 0), *range(1, 9))
 """Readings, in steps, whose intervals are compared with that of zero."""
+_UNEVEN: Final = 1e-3
+"""p-value of any of them below which the steps of a converter are uneven; it hides so many truncations."""
+_LIKE_ZERO: Final = 0.25
+"""Statistic of another reading over that of zero up to which zero is special."""
 _NEAR: Final = 2
 """Largest reading that is counted, in steps: noise of any distribution is like normal noise over a few steps."""
 _OUTLIERS: Final = 1e-4
@@ -310,7 +314,7 @@ def zero_cells(evidence: Evidence) -> list[ZeroCell]:
     out = [ZeroCell()] * 6
     if evidence.data is None:
         return out
-    windows, uneven = evidence.data.windows.samples, limit("chi-square", 1, tests=_CELLS * len(_OTHERS))
+    windows, uneven = evidence.data.windows.samples, float(chdtri(1, _UNEVEN / len(_OTHERS)))
     steps, tables = evidence.steps * evidence.per_rate, (evidence.rate, evidence.force)
     for s, sensor in enumerate(TRUNCATED):
         if _counts_pulses(evidence, sensor) or sensor in evidence.wrapped_readings:
@@ -320,7 +324,7 @@ def zero_cells(evidence: Evidence) -> list[ZeroCell]:
             cell = _zero_cell(column, step, windows)
             # A converter with uneven steps has other readings that are as frequent beside their neighbours.
             others = (_zero_cell(column - k * step, step, windows) for k in _OTHERS if cell.truncated > 0.0)
-            if all(other.truncated < uneven for other in others):
+            if all(other.truncated < max(uneven, _LIKE_ZERO * cell.truncated) for other in others):
                 out[3 * s + axis] = cell
     return out
 
