@@ -123,13 +123,15 @@ def average_windows(recordings: Sequence[Recording], samples: Sequence[Indices],
     W, columns = len(samples[0]), 3 * len(recordings)
     duration, white, edge = np.empty(W), np.empty(W), np.empty(W)
     gyro, accel, halves = np.empty((W, columns)), np.empty((W, columns)), np.empty((2, W, 2, columns))
-    density = np.zeros((2, 2, W, columns))
+    # The motion of a hand is no noise that decreases with the length of a window.
+    fixed, density = recordings[0].fixture is not None, np.zeros((2, 2, W, columns))
     rates = recordings[0].kind == "rate"
     interval = recordings[0].interval_s
     both = (side_by_side([getattr(own, sensor) for own in recordings], samples) for sensor in ("gyro", "accel"))
     for (which, gyros), (_, forces) in zip(*both, strict=True):
         n = gyros.shape[1]
-        density[:, :, which] = np.stack([_noise_density(readings) for readings in (gyros, forces)])
+        if fixed:
+            density[:, :, which] = np.stack([_noise_density(readings) for readings in (gyros, forces)])
         if isinstance(interval, float):
             each = [(slice(None), _weights(np.full(n, interval), algorithm, rates=rates))]
         else:
@@ -143,9 +145,6 @@ def average_windows(recordings: Sequence[Recording], samples: Sequence[Indices],
                 halves[0, w, h] = own.halves[h] @ gyros[part, half]
                 halves[1, w, h] = own.halves[h] @ forces[part, half]
             gyro[w] = own.shares @ halves[0, w]
-    # The motion of a hand is no noise that decreases with the length of a window.
-    if recordings[0].fixture is None:
-        density[:] = 0.0
     per_step = duration / np.diff(samples[0], axis=1)[:, 0]
     density *= (per_step if rates else 1.0 / per_step)[:, None]
     by_unit = (gyro, *halves, accel, *(_excess(*each) for each in density))
