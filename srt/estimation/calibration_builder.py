@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from srt.estimation.asymmetry_choice import asymmetry_choice
-from srt.estimation.error_sources import EXCESSES, alignment_sigma, as_found, start_sigma
+from srt.estimation.error_sources import EXCESSES, alignment_sigma, as_found, start_sigma, turns_estimated
 from srt.estimation.fixed_parameters import parameters_due
 from srt.estimation.goodness_of_fit import chi_square_probability, is_misfit
 from srt.estimation.leave_one_out import verdict
@@ -66,7 +66,8 @@ def build_calibration(
     turned = ExecutedRotations(data, result, np.sqrt(np.diag(covariance)))
     evidence = None
     if observed.any():
-        evidence = verdict(result.sequences, covariance, observed, chi_square, freedom)
+        turns = turns_estimated(data)
+        evidence = verdict(result.sequences, covariance, observed, chi_square, freedom, estimated_from=turns)
         if _unmodelled_drift(result):  # it is in the residuals of all sequences
             evidence = replace(evidence, contradicting=None)
         evidence = _with_sensor_noise(evidence, data, result, covariance, observed, inflation, turned)

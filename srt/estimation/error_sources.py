@@ -264,6 +264,11 @@ def undersampled_motion(data: PreparedRecording) -> dict[str, Source]:
     return {UNDERSAMPLING: Source({"turn": variance[:, None, None] * np.eye(3)})}
 
 
+def turns_estimated(data: PreparedRecording) -> float:
+    """Number of rotations from whose residuals the size of their error was estimated; infinite if it was not."""
+    return math.inf if data.undersampling is None else float(data.K)
+
+
 def walk_between_windows(data: PreparedRecording, by: Slopes, sigma: float) -> Source:
     """Random walk of the gyro biases in rotations, about what the windows before and after them show.
 

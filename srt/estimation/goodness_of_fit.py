@@ -73,7 +73,11 @@ def is_misfit(chi_square: float, degrees_of_freedom: int) -> bool:
 
 
 def contradicting_group(
-    tests: Sequence[tuple[float, int]], chi_square: float, degrees_of_freedom: int
+    tests: Sequence[tuple[float, int]],
+    chi_square: float,
+    degrees_of_freedom: int,
+    *,
+    estimated_from: float = math.inf,
 ) -> tuple[int, float] | None:
     """Group of measurements that contradicts all others, and the p-value; None if none does.
 
@@ -86,6 +90,8 @@ def contradicting_group(
         Chi-square of each group against the prediction by the others, and its degrees of freedom.
     chi_square, degrees_of_freedom : float, int
         Of all residuals.
+    estimated_from : float
+        Groups from whose residuals their noise was estimated: it is known as a mean of so many squares is.
     """
     limit = CONTRADICTION_PROBABILITY / max(len(tests), 1)
     worst: tuple[int, float] | None = None
@@ -95,7 +101,9 @@ def contradicting_group(
         if not freedom:
             continue
         if is_misfit(rest, others):
-            p = float(fdtrc(freedom, others, own / freedom / (rest / others)))
+            p = float(fdtrc(freedom, min(others, estimated_from), own / freedom / (rest / others)))
+        elif math.isfinite(estimated_from):
+            p = float(fdtrc(freedom, estimated_from, own / freedom))
         else:
             p = float(chdtrc(freedom, own))
         # One redundant measurement tests all groups alike, and of gross errors all probabilities are zero.
@@ -110,6 +118,7 @@ def one_group_explains(
     chi_square: float,
     degrees_of_freedom: int,
     *,
+    estimated_from: float = math.inf,
     against: float = -math.inf,
     wholly: bool = False,
 ) -> bool:
@@ -117,7 +126,7 @@ def one_group_explains(
 
     Parameters
     ----------
-    tests, chi_square, degrees_of_freedom
+    tests, chi_square, degrees_of_freedom, estimated_from
         As in :func:`contradicting_group`.
     against : float
         Gain of an effect on all groups that may explain the residuals instead, see
@@ -125,7 +134,7 @@ def one_group_explains(
     wholly : bool
         The other effect must explain all residuals to be chosen, and so must the group.
     """
-    worst = contradicting_group(tests, chi_square, degrees_of_freedom)
+    worst = contradicting_group(tests, chi_square, degrees_of_freedom, estimated_from=estimated_from)
     if worst is None:
         return False
     own, freedom = tests[worst[0]]

@@ -16,6 +16,7 @@ in a chain of free rotations would reduce it.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
@@ -261,6 +262,8 @@ def verdict(
     observed: Mask,
     statistic: float,
     freedom: int,
+    *,
+    estimated_from: float = math.inf,
 ) -> Consistency:
     """Verdict of the measurements on the result.
 
@@ -274,6 +277,8 @@ def verdict(
     statistic : float
         Chi-square of all residuals.
     freedom : int
+    estimated_from : float
+        As in :func:`contradicting_group`.
     """
     # Far from a solution, where an iteration did not converge, the linear algebra may fail.
     rows = list(evidence)
@@ -284,16 +289,18 @@ def verdict(
         chi_square=statistic,
         degrees_of_freedom=freedom,
         probability=chi_square_probability(statistic, freedom),
-        contradicting=_contradicting(rows, statistic, freedom),
+        contradicting=_contradicting(rows, statistic, freedom, estimated_from),
         sequences=tuple(_sequence(row, sigma, observed) for row in rows),
         parameters=_parameters(rows, covariance, seen),
         weakest_combination=_weakest(covariance, seen),
     )
 
 
-def _contradicting(rows: Sequence[SequenceDiagnostics], statistic: float, freedom: int) -> Contradiction | None:
+def _contradicting(
+    rows: Sequence[SequenceDiagnostics], statistic: float, freedom: int, estimated_from: float
+) -> Contradiction | None:
     tests = [(row.consistency.chi_square, row.consistency.degrees_of_freedom) for row in rows]
-    worst = contradicting_group(tests, statistic, freedom)
+    worst = contradicting_group(tests, statistic, freedom, estimated_from=estimated_from)
     if worst is None:
         return None
     row = rows[worst[0]]

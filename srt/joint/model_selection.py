@@ -17,7 +17,7 @@ from srt.estimation.drift_model import (
     gyro_statistics,
     most_likely,
 )
-from srt.estimation.error_sources import LARGEST_FIXTURE_RAD, NO_ERRORS, accel_drift, by_drift
+from srt.estimation.error_sources import LARGEST_FIXTURE_RAD, NO_ERRORS, accel_drift, by_drift, turns_estimated
 from srt.estimation.g_sensitivity_report import significant_g_sensitivity
 from srt.estimation.goodness_of_fit import (
     contradicting_group,
@@ -264,7 +264,7 @@ def _explains(joint: JointModel, solver: JointSolver, iteration: IterationState,
     solution = _solution(joint, solver, iteration, state)
     fit = goodness_of_fit(joint, solver, solution, solution.system)
     tests = [(test.chi_square, test.degrees_of_freedom) for test in contradictions(joint, solution)]
-    return not is_misfit(*fit) and contradicting_group(tests, *fit) is None
+    return not is_misfit(*fit) and contradicting_group(tests, *fit, estimated_from=turns_estimated(joint.data)) is None
 
 
 def _with_drift(joint: JointModel, state: JointState, terms: tuple[DriftTerm, ...]) -> tuple[DriftTerms, JointState]:
@@ -298,7 +298,7 @@ def _one_is_faulty(
 ) -> bool:
     """True if one sequence or move explains the misfit, and with a larger gain than an effect on all."""
     tests = [(test.chi_square, test.degrees_of_freedom) for test in contradictions(joint, solution)]
-    return one_group_explains(tests, *fit, against=against, wholly=wholly)
+    return one_group_explains(tests, *fit, estimated_from=turns_estimated(joint.data), against=against, wholly=wholly)
 
 
 def _fixture_explains(

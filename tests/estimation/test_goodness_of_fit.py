@@ -24,6 +24,17 @@ def test_the_limit_of_a_contradiction_is_that_of_all_groups(largest, accused):
     assert 1e-4 / 18 < chdtrc(8, 37.0) < 1e-4
 
 
+def test_a_noise_that_the_turns_themselves_show_is_no_better_known_than_their_scatter():
+    """50 for 6 degrees of freedom: p = 5e-9 with noise that is stated, and 2e-4 with that of nineteen turns."""
+    tests = [(50.0, 6), *[(6.0, 6)] * 18]
+    chi_square, freedom = (sum(values) for values in zip(*tests, strict=True))
+    assert contradicting_group(tests, chi_square, freedom)[1] == pytest.approx(chdtrc(6, 50.0))
+    assert contradicting_group(tests, chi_square, freedom, estimated_from=19.0) is None
+    number, p = contradicting_group([(200.0, 6), *tests[1:]], chi_square + 150.0, freedom, estimated_from=19.0)
+    assert number == 0
+    assert p <= 1e-4 / 19
+
+
 @pytest.mark.parametrize("excess", [400.0, 1e6])
 def test_the_cause_with_the_larger_likelihood_is_chosen(excess):
     """By one group of 5 of 100, or an effect of one coefficient; p-values of the larger excess are zero.
