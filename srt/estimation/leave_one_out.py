@@ -278,7 +278,7 @@ def verdict(
         Chi-square of all residuals.
     freedom : int
     estimated_from : float
-        As in :func:`srt.estimation.goodness_of_fit.contradicting_group`.
+        As in ``contradicting_group``.
     """
     # Far from a solution, where an iteration did not converge, the linear algebra may fail.
     rows = list(evidence)
