@@ -31,7 +31,7 @@ lint: $(STAMP)
 docs: $(STAMP)
 	$(BIN)/python -m sphinx -b html -n -W --keep-going -q docs build/docs
 
-# The full-size statistics (about eight minutes on two cores)
+# The full-size statistics (more than half an hour on two cores)
 slow: $(STAMP)
 	$(BIN)/python -m pytest -n auto -m slow
 
