@@ -406,3 +406,19 @@ def test_fixed_values_against_changed_ones(estimator, monkeypatch):
     assert contribution[others].max() > 0.1 * size
     # Each of the two iterations ends within 0.01 sigma; the rest is of second order.
     assert np.all(np.abs(contribution - change)[others] <= 1e-3 * size + 0.02 * above.sigma[others])
+
+
+def test_noise_of_an_integrated_window_acts_on_its_rotation_as_its_samples_do():
+    """φ over a window grows from 0 to 1 times the angle: the sum of the squares, over the white noise of a sample."""
+    data, measurements = quiet()
+    windows = replace(data.windows, gyro_excess=np.zeros((len(data.windows.samples), 3)))
+    w, excess = int(data.start[0]), 1e-12
+    windows.gyro_excess[w, 1] = excess
+    by = measurement_covariance.slopes_of(measurements)
+    integrated = np.arange(len(windows.duration_s)) == w
+    found = error_sources.excess_of_turns(replace(data, windows=windows), by, integrated)
+    share = np.arange(1, round(DWELL_S * RATE_HZ) + 1) * (1.0 / (DWELL_S * RATE_HZ))
+    effect = by.rate[w][:, 1]
+    expected = np.sum(share**2) / RATE_HZ * excess * np.outer(effect, effect)
+    np.testing.assert_allclose(found[0], expected, rtol=2e-3, atol=1e-6 * expected.max())
+    assert not found[1:].any()

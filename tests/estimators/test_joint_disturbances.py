@@ -258,7 +258,8 @@ def moved_too_far(calibration, seed, name, loss):
 @pytest.mark.parametrize(
     ("estimator", "name", "seed", "which"),
     [
-        *[(estimator, "7", 104, "start") for estimator in ("closed-form", "least-squares", "ekf")],
+        *[(estimator, "7", 104, "start") for estimator in ("closed-form", "ekf")],
+        *[("least-squares", "7", seed, "start") for seed in (103, 104)],
         *[
             pytest.param("graph", name, seed, which, marks=pytest.mark.slow)
             for name in SEQUENCES
@@ -268,12 +269,12 @@ def moved_too_far(calibration, seed, name, loss):
     ],
 )
 def test_a_window_that_is_noisier_than_the_others_has_its_own_noise(estimator, name, seed, which):
-    """It contradicts nothing, and no error exceeds its sigma by chance in 27 recordings."""
+    """It contradicts nothing, and no error exceeds its sigma by chance in 28 recordings."""
     calibration = result(noisier, seed, name, which, estimator)
     assert calibration.status == "converged", calibration.message
     assert named_sequence(calibration) is None
     errors = (calibration.errors.vector - clean(seed)[2].vector) / calibration.sigma
-    assert np.abs(errors).max() < norm.isf(0.005 / 27**2)
+    assert np.abs(errors).max() < norm.isf(0.005 / (27 * 28))
 
 
 @partial(one_bad_sequence, short=[(with_lost_samples, "4")])
