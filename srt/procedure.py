@@ -47,7 +47,7 @@ def calibrate(
     *,
     checks: bool = True,
     force: bool = False,
-    without_turns: Sequence[str] = (),
+    without_turns: Sequence[str | int] = (),
     options: Options | None = None,
     progress: Progress | None = None,
     announce: Callable[[Fitness], None] | None = None,
@@ -69,8 +69,8 @@ def calibrate(
         become warnings. False: estimation alone, and a warning says so.
     force : bool
         Calibrate in spite of fatal faults.
-    without_turns : sequence of str
-        Turns, poses or sequences to leave out: numbers of those without an id, as "22", and ids, as "1a".
+    without_turns : sequence of str or int
+        Turns, poses or sequences to leave out: numbers of those without an id, and ids, as "1a".
     options : Options, optional
     progress : callable, optional
         Called after every iteration with its number and the largest correction.
@@ -95,7 +95,7 @@ def calibrate(
     options = chosen_options(options, choices)
     recording = with_protocol(read(source, **stated))
     if without_turns:
-        recording, titles = leave_out(recording, without_turns)
+        recording, titles = leave_out(recording, [str(name) for name in without_turns])
         result = calibrate(
             recording, estimator, checks=checks, force=force, options=options, progress=progress, announce=announce
         )

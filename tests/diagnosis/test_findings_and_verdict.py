@@ -94,6 +94,13 @@ def test_interpolated_samples_of_a_sequence_that_is_left_out_are_not_in_the_resu
     assert "samples_interpolated" not in {fault.fault for fault in found.diagnostics.faults}
 
 
+def test_a_turn_is_left_out_by_its_number():
+    unit, _ = unstated_unit(0, "fixture", "tactical")
+    number = unit.sequences[7].id
+    left = srt.calibrate(unit, "least-squares", checks=False, without_turns=(int(number),))
+    assert number not in {row.sequence for row in left.verdict.sequences}
+
+
 def test_repeated_samples_are_the_cause_of_shifted_labels():
     """60 samples written twice, each with a stamp of its own: the labels lag by up to 1.2 s."""
     unit, _ = unstated_unit(0, "fixture", "tactical")
