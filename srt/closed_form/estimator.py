@@ -26,12 +26,13 @@ from srt.estimation.g_sensitivity import RestRates
 from srt.estimation.goodness_of_fit import (
     chi_square,
     contradicting_group,
+    faulty_group,
     is_misfit,
-    one_group_explains,
 )
 from srt.estimation.initial_estimates import initial_estimate, initial_estimates
 from srt.estimation.options import Options
 from srt.estimation.rest_rate_scatter import gyro_instability
+from srt.estimation.scale_changes import most_likely_change, scale_effects
 from srt.estimation.solver_result import SolverResult
 from srt.exceptions import DataError
 from srt.model import closed_form
@@ -52,6 +53,7 @@ if TYPE_CHECKING:
     from srt.estimation.drift_model import DriftTerm, Sensor
     from srt.estimation.error_sources import UnmodelledErrors
     from srt.estimation.registry import Progress
+    from srt.estimation.scale_changes import ScaleChange
     from srt.noise.drift_forms import Statistics
     from srt.recording.recording import Recording, SequenceLabel
     from srt.result.calibration import Calibration
@@ -360,7 +362,7 @@ def _with_instability(
             sizes["gyro_instability"], gain = of_gyros[0], gain + of_gyros[1]
     if not sizes or _drift(data, solution):
         return data, solution
-    if one_group_explains(solution.sequence_tests, *before, against=gain, wholly=True):
+    if faulty_group(solution.sequence_tests, *before, against=gain, wholly=True) is not None:
         return data, solution
     other = replace(data, **sizes)
     found = iterate(other, options, formulas, solution.errors, solution.U, before=solution, **given)
@@ -387,9 +389,11 @@ def _result(
     by_source = covariance_by_source(m, data, solution.wander, solution.gain, solution.projection, solution.held)
     followed, notes = _g_sensitivity(data, solution, automatic=options.gyro_bias != G_SENSITIVE)
     drift: tuple[DriftEstimate, ...] = ()
-    possible = 0.0
+    possible, changed = 0.0, None
     if solution.status == "converged" and not fixed.all():
         drift = _drift(data, solution)
+        if is_misfit(statistic, freedom) or contradicting_group(solution.sequence_tests, statistic, freedom):
+            changed = _scale_change(data, solution)
         possible, by_unseen = _unseen(data, solution)
         by_source["accel_bias_instability"] += by_unseen
     return SolverResult(
@@ -415,9 +419,19 @@ def _result(
             drift=tuple(term.result for term in drift) or None,
         ),
         drift=drift,
+        scale_change=changed,
         sequences=() if solution.status == "outside_model" else sequence_diagnostics(data, formulas, solution, fixed),
         notes=notes,
     )
+
+
+def _scale_change(data: PreparedRecording, solution: Solution) -> ScaleChange | None:
+    """Change of scale factors within the recording that explains the residuals best."""
+    m, white, order = solution.measurements, solution.white_with_squares, np.argsort(data.rotation[:, 0], kind="stable")
+    owner = np.concatenate([np.repeat(np.arange(data.K), 2), m.window_sequence, [-1, -1, -1]])
+    found = {sensor: white.statistics(own) for sensor, own in scale_effects(m.H, owner, order).items()}
+    middle = data.rotation.mean(axis=1)[order]
+    return most_likely_change(found, middle, [data.ids[k] for k in order.tolist()])
 
 
 def _drift(data: PreparedRecording, solution: Solution) -> tuple[DriftEstimate, ...]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from srt.closed_form.measurement_covariance import base_axes, fixture_axes
 from srt.estimation.error_sources import LARGEST_FIXTURE_RAD, NO_ERRORS, UnmodelledErrors, alignment_sigma, start_sigma
-from srt.estimation.goodness_of_fit import contradicting_group, is_misfit, one_group_explains
+from srt.estimation.goodness_of_fit import contradicting_group, faulty_group, is_misfit
 from srt.estimation.white_residuals import PredictedGroups, WhiteResiduals
 from srt.model.measurement_model import force_error_jacobian
 from srt.model.rotations import cross_matrix
@@ -121,7 +121,7 @@ def fixture_excess(data: PreparedRecording, measurements: SrtMeasurements, covar
         return list(zip(found.chi_square.tolist(), found.freedom.tolist(), strict=True)), *white.test
 
     found = tests(R)
-    if not is_misfit(*found[1:]) or one_group_explains(*found) or np.abs(z).max() > _GROSS * LARGEST_FIXTURE_RAD:
+    if not is_misfit(*found[1:]) or faulty_group(*found) is not None or np.abs(z).max() > _GROSS * LARGEST_FIXTURE_RAD:
         return NO_ERRORS
     roots = wobble, angles, aligned
     likelihood = RestrictedLikelihood(z, mounting, R, roots)

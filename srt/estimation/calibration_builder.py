@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -66,8 +67,10 @@ def build_calibration(
     turned = ExecutedRotations(data, result, np.sqrt(np.diag(covariance)))
     evidence = None
     if observed.any():
-        turns = turns_estimated(data)
-        evidence = verdict(result.sequences, covariance, observed, chi_square, freedom, estimated_from=turns)
+        turns, changed = turns_estimated(data), result.scale_change
+        against = -math.inf if changed is None else changed.gain
+        statistics = observed, chi_square, freedom
+        evidence = verdict(result.sequences, covariance, *statistics, estimated_from=turns, against=against)
         if _unmodelled_drift(result):  # it is in the residuals of all sequences
             evidence = replace(evidence, contradicting=None)
         evidence = _with_sensor_noise(evidence, data, result, covariance, observed, inflation, turned)
@@ -229,11 +232,14 @@ def _status(
             if ratio > LARGEST_RATIO
             else f"The noise that the residuals show makes sigmas {grown:.2g} times those of the sensors' own noise"
         )
-        return "inconsistent", (
-            f"{size} (chi-square {statistic:.4g} for {freedom} degrees of freedom): a wrong label, motion in windows, "
-            f"a wrong minimum, {'a parameter fixed at a wrong value, ' if fixed else ''}noise stated far too small, or "
-            "a unit that the sensor model does not describe."
+        causes = (
+            f"a wrong label, motion in windows, a wrong minimum, "
+            f"{'a parameter fixed at a wrong value, ' if fixed else ''}noise stated far too small, or a unit that the "
+            "sensor model does not describe."
         )
+        if result.scale_change is not None and result.scale_change.named:
+            causes = f"{result.scale_change.sentence}."
+        return "inconsistent", f"{size} (chi-square {statistic:.4g} for {freedom} degrees of freedom): {causes}"
     return partial_or_converged(result.message, fixed)
 
 
@@ -409,6 +415,8 @@ def _warnings(
             f"The unit moved in the stationary windows from {times}; their attitude was integrated, not kept fixed."
         )
     messages += [term.sentence for term in result.drift]
+    if result.scale_change is not None and result.scale_change.named:
+        messages.append(f"{result.scale_change.sentence}.")
     if (slow := _undersampling(data)) is not None and not slow.noise_free:
         rate = 1.0 / data.recording.nominal_interval_s
         messages.append(

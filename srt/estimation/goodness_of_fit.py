@@ -113,7 +113,7 @@ def contradicting_group(
     return worst
 
 
-def one_group_explains(
+def faulty_group(
     tests: Sequence[tuple[float, int]],
     chi_square: float,
     degrees_of_freedom: int,
@@ -121,8 +121,10 @@ def one_group_explains(
     estimated_from: float = math.inf,
     against: float = -math.inf,
     wholly: bool = False,
-) -> bool:
-    """Return True if one group contradicts the other measurements, these agree, and no other cause is likelier.
+) -> tuple[int, float] | None:
+    """Group that contradicts the others, and the p-value, if these agree and no other cause is likelier; else None.
+
+    Where the others disagree without it, too, the model does not hold, and no group is to blame.
 
     Parameters
     ----------
@@ -136,9 +138,9 @@ def one_group_explains(
     """
     worst = contradicting_group(tests, chi_square, degrees_of_freedom, estimated_from=estimated_from)
     if worst is None:
-        return False
+        return None
     own, freedom = tests[worst[0]]
     rest, others = chi_square - own, degrees_of_freedom - freedom
     gain = likelihood_gain(own, freedom, chi_square, degrees_of_freedom) - 2.0 * math.log(len(tests))
     gross = rest < _ONE_FAULT * chi_square and not wholly
-    return (gross or not is_misfit(rest, others)) and gain > against
+    return worst if (gross or not is_misfit(rest, others)) and gain > against else None

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from srt.estimation.goodness_of_fit import chi_square_probability, contradicting_group
+from srt.estimation.goodness_of_fit import chi_square_probability, faulty_group
 from srt.estimation.observability import observed_limit
 from srt.estimation.white_residuals import PredictedGroups, WhiteResiduals
 from srt.model.prior import prior_sigma
@@ -264,6 +264,7 @@ def verdict(
     freedom: int,
     *,
     estimated_from: float = math.inf,
+    against: float = -math.inf,
 ) -> Consistency:
     """Verdict of the measurements on the result.
 
@@ -279,6 +280,8 @@ def verdict(
     freedom : int
     estimated_from : float
         As in ``contradicting_group``.
+    against : float
+        As in ``faulty_group``.
     """
     # Far from a solution, where an iteration did not converge, the linear algebra may fail.
     rows = list(evidence)
@@ -289,7 +292,7 @@ def verdict(
         chi_square=statistic,
         degrees_of_freedom=freedom,
         probability=chi_square_probability(statistic, freedom),
-        contradicting=_contradicting(rows, statistic, freedom, estimated_from),
+        contradicting=_contradicting(rows, statistic, freedom, estimated_from, against),
         sequences=tuple(_sequence(row, sigma, observed) for row in rows),
         parameters=_parameters(rows, covariance, seen),
         weakest_combination=_weakest(covariance, seen),
@@ -297,10 +300,10 @@ def verdict(
 
 
 def _contradicting(
-    rows: Sequence[SequenceDiagnostics], statistic: float, freedom: int, estimated_from: float
+    rows: Sequence[SequenceDiagnostics], statistic: float, freedom: int, estimated_from: float, against: float
 ) -> Contradiction | None:
     tests = [(row.consistency.chi_square, row.consistency.degrees_of_freedom) for row in rows]
-    worst = contradicting_group(tests, statistic, freedom, estimated_from=estimated_from)
+    worst = faulty_group(tests, statistic, freedom, estimated_from=estimated_from, against=against)
     if worst is None:
         return None
     row = rows[worst[0]]

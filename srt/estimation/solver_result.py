@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from srt.estimation.drift_model import DriftEstimate
     from srt.estimation.error_sources import UnmodelledErrors
     from srt.estimation.leave_one_out import SequenceDiagnostics
+    from srt.estimation.scale_changes import ScaleChange
     from srt.result.calibration import Residual
     from srt.sensor_errors import SensorErrors
     from srt.types import Array
@@ -60,6 +61,8 @@ class SolverResult:
         Leave-one-out diagnostics of every sequence, where the estimator computes them.
     drift : tuple of DriftEstimate
         Bias drift within the recording that the residuals show.
+    scale_change : ScaleChange, optional
+        Most likely change of scale factors within the recording, where the residuals do not agree.
     notes : tuple of str
         Warnings on effects beyond the 27 errors, for a usable result.
     """
@@ -85,4 +88,5 @@ class SolverResult:
     force_fit: tuple[float, int] = (0.0, 0)
     sequences: tuple[SequenceDiagnostics, ...] = ()
     drift: tuple[DriftEstimate, ...] = ()
+    scale_change: ScaleChange | None = None
     notes: tuple[str, ...] = ()

@@ -21,15 +21,21 @@ from srt.estimation.error_sources import LARGEST_FIXTURE_RAD, NO_ERRORS, accel_d
 from srt.estimation.g_sensitivity_report import significant_g_sensitivity
 from srt.estimation.goodness_of_fit import (
     contradicting_group,
+    faulty_group,
     is_misfit,
-    one_group_explains,
 )
 from srt.estimation.rest_rate_scatter import gyro_instability
 from srt.joint.block_solution import BlockSolution
 from srt.joint.drift import DriftTerms
 from srt.joint.linearisation import linearise
 from srt.joint.residual_analysis import contradictions, undersampling_likelihood, unmodelled_noise
-from srt.joint.solution_analysis import accel_instability, force_statistics, goodness_of_fit, whole_solution
+from srt.joint.solution_analysis import (
+    accel_instability,
+    force_statistics,
+    goodness_of_fit,
+    scale_change,
+    whole_solution,
+)
 from srt.model.sensor_model import gyro_triad
 from srt.noise.drift_forms import WALK, Statistics, VarianceComponent, likelihood_gain, variance_component
 from srt.result.verdict import MISFIT_PROBABILITY
@@ -298,7 +304,12 @@ def _one_is_faulty(
 ) -> bool:
     """True if one sequence or move explains the misfit, and with a larger gain than an effect on all."""
     tests = [(test.chi_square, test.degrees_of_freedom) for test in contradictions(joint, solution)]
-    return one_group_explains(tests, *fit, estimated_from=turns_estimated(joint.data), against=against, wholly=wholly)
+    turns = turns_estimated(joint.data)
+    if faulty_group(tests, *fit, estimated_from=turns, against=against, wholly=wholly) is None:
+        return False
+    change = scale_change(joint, solution, fit[1])
+    against = -math.inf if change is None else change.gain
+    return faulty_group(tests, *fit, estimated_from=turns, against=against, wholly=wholly) is not None
 
 
 def _fixture_explains(

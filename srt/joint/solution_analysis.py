@@ -14,7 +14,9 @@ from srt.estimation.calibration_builder import build_calibration
 from srt.estimation.error_sources import accel_drift, by_drift, latitude_error
 from srt.estimation.fixed_parameters import determined_by_fixture, reason_not_observed, value_of_fixed
 from srt.estimation.g_sensitivity import MODE as G_SENSITIVE
+from srt.estimation.goodness_of_fit import contradicting_group, is_misfit
 from srt.estimation.observability import finest_sigma, observed_limit
+from srt.estimation.scale_changes import most_likely_change, scale_effects
 from srt.estimation.solver_result import SolverResult
 from srt.joint.block_solution import BlockSolution, apply_weights, covariance_by_source
 from srt.joint.linear_system import N_ERRORS
@@ -32,13 +34,14 @@ from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES
 if TYPE_CHECKING:
     from srt.estimation.drift_model import DriftSearch
     from srt.estimation.leave_one_out import SequenceDiagnostics
+    from srt.estimation.scale_changes import ScaleChange
     from srt.joint.joint_model import JointModel
     from srt.joint.linear_system import LinearSystem
     from srt.joint.solver import IterationState, JointSolver
     from srt.result.calibration import Calibration, Residual
     from srt.result.consistency import SequenceTest
     from srt.result.diagnostics import Diagnostics, GSensitivity
-    from srt.types import Array, Mask
+    from srt.types import Array, Indices, Mask
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,6 +112,7 @@ def make_calibration(
         ),
         sequences=analysis.sequences,
         drift=drift,
+        scale_change=analysis.scale_change,
         notes=notes,
     )
     return build_calibration(solver.name, data, joint.options, result, reasons, warnings=tuple(warnings))
@@ -146,6 +150,8 @@ class SolutionAnalysis:
         Bias instability of the gyros by sequence, minus its mean.
     g_sensitivity_covariance : ndarray, shape (9, 9), or None
         Covariance of the elements of Γ by rows; None if it is not estimated.
+    scale_change : ScaleChange or None
+        Most likely change of scale factors, where the residuals do not agree.
     """
 
     covariance: dict[str, Array]
@@ -158,6 +164,7 @@ class SolutionAnalysis:
     sequences: tuple[SequenceDiagnostics, ...] = ()
     instability: Array | float = 0.0
     g_sensitivity_covariance: Array | None = None
+    scale_change: ScaleChange | None = None
 
 
 def analyse_solution(
@@ -197,6 +204,11 @@ def analyse_solution(
         part[at, at] += joint.bias_scatter**2
         total[at, at] += joint.bias_scatter**2
     chi_square, freedom = goodness_of_fit(joint, solver, solution, system)
+    by_noise = _with_sensor_noise(joint, solver, iteration)
+    fit = (chi_square, freedom) if by_noise is None else goodness_of_fit(joint, solver, by_noise, by_noise.system)
+    tests = [(test.chi_square, test.degrees_of_freedom) for test in against]
+    disagree = not solver.weights() and contradicting_group(tests, chi_square, freedom) is not None
+    disagree |= is_misfit(*fit)
     return SolutionAnalysis(
         covariance,
         total,
@@ -204,10 +216,11 @@ def analyse_solution(
         table=table,
         chi_square=chi_square,
         degrees_of_freedom=freedom,
-        sensor_noise_fit=_fit_to_sensor_noise(joint, solver, iteration) or (chi_square, freedom),
+        sensor_noise_fit=fit,
         sequences=sequence_diagnostics(joint, solution, against),
         instability=_instability_by_sequence(joint, system, solution.delta),
         g_sensitivity_covariance=_g_sensitivity_covariance(joint, solution),
+        scale_change=scale_change(joint, by_noise or solution, fit[1]) if disagree else None,
     )
 
 
@@ -268,8 +281,8 @@ def goodness_of_fit(
     return chi_square, freedom - joint.drift.freely_estimated
 
 
-def _fit_to_sensor_noise(joint: JointModel, solver: JointSolver, iteration: IterationState) -> tuple[float, int] | None:
-    """Goodness of fit without unmodelled errors of the unit; None if there are none, or the system is singular."""
+def _with_sensor_noise(joint: JointModel, solver: JointSolver, iteration: IterationState) -> BlockSolution | None:
+    """Solution without unmodelled errors of the unit; None if there are none, or the system is singular."""
     if not any(joint.unmodelled_sigma.of_unit):
         return None
     assert iteration.point is not None
@@ -283,7 +296,7 @@ def _fit_to_sensor_noise(joint: JointModel, solver: JointSolver, iteration: Iter
     own.unmodelled_sigma = joint.unmodelled_sigma.of_fixture
     system = linearise(own, iteration.point.state, compensated, iteration.free, solver.prior)
     try:
-        return goodness_of_fit(joint, solver, BlockSolution(system), system)
+        return BlockSolution(system)
     except np.linalg.LinAlgError:
         return None
 
@@ -313,17 +326,34 @@ def accel_instability(joint: JointModel, solution: BlockSolution) -> tuple[float
 
 def force_statistics(solution: BlockSolution, effects: list[Array], freedom: int) -> list[Statistics]:
     """Statistics of groups of coefficients with ``effects`` on the specific forces of the windows, (W, 3, q) each."""
+    rows = solution.system.rows_of("force").index.ravel()
+    white = [(-solution.system.whitening["force"] @ effect).reshape(len(rows), -1) for effect in effects]
+    return _statistics(solution, rows, white, freedom)
+
+
+def _statistics(solution: BlockSolution, rows: Indices, effects: list[Array], freedom: int) -> list[Statistics]:
+    """Statistics of groups of coefficients whose ``effects`` on some rows, whitened, are (rows, q) each."""
     if not effects:
         return []
-    system, residual = solution.system, solution.residual
-    rows = system.rows_of("force").index.ravel()
-    white = (-system.whitening["force"] @ np.concatenate(effects, axis=2)).reshape(len(rows), -1)
-    by_columns = np.asarray(system.A[rows].T @ white)
+    residual, white = solution.residual, np.concatenate(effects, axis=1)
+    by_columns = np.asarray(solution.system.A[rows].T @ white)
     information = white.T @ white - by_columns.T @ solution.with_columns(by_columns)
     gradient, square = white.T @ residual[rows], float(residual @ residual)
-    ends = np.cumsum([0, *(effect.shape[2] for effect in effects)]).tolist()
+    ends = np.cumsum([0, *(effect.shape[1] for effect in effects)]).tolist()
     at = [slice(a, b) for a, b in pairwise(ends)]
     return [Statistics(gradient[own], information[own, own], square, freedom) for own in at]
+
+
+def scale_change(joint: JointModel, solution: BlockSolution, freedom: int) -> ScaleChange | None:
+    """Change of scale factors within the recording that explains the residuals best."""
+    system, data = solution.system, joint.data
+    owner = np.full(len(system.b), -1, dtype=np.intp)
+    for rows in system.rows:
+        owner[rows.index] = rows.owner[:, None]
+    effects = scale_effects(-system.A[:, system.columns["errors"]].toarray(), owner, joint.order)
+    found = _statistics(solution, np.arange(len(owner)), list(effects.values()), freedom)
+    titles = [data.ids[k] for k in joint.order.tolist()]
+    return most_likely_change(dict(zip(effects, found, strict=True)), joint.times[joint.order], titles)
 
 
 def _unseen_drift(joint: JointModel, solution: BlockSolution, found: DriftSearch) -> Array:

@@ -53,6 +53,8 @@ _FAR_STEPS: Final = 4
 """Distance of readings from their true value, in steps, that noise of half a step does not reach."""
 _SAME_SCATTER: Final = 1e-3
 """Relative difference of the scatter that is no evidence of more noise: two readings scatter alike with any noise."""
+_FEW_PLACES: Final = 10
+"""Places within a step, at which windows read alike, that do not show the noise by the share of those between steps."""
 _PLACES: Final = 201
 """Number of true values within a step of a reading, and within 4 sigma of the limits between readings."""
 _LEAST_VARIANCE: Final = 1e-6
@@ -285,9 +287,10 @@ def _rounding(recording: Recording, windows: Indices, sensor: str, step: Array, 
 
     The mean of readings with normal noise s, rounded to steps q, is off by ``Σ (−1)^k q/(π k) exp(−2 π² k² s²/q²)
     sin(2 π k x/q)`` at the true value x (Widrow & Kollár, Quantization Noise, 2008). Means and scatter of the windows
-    show s, and so x, but for noise far below the steps. Windows with the same reading then share what is not known: to
-    first order the correlation at x and y is cos(2 π (x − y)/q). As errors of single windows, which are independent, it
-    counts so many times as there are such windows, for the reading that most of them share.
+    show s, and so x, but where all mix the same two readings: any noise up to a third of a step does so. Windows with
+    the same reading then share what is not known: to first order the correlation at x and y is cos(2 π (x − y)/q). As
+    errors of single windows, which are independent, it counts so many times as there are such windows, for the reading
+    that most of them share.
     """
     table, scale = getattr(recording, sensor), 1.0 / recording.rates_factor
     error, remainder = np.zeros((len(windows), 3)), np.zeros(3)
@@ -307,11 +310,17 @@ def _rounding(recording: Recording, windows: Indices, sensor: str, step: Array, 
     number, scatter = np.diff(windows, axis=1)[:, 0], variance / unit**2
     for axis in np.flatnonzero(coarse).tolist():
         means = (x - first)[:, axis] / step[axis]
-        off, unknown = _rounded_means(means, number, _below_steps(means, scatter[axis]))
+        noises = _below_steps(means, scatter[axis])
+        if len(windows) > _FEW_PLACES * shared[axis]:  # with more noise, more of them would mix readings
+            noises = noises[0], noises[0]
+        both = [_rounded_means(means, number, noise) for noise in noises]
+        off, unknown = np.mean(both, axis=0)
         error[:, axis] = step[axis] * off
         beyond = max(float(np.mean(unknown - scatter[axis] / number)), 0.0)
         unresolved = min(12.0 * beyond, 1.0)  # without noise, all of a step
-        remainder[axis] = step[axis] * math.sqrt(beyond * (1.0 + unresolved * (shared[axis] - 1.0)))
+        by_noise = float(np.mean((both[1][0] - both[0][0]) ** 2)) / 12.0  # the noise of all windows is the same
+        beyond = beyond * (1.0 + unresolved * (shared[axis] - 1.0)) + by_noise * shared[axis]
+        remainder[axis] = step[axis] * math.sqrt(beyond)
     return error, remainder
 
 
@@ -338,15 +347,20 @@ def _rounded(noise: float) -> tuple[Array, Array, Array]:
     return true, mean - _FAR_STEPS - 1.0, variance
 
 
-def _below_steps(means: Array, scatter: float) -> float:
-    """Noise of rounded readings, from means of windows and the variance within them, all in steps.
+def _below_steps(means: Array, scatter: float) -> tuple[float, float]:
+    """Least and largest noise of rounded readings, from means of windows and the variance within them, all in steps.
 
     Readings scatter the less the nearer their true value is to a multiple of the step.
     """
-    low, high = 0.0, 1.0 / _DITHERED
+    least, largest = (0.0, 1.0 / _DITHERED), (0.0, 1.0 / _DITHERED)
     for _ in range(_BISECTIONS):
-        noise = 0.5 * (low + high)
-        _, mean, variance = _rounded(noise)
-        expected = np.interp(means - np.rint(means), mean, variance).mean()
-        low, high = (low, noise) if expected >= (1.0 - _SAME_SCATTER) * scatter else (noise, high)
-    return 0.5 * (low + high)
+        low, high = 0.5 * sum(least), 0.5 * sum(largest)
+        least = (least[0], low) if _scatter(means, low) >= (1.0 - _SAME_SCATTER) * scatter else (low, least[1])
+        largest = (high, largest[1]) if _scatter(means, high) <= (1.0 + _SAME_SCATTER) * scatter else (largest[0], high)
+    return 0.5 * sum(least), 0.5 * sum(largest)
+
+
+def _scatter(means: Array, noise: float) -> float:
+    """Expected variance of rounded readings with these means, in squared steps."""
+    _, mean, variance = _rounded(noise)
+    return float(np.interp(means - np.rint(means), mean, variance).mean())

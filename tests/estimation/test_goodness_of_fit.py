@@ -8,7 +8,7 @@ from scipy.linalg import lstsq
 from scipy.special import chdtrc
 from scipy.stats import binom
 
-from srt.estimation.goodness_of_fit import contradicting_group, one_group_explains, specification_test
+from srt.estimation.goodness_of_fit import contradicting_group, faulty_group, specification_test
 from srt.estimation.rotation_accuracy import scatter_ratio
 from srt.estimation.white_residuals import PredictedGroups, WhiteResiduals
 from srt.noise.drift_forms import likelihood_gain, residual_statistics
@@ -47,8 +47,8 @@ def test_the_cause_with_the_larger_likelihood_is_chosen(excess):
     equal = chi_square - 100.0 * math.exp((4.0 * math.log(100.0) + 2.0 * math.log(10.0)) / 100.0)
     for explained, faulty in ((equal - 1.0, True), (equal + 1.0, False)):
         gain = likelihood_gain(explained, 1, chi_square, 100)
-        assert one_group_explains(tests, chi_square, 100, against=gain) is faulty
-    assert one_group_explains(tests, chi_square, 100)
+        assert (faulty_group(tests, chi_square, 100, against=gain) is not None) is faulty
+    assert faulty_group(tests, chi_square, 100) == contradicting_group(tests, chi_square, 100)
 
 
 @pytest.mark.parametrize("error", [-1e-15, 0.0, 1e-15])
@@ -65,7 +65,7 @@ def test_several_faults_are_not_one():
     """Two groups contradict the others: without the worse one, these still do not agree."""
     tests = [(400.0, 5), (300.0, 5), *[(10.0, 10)] * 8]
     assert contradicting_group(tests, 780.0, 90) is not None
-    assert not one_group_explains(tests, 780.0, 90)
+    assert faulty_group(tests, 780.0, 90) is None
 
 
 @pytest.mark.parametrize("shift", [0.0, 6.0])
