@@ -13,8 +13,10 @@ from srt.estimation.goodness_of_fit import chi_square_probability, specification
 from srt.estimation.options import Options, chosen_options
 from srt.estimation.registry import estimate
 from srt.exceptions import DataError, SrtError
+from srt.ranking import significant
 from srt.recording.reading import READING_KEYS, read
-from srt.result.verdict import SOUND, USABLE, explained, modelled, p_value_text
+from srt.result.consistency import Contradiction
+from srt.result.verdict import MISFIT_PROBABILITY, SOUND, USABLE, WITHOUT_VALUES, explained, modelled, p_value_text
 from srt.sensor_errors import NAMES
 from srt.sequences.protocol_matching import with_protocol
 from srt.sequences.recognition import leave_out
@@ -29,6 +31,7 @@ if TYPE_CHECKING:
     from srt.noise.noise_terms import NoiseTerms
     from srt.recording.recording import Recording
     from srt.result.calibration import Calibration
+    from srt.result.consistency import ChiSquareTest, LeaveOneOut
 
 UNCHECKED = (
     "The recording was not checked for faults (checks=False): units, axes, labels, timing, stationary windows and site "
@@ -122,7 +125,7 @@ def calibrate(
     diagnosis = staged.with_calibration(result)
     if diagnosis.refusal is not None and not force:
         raise _refused(diagnosis)
-    result = _beside_moves(recording, result, options)
+    result = _without_the_worst(recording, _beside_moves(recording, result, options), estimator, options)
     told = _IN_RESULT | explained(result)
     warnings = tuple(f.sentence for f in diagnosis.findings if f.effect != "note" and f.fault not in told)
     return replace(
@@ -164,6 +167,73 @@ def _beside_moves(recording: Recording, result: Calibration, options: Options) -
         diagnostics = replace(diagnostics, contradicted=(*(diagnostics.contradicted or ()), sentence))
         result = replace(result, warnings=(sentence, *result.warnings))
     return replace(result, diagnostics=diagnostics)
+
+
+def _without_the_worst(recording: Recording, result: Calibration, estimator: str, options: Options) -> Calibration:
+    """Result that says without which turn or sequence the others agree, of the two that they predict worst.
+
+    Only where the residuals exceed the noise of the sensors: linearised about a gross fault, the tests of one solution
+    cannot tell that of a turn from that of its neighbour, and not whether others are wrong, too.
+    """
+    evidence, tried = result.verdict, _fits_without(_predicted_worst(result), recording, estimator, options)
+    if evidence is None or not tried:
+        return result
+    accused, (row, own) = evidence.contradicting, tried[-1]
+    size = f"chi-square {own.chi_square:.4g} for {own.degrees_of_freedom} degrees of freedom"
+    if not _agree(own):
+        message = (
+            f"The model does not hold at this level: without {row.title} the others disagree, too ({size}): check "
+            "labels, windows and units, and whether the unit warms up."
+        )
+        whole = replace(result, message=message, verdict=replace(evidence, contradicting=None))
+        return result if accused is None else whole
+    told = f"Without {row.title} the others agree ({size}): repeat it, or leave it out ('--without-turn {_name(row)}')."
+    if accused is None:
+        return replace(result, warnings=(told, *result.warnings))
+    found = Contradiction(sequence=row.sequence, occurrence=row.occurrence, probability=row.probability or 0.0)
+    corrected = replace(result, message=told, verdict=replace(evidence, contradicting=found))
+    return result if accused.title == row.title else corrected
+
+
+def _agree(own: ChiSquareTest) -> bool:
+    return own.probability is None or own.probability >= MISFIT_PROBABILITY
+
+
+def _predicted_worst(result: Calibration) -> list[LeaveOneOut]:
+    """The two turns or sequences that the others predict worst, where residuals exceed the noise of the sensors."""
+    evidence = result.verdict
+    if evidence is None or evidence.own_noise is None or _agree(evidence.own_noise):
+        return []
+    if result.status in WITHOUT_VALUES or result.diagnostics.weights is not None:
+        return []
+    tested = [row for row in evidence.sequences if not row.sequence.startswith("move ")]
+    return sorted(tested, key=lambda row: -significant(row.chi_square))[:2]
+
+
+def _fits_without(
+    suspects: Sequence[LeaveOneOut], recording: Recording, estimator: str, options: Options
+) -> list[tuple[LeaveOneOut, ChiSquareTest]]:
+    """Agreement of the others with the noise of the sensors without each suspect, until they agree.
+
+    Empty if they support no calibration.
+    """
+    out: list[tuple[LeaveOneOut, ChiSquareTest]] = []
+    for row in suspects:
+        try:
+            evidence = estimate(leave_out(recording, [_name(row)])[0], estimator, options).verdict
+        except SrtError:
+            return []
+        if evidence is None or evidence.own_noise is None:
+            return []
+        out.append((row, evidence.own_noise))
+        if _agree(evidence.own_noise):
+            break
+    return out
+
+
+def _name(row: LeaveOneOut) -> str:
+    """Name of a turn, pose or sequence, by which it is left out."""
+    return row.sequence.removeprefix("turn ").removeprefix("pose ")
 
 
 def _refused(diagnosis: Diagnosis) -> DataError:
