@@ -49,6 +49,7 @@ if TYPE_CHECKING:
     from srt.joint.joint_state import JointState
     from srt.joint.linearisation import Linearisation
     from srt.joint.solver import IterationState, JointSolver
+    from srt.noise.variance_components import RestrictedLikelihood
     from srt.types import Array
 
 
@@ -57,6 +58,8 @@ _FOLDED: Final = (0.4, 0.3)
 with known error, taken at a part of their rate, give 0.33 to 0.44, steps of the rate 0.52."""
 _INTEGRATION: Final = (1e-10, 5e-6)
 """Range of the error of the rotations of a simulation without noise, over their angle."""
+_SHARES: Final = 100
+"""Errors in that range, a tenth apart, for which the likelihood is computed."""
 _LARGEST_TURN_RAD: Final = 0.1
 """Largest error of a turn that is no fault of it."""
 _SIZES: Final = (-5.0, 5.0)
@@ -90,14 +93,14 @@ def add_undersampling(joint: JointModel, solver: JointSolver, iteration: Iterati
     """Model the error of rotations by motion too fast for the sample rate; True if it changed.
 
     It must be more likely than an error that is equal in all rotations, and than a fault of one of them. Without noise
-    it is that of the integration of a simulation, which is too small to be anything else.
+    it is that of the integration of a simulation, which is too small to be anything else and need not be a misfit.
     """
     data = joint.data
     if solver.weights() or any(joint.unmodelled_sigma.of_unit) or not data.fast_motion.any():
         return False
     solution = whole_solution(joint, solver, iteration)
     fit = goodness_of_fit(joint, solver, solution, solution.system)
-    if data.undersampling is None and not is_misfit(*fit):
+    if data.undersampling is None and not is_misfit(*fit) and not data.noise.noise_free:
         return False
     share = _undersampling(joint, solution, fit)
     if share is None or (
@@ -118,26 +121,23 @@ def _undersampling(joint: JointModel, solution: BlockSolution, fit: tuple[float,
     from scipy.optimize import minimize_scalar  # heavy, and few calibrations come here
 
     likelihood = undersampling_likelihood(joint, solution.system)
+    if joint.data.noise.noise_free:
+        return _integration_error(likelihood)
     none = likelihood.logarithm(np.zeros(2))
     equal = likelihood.variances(np.array([True, False]))
     turning = np.diff(joint.data.rotation, axis=1) * joint.data.recording.nominal_interval_s
     width = math.log(_LARGEST_TURN_RAD / float(joint.data.noise.gyro_white.max() * np.sqrt(np.median(turning))))
     median, spread = _FOLDED
-    simulated = joint.data.noise.noise_free
 
     def logarithm(log_share: float) -> float:
         by_prior = 0.5 * ((log_share - math.log(median)) / spread) ** 2 + math.log(spread * math.sqrt(2.0 * math.pi))
-        return likelihood.logarithm(np.array([0.0, math.exp(2.0 * log_share)])) - (0.0 if simulated else by_prior)
+        return likelihood.logarithm(np.array([0.0, math.exp(2.0 * log_share)])) - by_prior
 
     reach = 4.0 * spread
     bounds = math.log(median) - reach, math.log(median) + reach
-    if simulated:
-        bounds = math.log(_INTEGRATION[0]), math.log(_INTEGRATION[1])
     best = minimize_scalar(lambda x: -logarithm(x), bounds=bounds, method="bounded", options={"xatol": 1e-2})
     explained = -float(best.fun) - none
-    if simulated and best.x > bounds[1] - _SIZE_TOLERANCE:
-        return None  # no error of an integration
-    if joint.data.undersampling is not None or simulated:
+    if joint.data.undersampling is not None:
         return math.exp(float(best.x))
     if 2.0 * explained < chdtri(1, 2.0 * MISFIT_PROBABILITY):
         return None
@@ -145,6 +145,16 @@ def _undersampling(joint: JointModel, solution: BlockSolution, fit: tuple[float,
         return None
     gain = likelihood_gain(2.0 * explained, 1, *fit)
     return None if _one_is_faulty(joint, solution, fit, gain) else math.exp(float(best.x))
+
+
+def _integration_error(likelihood: RestrictedLikelihood) -> float | None:
+    """Error of the rotations over their angle, expected with a prior uniform in it; None if it is no integration's."""
+    share = np.geomspace(*_INTEGRATION, _SHARES)
+    found = np.array([likelihood.logarithm(np.array([0.0, own])) for own in share**2])
+    if np.argmax(found) == _SHARES - 1:
+        return None
+    weight = share * np.exp(found - found.max())  # of a grid in its logarithm
+    return math.sqrt(float(weight @ share**2 / weight.sum()))
 
 
 def add_instability(joint: JointModel, solver: JointSolver, iteration: IterationState) -> bool:

@@ -159,6 +159,8 @@ def modelled(calibration: Judged) -> Iterator[str]:
     names = [f"a bias drift of {sensors[row.sensor]} ({row.form})" for row in drift]
     if (slow := calibration.diagnostics.undersampling) is not None and slow.noise_free:
         yield f"Readings without noise: the rotations agree to {slow.share:.0e} of their angle."
+    elif slow is None and "gyro_noise" in (calibration.noise.floored or ()):
+        yield "Readings without noise: the sigmas contain their rounding, and no error of a simulation's integration."
     elif slow is not None:
         names.append(f"motion too fast for the sample rate ({math.degrees(slow.angle_rad):.2g}° per turn)")
     names += ["the g-sensitivity of the gyros"] * (calibration.diagnostics.g_sensitivity is not None)
