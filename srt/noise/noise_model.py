@@ -310,9 +310,10 @@ def _rounding(recording: Recording, windows: Indices, sensor: str, step: Array, 
     number, scatter = np.diff(windows, axis=1)[:, 0], variance / unit**2
     for axis in np.flatnonzero(coarse).tolist():
         means = (x - first)[:, axis] / step[axis]
-        noises = _below_steps(means, scatter[axis])
         if len(windows) > _FEW_PLACES * shared[axis]:  # with more noise, more of them would mix readings
-            noises = noises[0], noises[0]
+            noises = (_below_steps(means, scatter[axis], _SAME_SCATTER)[0],) * 2
+        else:
+            noises = _below_steps(means, scatter[axis], _SAME_SCATTER + 2.0 / math.sqrt(number.sum()))
         both = [_rounded_means(means, number, noise) for noise in noises]
         off, unknown = np.mean(both, axis=0)
         error[:, axis] = step[axis] * off
@@ -347,16 +348,17 @@ def _rounded(noise: float) -> tuple[Array, Array, Array]:
     return true, mean - _FAR_STEPS - 1.0, variance
 
 
-def _below_steps(means: Array, scatter: float) -> tuple[float, float]:
+def _below_steps(means: Array, scatter: float, tolerance: float) -> tuple[float, float]:
     """Least and largest noise of rounded readings, from means of windows and the variance within them, all in steps.
 
-    Readings scatter the less the nearer their true value is to a multiple of the step.
+    Readings scatter the less the nearer their true value is to a multiple of the step. ``tolerance`` is the relative
+    difference of the scatter that is no evidence.
     """
     least, largest = (0.0, 1.0 / _DITHERED), (0.0, 1.0 / _DITHERED)
     for _ in range(_BISECTIONS):
         low, high = 0.5 * sum(least), 0.5 * sum(largest)
-        least = (least[0], low) if _scatter(means, low) >= (1.0 - _SAME_SCATTER) * scatter else (low, least[1])
-        largest = (high, largest[1]) if _scatter(means, high) <= (1.0 + _SAME_SCATTER) * scatter else (largest[0], high)
+        least = (least[0], low) if _scatter(means, low) >= (1.0 - tolerance) * scatter else (low, least[1])
+        largest = (high, largest[1]) if _scatter(means, high) <= (1.0 + tolerance) * scatter else (largest[0], high)
     return 0.5 * sum(least), 0.5 * sum(largest)
 
 

@@ -218,6 +218,24 @@ def test_means_of_readings_that_noise_does_not_dither_have_an_error_of_their_own
     assert chdtri(600, 1.0 - 5e-4) < chi_square < chdtri(600, 5e-4)
 
 
+def test_windows_that_all_mix_the_same_two_readings_do_not_show_their_noise():
+    """One rate in all windows, noise of 0.05 to 0.3 of a step: the error of the mean of all is within 3.5 sigma.
+
+    Between the least and the largest possible noise the prior is uniform, with 1.7 sigma at its ends.
+    """
+    rng, windows, n, step = np.random.default_rng(23), 40, 400, 1e-3
+    spans = n * np.arange(windows)[:, None] + np.array([0, n])
+    for _ in range(20):
+        noise, true = rng.uniform(0.05, 0.3, 3), 0.5 + rng.uniform(-0.9, 0.9, 3) * 0.2
+        readings = step * np.round(true + noise * rng.standard_normal((windows * n, 3)))
+        # A turn tells the grid: at rest there are two levels only.
+        readings = np.concatenate([readings, step * np.arange(-200.0, 200.0)[:, None] * np.ones(3)])
+        found = noise_model(recording(readings, readings), spans)
+        error = readings[: windows * n].mean(axis=0) - found.gyro_rounding.mean(axis=0) - step * true
+        sigma = np.sqrt(found.gyro_step**2 / windows + (noise * step) ** 2 / (windows * n))
+        assert np.all(np.abs(error) < 3.5 * sigma)
+
+
 def test_dithered_readings_have_no_error_of_their_own():
     rng = np.random.default_rng(22)
     readings = np.round((still(rng, 1e-4) + 0.1) / 1e-3) * 1e-3  # 1.4 noise sigma
