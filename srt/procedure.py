@@ -187,7 +187,10 @@ def _without_the_worst(recording: Recording, result: Calibration, estimator: str
         )
         whole = replace(result, message=message, verdict=replace(evidence, contradicting=None))
         return result if accused is None else whole
-    told = f"Without {row.title} the others agree ({size}): repeat it, or leave it out ('--without-turn {_name(row)}')."
+    told = (
+        f"Without {row.title} the others agree ({size}): repeat it, or leave it out: '--without-turn {_name(row)}'. "
+        "'--estimator graph --loss cauchy' gives it less weight."
+    )
     if accused is None:
         return replace(result, warnings=(told, *result.warnings))
     found = Contradiction(sequence=row.sequence, occurrence=row.occurrence, probability=row.probability or 0.0)

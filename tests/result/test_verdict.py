@@ -153,7 +153,7 @@ def test_residuals_of_three_times_the_sensors_noise_are_no_calibration(ratio, st
     fit = 44 * ratio**2, 44
     result = SimpleNamespace(
         status="converged", message="It ended.", diagnostics=Diagnostics(), sensor_noise_fit=fit, chi_square=44.0,
-        degrees_of_freedom=44, unmodelled=NO_ERRORS,
+        degrees_of_freedom=44, unmodelled=NO_ERRORS, scale_change=None,
     )  # fmt: skip
     found, message = calibration_builder._status(
         result, {}, verdict([], np.eye(N_PARAMETERS), OBSERVED, 44.0, 44), free=False
