@@ -249,6 +249,17 @@ def test_accelerometers_cut_at_zero_show_no_filter_of_the_gyros(profile, seed):
     assert "gyro_high_passed" not in {finding.fault for finding in found.findings}
 
 
+@pytest.mark.parametrize("time_s", [60.0, 120.0])
+def test_a_warm_up_of_the_gyros_is_no_filter(time_s):
+    """Each rest shows the decay of a filter; but the rates continue from rest to rest, whatever rotates."""
+    rng, grade = np.random.default_rng((78, 3)), FOREIGN_GRADES["industrial"]
+    turned = hand_turns(rng, shortest_s=1.5, count=15, rest_s=5.0)
+    unit = recording(turned, 5.0, drawn_errors(grade, rng), grade, rng, profile="constant-rate", hz=50.0)
+    bias = np.outer(0.05 * np.exp(-unit.time / time_s), [1.0, 0.5, -0.3])
+    found = diagnose(replace(unit, gyro=unit.gyro + bias), calibrating=False)
+    assert [finding.fault for finding in found.findings] == ["gyro_bias_drift"]
+
+
 def test_readings_of_gravity_that_drift_are_not_without_gravity():
     """A unit at rest, whose stamps are read in a wrong unit: a warm-up of 6 % takes four seconds."""
     rng = np.random.default_rng(SEED)
