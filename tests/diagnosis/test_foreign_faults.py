@@ -239,6 +239,15 @@ def test_a_limit_below_the_noise_is_saturation(profile, axes):
     assert found.first.effect == "exit 1"  # no turn can be left out
 
 
+@pytest.mark.parametrize("seed", [2, 12, 16, 42, 50])
+def test_the_fastest_turn_of_a_coarse_unit_is_no_saturation(seed):
+    """At constant rates, the largest readings are those of one turn, whose ratio to gravity has errors of its own."""
+    rng, grade = np.random.default_rng((78, seed)), FOREIGN_GRADES["consumer"]
+    turned = hand_turns(rng, shortest_s=1.5, count=15, rest_s=5.0)
+    unit = recording(turned, 5.0, drawn_errors(grade, rng), grade, rng, profile="constant-rate", hz=50.0)
+    assert diagnose(unit, calibrating=False).findings == ()
+
+
 @pytest.mark.parametrize(("profile", "seed"), [("raised-cosine", 1), ("raised-cosine", 4), ("hand", 1)])
 def test_accelerometers_cut_at_zero_show_no_filter_of_the_gyros(profile, seed):
     """They read zero in rotations, too, as if the unit were at rest, while the rates fall."""
