@@ -189,8 +189,6 @@ def _coning(theta: Array, sequence_of: Indices) -> Array:
     limit = 2.0 * np.minimum(np.abs(back), np.abs(ahead))
     limit[back * ahead <= 0.0] = 0.0
     np.clip(0.5 * (back + ahead), -limit, limit, out=slope[:, 1:-1])
-    if theta.shape[1] < 2 * BESIDE + 1:
-        return _cross(theta, slope) / 12.0
     size = np.abs(step)
     pair = size[:, :-1] + size[:, 1:]
     before, after = pair[:, :-2], pair[:, 2:]
