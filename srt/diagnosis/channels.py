@@ -475,6 +475,7 @@ def spikes(evidence: Evidence) -> Iterator[Finding]:
     most = int(np.argmax(np.bincount(there.channel)))
     k = int(np.argmax(np.where(there.channel == most, np.abs(there.jump), -1.0)))
     length = int(np.count_nonzero(there.number == there.number[k]))
+    shift = evidence.largest_spike_shift
     yield SPIKES.found(
         channel=CHANNELS[most],
         size=f"{abs(float(there.jump[k])) * evidence.per_rate:.3g} {'rad/s' if most < 3 else 'm/s²'}",
@@ -482,6 +483,8 @@ def spikes(evidence: Evidence) -> Iterator[Finding]:
         time=float(evidence.recording.time[there.first[k]]),
         count=int(there.sample.size),
         sequence=evidence.place_title(int(there.sample[k])),
+        largest_shift_sigma=shift,
+        shift="" if shift is None else f"; no sensor error shifts by more than {shift:.1g} sigma",
     )
 
 
@@ -490,8 +493,8 @@ SPIKES: Final = Fault(
     "Spikes: single outlying readings, or bursts of up to five",
     "deviation of every reading from its neighbours, relative to the noise around it; in turns by hand, also to the "
     "other channels, and the agreement of the turns with the reading and with its prediction",
-    "{channel} jumps by {size} for {length} at {time:.6g} s, far more than its noise ({count} such readings in the "
-    "recording): look for a bad contact or transmission errors, and repeat {sequence}.",
+    "{channel} jumps by {size} for {length} at {time:.6g} s, far more than its noise and its neighbours ({count} such "
+    "readings in the recording{shift}): look for a bad contact, transmission errors or a knock; repeat {sequence}.",
     "warning",
     spikes,
 )

@@ -2,8 +2,9 @@
 
 A first-order high-pass filter outputs r = y - L: the true reading y less its low-pass filtered value L, which follows
 dL/dt = r / τ. At rest y is constant, so that dr/dt = -r / τ: r is a constant less its own time integral divided by τ.
-No other effect makes this relation. Rest is where the other triad is steady: the filter hides the rests of its own
-triad, and labels may be wrong or absent.
+From rest to rest, r changes by the integral between them, too: by the angle of the rotation over τ. The bias of a unit
+that warms up does not. Rest is where the other triad is steady: the filter hides the rests of its own triad, and labels
+may be wrong or absent.
 
 The reading of an accelerometer that settles is ``f + s (L - f)``, where L follows f with a time constant τ and s is the
 share that settles. In the window after a rotation, the deviation is ``s (L0 - f) exp(-t/τ)`` with the value L0 of L at
@@ -13,6 +14,7 @@ the start of the window. At the start of a sequence, L equals the mean reading o
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -23,7 +25,7 @@ from srt.diagnosis.channels import SENSOR_ERROR
 from srt.diagnosis.false_alarms import limit
 from srt.diagnosis.findings import Fault
 from srt.diagnosis.gravity_rotation import SECOND, block_size
-from srt.diagnosis.rotation_readings import ROUNDING
+from srt.diagnosis.rotation_readings import AGREE, ROUNDING
 from srt.diagnosis.window_averages import ACCEL
 from srt.model.table1 import AXES
 from srt.sequences.rest_detection import BLOCK_S, SPREAD
@@ -56,8 +58,9 @@ def high_passed(evidence: Evidence) -> Iterator[Finding]:
         (GYRO_HIGH_PASSED, gyro, accel, rounding[1], accel_cut),
         (GRAVITY_REMOVED, accel, gyro, rounding[0], gyro_cut),
     ):
-        rows = []
-        for first, last in () if blind.any() else _steady_runs(other, least, evidence.recording.gaps // size):
+        rows, gaps = [], evidence.recording.gaps // size
+        runs = [] if blind.any() else _steady_runs(other, least, gaps)
+        for first, last in runs:
             y = own[first:last]
             left = float(np.linalg.norm(y[-1]))
             x = size * evidence.dt * (np.cumsum(y, axis=0) - 0.5 * y)
@@ -72,9 +75,29 @@ def high_passed(evidence: Evidence) -> Iterator[Finding]:
         typical = float(np.median(decay[follows])) if follows.any() else 0.0
         if length[follows].sum() <= _EXPLAINED * length.sum() or not 1.0 / _LONGEST_S < typical < 1.0 / BLOCK_S:
             continue
+        if fault is GYRO_HIGH_PASSED and not _follows_rotations(own, runs, size * evidence.dt * typical, gaps):
+            continue
         typical_left = float(np.median(left[follows]))
         if fault is GYRO_HIGH_PASSED or abs(typical_left - gravity) > SENSOR_ERROR * gravity:
             yield fault.found(time_s=1.0 / typical, left=typical_left)
+
+
+def _follows_rotations(means: Array, runs: list[tuple[int, int]], decay: float, gaps: Indices) -> bool:
+    """True if a filter explains how the rates at rest change from run to run: by the angle between them over τ.
+
+    The bias of a unit that warms up decays in the same form, but whatever rotates between the runs. ``decay`` is the
+    length of a block over τ. A run may end in a rotation about the vertical: the larger part of the angles counts.
+    """
+    explained = total = 0.0
+    for (_, last), (first, _) in pairwise(runs):
+        between = means[last - 1 : first + 1]
+        if len(between) < 2 or np.any((last <= gaps) & (gaps <= first)):
+            continue
+        expected = -decay * (between.sum(axis=0) - 0.5 * (between[0] + between[-1]))
+        size = float(np.linalg.norm(expected))
+        total += size
+        explained += size * (np.linalg.norm(between[-1] - between[0] - expected) < AGREE * size)
+    return explained >= _EXPLAINED * total
 
 
 def _steady_runs(means: Array, least: Array, gaps: Indices) -> list[tuple[int, int]]:
@@ -95,7 +118,8 @@ def _steady_runs(means: Array, least: Array, gaps: Indices) -> list[tuple[int, i
 GYRO_HIGH_PASSED: Final = Fault(
     "gyro_high_passed",
     "The gyros have a high-pass filter",
-    "readings while the specific force is steady: a decrease in proportion to their own time integral",
+    "readings while the specific force is steady: a decrease in proportion to their own time integral; from rest to "
+    "rest a change by the angle between them over the time constant",
     "After rotations the gyro readings decay in the stationary windows, with a time constant of {time_s:.3g} s, as "
     "behind a high-pass filter: the unit tracks the offset of its gyros during rotations; switch this off, and record "
     "raw readings.",

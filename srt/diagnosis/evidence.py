@@ -19,7 +19,7 @@ from srt.diagnosis.gravity_rotation import (
     recognised_manoeuvres,
     turning_blocks,
 )
-from srt.diagnosis.jumps import NO_SPIKES, false_in_turns, find_jumps, wrapped_readings
+from srt.diagnosis.jumps import NO_SPIKES, false_in_turns, find_jumps, largest_shift, wrapped_readings
 from srt.diagnosis.label_shift import label_shift
 from srt.diagnosis.rotation_readings import (
     ROUNDING,
@@ -418,6 +418,11 @@ class Evidence:
         if turning is not None and np.any(spikes.channel < 3) and turning.sum() > 1:
             spikes = spikes[spikes.channel >= 3]
         return spikes + false_in_turns(self._with_labels, self.options, found.suspects)
+
+    @property
+    def largest_spike_shift(self) -> float | None:
+        """Largest shift of a sensor error by the spikes, in its sigma; None if it is not known."""
+        return None if self._jumps is None else largest_shift(self.spikes, self._jumps.noise, self._data)
 
     @property
     def unused_spikes(self) -> Spikes:

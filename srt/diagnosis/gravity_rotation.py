@@ -125,6 +125,8 @@ def turning_blocks(recording: Recording, turns: ManoeuvreReadings, means: tuple[
 _SCALE: Final = 0.2
 """Largest difference from one of the rotation of gravity over that of the gyros below a limit: twice the scale-factor
 error of a working sensor. Where it is larger, the windows are no rests, or the axes are wrong."""
+_TURNS: Final = 2.0
+"""Smallest effective number of the rotations that a limit leaves alone."""
 _LARGEST_HALF: Final = 1.0
 """Largest half angle of a block, rad: 20 rad/s, faster than any gyro reads; beyond, the unit of the rates is wrong."""
 
@@ -157,7 +159,8 @@ def rate_limit(blocks: TurningBlocks) -> Limit | None:
     """Limit of the rate: near the largest readings gravity rotates faster than the gyros read, but not at lower ones.
 
     It may be that of one axis, or of all. Statistic: difference of the two ratios over its standard deviation from the
-    scatter. Distribution: normal, four tests.
+    scatter within the rotations and between them, where the errors of the sensors differ. Distribution: normal, four
+    tests.
     """
     half = 0.5 * np.linalg.norm(blocks.angle, axis=1)
     if half.max(initial=0.0) > _LARGEST_HALF:
@@ -168,7 +171,7 @@ def rate_limit(blocks: TurningBlocks) -> Limit | None:
         size, expected = np.abs(blocks.angle * axes).max(axis=1), cross(blocks.force, arc * axes)
         change = blocks.change - cross(blocks.force, arc * (1.0 - axes))
         top = float(size.max(initial=0.0))
-        near, ratio, variance = size > (1.0 - _NEAR_TOP) * top, [], []
+        near, ratio, variance, turns = size > (1.0 - _NEAR_TOP) * top, [], [], []
         for part in (near, (size > 2.0 * _UPRIGHT * top) & (size < (1.0 - 2.0 * _NEAR_TOP) * top)):
             power = float(np.sum(expected[part] ** 2))
             if np.count_nonzero(part) < SECOND or power == 0.0:
@@ -176,13 +179,28 @@ def rate_limit(blocks: TurningBlocks) -> Limit | None:
             ratio.append(float(np.sum(expected[part] * change[part])) / power)
             left = change[part] - ratio[-1] * expected[part]
             variance.append(float(np.mean(left**2)) / power)
-        if len(ratio) < 2 or abs(ratio[1] - 1.0) > _SCALE:
+            turns.append(_by_turn(blocks.turn[part], expected[part], left))
+        # One rotation does not show by how much rotations differ.
+        if len(ratio) < 2 or abs(ratio[1] - 1.0) > _SCALE or turns[1][1] < _TURNS:
             continue
-        doubt = limit("normal", tests=4) * math.sqrt(sum(variance))
+        between = turns[1][0] * (1.0 / turns[0][1] + 1.0 / turns[1][1])
+        doubt = limit("normal", tests=4) * math.sqrt(sum(variance) + between)
         if ratio[0] - ratio[1] > max(_NEAR_TOP * ratio[1], doubt):
             axis = int(np.argmax(np.abs(blocks.angle * axes).max(axis=0)))
             return Limit(axis, top / blocks.step_s, blocks.at[near])
     return None
+
+
+def _by_turn(turn: Indices, expected: Array, left: Array) -> tuple[float, float]:
+    """Variance between rotations of a ratio to what is expected, from what it leaves, and their effective number.
+
+    The variance is about the mean of so many rotations; it is zero of a single one.
+    """
+    power = np.bincount(turn, np.sum(expected**2, axis=1))
+    along = np.bincount(turn, np.sum(expected * left, axis=1))[power > 0.0]
+    power = power[power > 0.0]
+    number = float(power.sum() ** 2 / np.sum(power**2))
+    return float(np.sum(along**2 / power) / power.sum()) / max(1.0 - 1.0 / number, 0.5), number
 
 
 def missed_rotations(turns: ManoeuvreReadings | None, blocks: TurningBlocks | None) -> tuple[Array, Array]:

@@ -6,11 +6,13 @@ these four readings differ much, the unit moves abruptly, and the reading is not
 within one sample looks like a spike of the gyros, but the direction of gravity stays rotated by its angle. A hand
 shakes the unit, and sets it down: in its rotations and next to them, a spike is one of a single channel, whose other
 channels move far less; in rotations, the turns must not contradict it (:mod:`srt.joint.replaced_readings`).
-Accelerometer readings of rotations enter no result, and are not accused.
+Accelerometer readings of rotations enter no result, and are not accused: a knock as a hand takes the unit, or sets it
+down. A large spike cuts a stationary window in two, with a part between them in which the unit does not rotate.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -30,6 +32,8 @@ _JERK: Final = 3.0
 neighbours; a step or a kink of the motion gives at most 1."""
 _OF_ONE_SAMPLE: Final = np.array([1.0, -4.0, 6.0, -4.0, 1.0]) / 6.0
 """Deviations of a sample that deviates by one, and of the samples beside it."""
+_OF_DEVIATION: Final = math.sqrt(35.0 / 18.0)
+"""Standard deviation of the deviation of a reading, in units of that of a reading."""
 _LONGEST: Final = 5
 """Largest number of readings of a burst."""
 _ALONE: Final = 7.0
@@ -81,11 +85,15 @@ NO_SPIKES: Final = Spikes(_NONE, _NONE, np.array([]), _NONE, np.array([]))
 
 
 class Jumps(NamedTuple):
-    """Readings that jump: spikes, gyro readings in turns by hand that may be spikes, and spikes of no effect."""
+    """Readings that jump: spikes, gyro readings in turns by hand that may be spikes, and spikes of no effect.
+
+    ``noise`` is the standard deviation of a reading at rest, by channel, shape (6,).
+    """
 
     spikes: Spikes = NO_SPIKES
     suspects: Spikes = NO_SPIKES
     unused: Spikes = NO_SPIKES
+    noise: Array = np.zeros(6)
 
 
 def find_jumps(columns: Array, data: PreparedRecording, contiguous: Mask, step: Array) -> Jumps:
@@ -115,17 +123,18 @@ def find_jumps(columns: Array, data: PreparedRecording, contiguous: Mask, step: 
     there = there[spiky] + _bursts(x, there[~spiky], least, factor)
     bump = [_is_bump(columns, data, int(i), there) for i in there.sample]
     there = there[~np.array(bump, dtype=np.bool_)]
-    rotating = _inside(there.sample, turns[:, 0] - 1, turns[:, 1])
-    rate = x[:3, there.sample] * data.recording.rates_factor - np.median(data.windows.gyro_mean, axis=0)[:, None]
-    used = (there.channel < 3) | ~rotating | (np.abs(rate).max(axis=0) < SLOWEST_RAD_S)
-    there, unused = there[used], there[~used]
+    rest = np.median(data.windows.gyro_mean, axis=0)[:, None]
+    rate = [np.abs(x[:3, a:b] * data.recording.rates_factor - rest).max(initial=0.0) for a, b in turns.tolist()]
+    moving = turns[np.array(rate) > SLOWEST_RAD_S]
+    used = (there.channel < 3) | ~_inside(there.sample, moving[:, 0] - 1, moving[:, 1])
+    there, unused, noise = there[used], there[~used], least / _OF_DEVIATION
     if data.recording.fixture is not None:
-        return Jumps(there, unused=unused)
+        return Jumps(there, unused=unused, noise=noise)
     suspected = _inside(there.sample, turns[:, 0] - 1, turns[:, 1]) & (there.channel < 3)
     near = _inside(there.sample, turns[:, 0] - 1 - BESIDE, turns[:, 1] + BESIDE)
     burst, alone = np.bincount(there.number)[there.number] > 1, there.alone > _ALONE
     # A hand that sets the unit down rocks it for some samples.
-    return Jumps(there[~suspected & (~near | (alone & ~burst))], there[suspected & alone], unused)
+    return Jumps(there[~suspected & (~near | (alone & ~burst))], there[suspected & alone], unused, noise)
 
 
 def _noise(x: Array, off: Array, data: PreparedRecording, contiguous: Mask, step: Array) -> tuple[Array, Array, Array]:
@@ -145,6 +154,25 @@ def _noise(x: Array, off: Array, data: PreparedRecording, contiguous: Mask, step
     least = np.maximum(least, ROUNDING * np.abs(x).max(axis=1))
     noise[2] = noise.max(axis=0)  # the noise of a window reaches into the rotation beside it
     return spans[long], np.maximum(noise, least).reshape(-1, 6)[long], least
+
+
+def largest_shift(spikes: Spikes, noise: Array, data: PreparedRecording) -> float | None:
+    """Largest shift of a sensor error by spikes of the accelerometers, in its sigma; None with spikes of the gyros.
+
+    The spikes change each window mean by their share in it. In its own metric, the least-squares solution moves by no
+    more than the norm of this change over the noise of the means. ``noise`` is that of :class:`Jumps`.
+    """
+    if np.any(spikes.channel < 3):
+        return None
+    windows, factor = data.windows, data.recording.rates_factor
+    first, last = windows.samples.T
+    inside = (first[:, None] <= spikes.sample) & (spikes.sample < last[:, None])
+    jump = np.where(spikes.channel[:, None] == np.arange(3, 6), spikes.jump[:, None], 0.0)
+    share = (inside @ jump) * factor / (last - first)[:, None]
+    # Counts of pulses that hold the remainder of the count before scatter less in a mean than one by one.
+    single = noise[3:] * factor / np.sqrt(last - first)[:, None]
+    sigma = np.minimum(single, data.noise.accel_white / np.sqrt(windows.duration_s)[:, None])
+    return float(np.linalg.norm(np.divide(share, sigma, out=np.zeros_like(share), where=share != 0.0)))
 
 
 def false_in_turns(recording: Recording, options: Options, suspects: Spikes) -> Spikes:
@@ -177,8 +205,7 @@ def _bursts(x: Array, edges: Spikes, noise: Array, factor: float) -> Spikes:
         weights = np.linalg.solve(np.vander(nodes, increasing=True).T, np.vander(own, 4, increasing=True).T)
         every = x[:, first[:, None] + own] - x[:, first[:, None] + nodes] @ weights
         jump = every[channel, np.arange(len(first))]
-        # The deviation of a single reading has 35/18 times the variance of a reading.
-        limits = factor * noise[channel, None] * np.sqrt((1.0 + np.sum(weights**2, axis=0)) * 18.0 / 35.0)
+        limits = factor * noise[channel, None] * np.sqrt(1.0 + np.sum(weights**2, axis=0)) / _OF_DEVIATION
         least = np.abs(jump).min(axis=1)
         others = np.abs(every).max(axis=2) / np.where(noise > 0.0, noise, 1.0)[:, None]
         others[channel, np.arange(len(first))] = 0.0

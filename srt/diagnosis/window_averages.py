@@ -170,9 +170,11 @@ def quantization(data: PreparedRecording, least: Array) -> Array:
     recording, windows, noise = data.recording, data.windows.samples, data.recording.noise
     parts = [slice(a, (3 * a + b) // 4) for a, b in windows[:: max(1, len(windows) // _SOME_WINDOWS)].tolist()]
     steps = np.array([[*quantization_step(recording.gyro[p]), *quantization_step(recording.accel[p])] for p in parts])
-    # The median over the windows: a disturbed window may show finer steps, and a window of constant readings no step.
+    # The median over the windows: a disturbed window may show finer steps, a window with spikes coarser ones, and a
+    # window of constant readings no step.
     seen = np.sort(steps, axis=0)[::-1]
-    shown = np.maximum(np.count_nonzero(steps, axis=0), 1)
+    changes = [np.any(np.diff(np.hstack([recording.gyro[p], recording.accel[p]]), axis=0), axis=0) for p in parts]
+    shown = np.maximum(np.count_nonzero(changes, axis=0), 1)
     stated = np.repeat([noise.gyro_quantization or 0.0, noise.accel_quantization or 0.0], 3)
     per_pulse = recording.nominal_interval_s * recording.rates_factor
     single = [single_precision_step(table, windows)[1] for table in (recording.gyro, recording.accel)]

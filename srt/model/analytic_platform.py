@@ -5,12 +5,13 @@ constant in B_Strt, the solution is ``Ĉ(t) = exp(−ω̂e× t) Ĉ_I(t)`` with �
 Earth's rotation is exact. The inertial attitude is a product of rotation vectors, one per sampling interval, each with
 its coning correction:
 
-    ``φ_i = Δθ_i + Δθ_i × s_i / 12``,    s_i the change of Δθ per interval.
+    ``φ_i = Δθ_i + Δθ_i × s_i / 12 + d1_i × d2_i / 720``,    ``s_i = d1_i − 11/60 d3_i``,
 
-The correction is exact for a rate that changes linearly over three intervals (next error: fifth power of the interval)
-and for a constant rate of any magnitude. It also matters for the Earth's rate seen in a rotating body: without it, a
-rotation at 50 Hz has an error of 1.5e-8 rad. The change s is the central difference. A limiter reduces it where the
-rate has a kink, as between two rotations about different axes: a difference across the kink would be false coning.
+with d1, d2 and d3 the central differences of Δθ over five intervals. The correction is exact to the sixth power of the
+interval for a rate that is a polynomial of fourth order over them, and for a constant rate of any magnitude. It matters
+for a hand that shakes, and for the Earth's rate seen in a rotating body: without it, a rotation at 50 Hz has an error
+of 1.5e-8 rad. Where the rate has a kink, as between two rotations about different axes, a difference across the kink
+would be false coning: there, s is the central difference over three intervals with a limiter, and d1 × d2 is left out.
 
 All sequences of a recording are integrated as one stream in cache-sized blocks. Afterwards the attitudes are referred
 to the start of each sequence. The steps up to the attitude are in :mod:`srt.model.platform_steps`, the sums here.

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numba import njit
 
-from srt.model.rotations import SMALL_ANGLE_SQUARED
+from srt.model.rotations import BESIDE, KINK, SMALL_ANGLE_SQUARED, TINY
 from srt.model.sensor_model import OCTANT_ITERATIONS
 
 if TYPE_CHECKING:
@@ -81,7 +81,7 @@ def block(
     chained = _chain(theta, samples[3], span, last)
     C_mid = np.empty((3, 3, chained.shape[1] if with_attitude else 0))
     X = _at_mid_interval(chained, last, inverses, octants, C_mid)
-    first = span[0] - max(span[0] - 1, 0)
+    first = span[0] - max(span[0] - BESIDE, 0)
     return np.ascontiguousarray(theta[:, first : first + chained.shape[1]]), X, C_mid, chained
 
 
@@ -117,9 +117,9 @@ def _solve(inverses: Any, first: Any, near_zero: Any, reading: Any, smooth: Any)
 
 @_compiled
 def _compensate(samples: Any, span: Any, bias: Any, offset: Any, inverses: Any, near_zero: Any) -> Any:
-    """Compensated increments of a block and of one sample on either side, (3, ·), and octants of the block."""
+    """Compensated increments of a block and of the samples beside it, (3, ·), and octants of the block."""
     increments, smooth, interval_s, sequence_of = samples
-    lo, hi = max(span[0] - 1, 0), min(span[1] + 1, len(interval_s))
+    lo, hi = max(span[0] - BESIDE, 0), min(span[1] + BESIDE, len(interval_s))
     theta, octants = np.empty((3, hi - lo)), np.empty(span[1] - span[0], dtype=np.uint64)
     each = len(offset) // len(bias)
     for i in range(lo, hi):
@@ -139,13 +139,25 @@ def _compensate(samples: Any, span: Any, bias: Any, offset: Any, inverses: Any, 
 
 
 @_compiled
-def _change(before: float, now: float, after: float) -> float:
+def _limited(before: float, now: float, after: float) -> float:
     """Change of the increment per interval: central difference with van Leer's limiter."""
     back, ahead = now - before, after - now
     if back * ahead <= 0.0:
         return 0.0
     limit = 2.0 * min(abs(back), abs(ahead))
     return max(-limit, min(limit, 0.5 * (back + ahead)))
+
+
+@_compiled
+def _course(values: Any, j: int) -> Any:
+    """Slope, and first and second difference where there is no kink, of one component of the increments."""
+    s0, s1 = values[j - 1] - values[j - 2], values[j] - values[j - 1]
+    s2, s3 = values[j + 1] - values[j], values[j + 2] - values[j + 1]
+    slope = _limited(values[j - 1], values[j], values[j + 1])
+    before, after = abs(s0) + abs(s1), abs(s2) + abs(s3)
+    smooth = min(min(before, after, abs(s0) + abs(s3)) / (KINK * (before + after) + TINY), 1.0)
+    slope += smooth * ((s1 + s2) * (71.0 / 120.0) - (s0 + s3) * (11.0 / 120.0) - slope)
+    return slope, 0.5 * smooth * (s1 + s2), smooth * (s2 - s1)
 
 
 @_compiled
@@ -162,17 +174,25 @@ def _half_angle(squared: float) -> Any:
 @_compiled
 def _chain(theta: Any, sequence_of: Any, span: Any, last: Any) -> Any:
     """Attitudes after the samples of a block, (2, m)."""
-    first, n = span[0] - max(span[0] - 1, 0), theta.shape[1]
+    start, n = span[0] - max(span[0] - BESIDE, 0), theta.shape[1]
     out = np.empty((2, span[1] - span[0]), dtype=np.complex128)
     a, b = last[0, 0], last[1, 0]
     for i in range(out.shape[1]):
-        j, k = i + first, span[0] + i
+        j, k = i + start, span[0] + i
         x, y, z = theta[0, j], theta[1, j], theta[2, j]
-        if 0 < j < n - 1 and sequence_of[k - 1] == sequence_of[k + 1]:
-            sx = _change(theta[0, j - 1], x, theta[0, j + 1]) / 12.0
-            sy = _change(theta[1, j - 1], y, theta[1, j + 1]) / 12.0
-            sz = _change(theta[2, j - 1], z, theta[2, j + 1]) / 12.0
-            x, y, z = x + y * sz - z * sy, y + z * sx - x * sz, z + x * sy - y * sx
+        if BESIDE <= j < n - BESIDE and sequence_of[k - BESIDE] == sequence_of[k + BESIDE]:
+            u, a1, a2 = _course(theta[0], j)
+            v, b1, b2 = _course(theta[1], j)
+            w, c1, c2 = _course(theta[2], j)
+            phi = (x + (y * w - z * v) / 12.0 + (b1 * c2 - c1 * b2) / 720.0,
+                   y + (z * u - x * w) / 12.0 + (c1 * a2 - a1 * c2) / 720.0,
+                   z + (x * v - y * u) / 12.0 + (a1 * b2 - b1 * a2) / 720.0)  # fmt: skip
+            x, y, z = phi
+        elif 0 < j < n - 1 and sequence_of[k - 1] == sequence_of[k + 1]:
+            u = _limited(theta[0, j - 1], x, theta[0, j + 1]) / 12.0
+            v = _limited(theta[1, j - 1], y, theta[1, j + 1]) / 12.0
+            w = _limited(theta[2, j - 1], z, theta[2, j + 1]) / 12.0
+            x, y, z = x + y * w - z * v, y + z * u - x * w, z + x * v - y * u
         cosine, sine = _half_angle(x * x + y * y + z * z)
         c, d = complex(cosine, -sine * z), complex(-sine * y, -sine * x)
         a, b = a * c - b * d.conjugate(), a * d + b * c.conjugate()

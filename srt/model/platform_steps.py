@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from srt.model import rotations
+from srt.model.rotations import BESIDE, KINK, TINY
 from srt.model.sensor_model import OCTANT_ITERATIONS
 
 if TYPE_CHECKING:
@@ -94,16 +95,16 @@ class Steps:
     def block(self, a: int, b: int) -> tuple[Array, Array, Array]:
         """Compensated increments Δθ, (3, m), Ĉ D and Ĉ at mid-interval, (3, 3, m), of the samples a to b."""
         stream = self._stream
-        # One sample more on either side, for the change of the rate at the block's edges.
-        lo, hi = max(a - 1, 0), min(b + 1, len(stream.interval_s))
+        # Some samples more on either side, for the course of the rate at the block's edges.
+        lo, hi = max(a - BESIDE, 0), min(b + BESIDE, len(stream.interval_s))
         unit = None if self._unit_of is None else self._unit_of[lo:hi]
         theta, D = _compensate(stream, slice(lo, hi), self._gyro, self._sample_noise_rad, unit)
         if self._offset.any():
             theta -= self._offset.T[:, self.sequence_of[lo:hi]] * stream.interval_s[lo:hi]
-        change = _change(theta, self.sequence_of[lo:hi])
         inner = slice(a - lo, a - lo + b - a)
+        phi = theta + _coning(theta, self.sequence_of[lo:hi])
         theta, D = np.ascontiguousarray(theta[:, inner]), D if D.ndim == 2 else D[:, :, inner]
-        C_mid = self.chain.extend(theta + _cross(theta, change[:, inner]) / 12.0, a)
+        C_mid = self.chain.extend(phi[:, inner], a)
         return theta, _times(C_mid, D), C_mid
 
 
@@ -173,21 +174,34 @@ class AttitudeChain:
         return C_mid
 
 
-def _change(theta: Array, sequence_of: Indices) -> Array:
-    """Change of the increment per interval, (3, m): central, limited where the rate kinks, zero at sequence edges.
+def _coning(theta: Array, sequence_of: Indices) -> Array:
+    """Coning correction of the increments, (3, m); the outermost samples of a sequence have none.
 
     The limiter is van Leer's monotonised central one: no change beyond twice either one-sided difference, and none
     where these disagree in sign.
     """
-    out = np.zeros_like(theta)
+    slope = np.zeros_like(theta)
     if theta.shape[1] < 3:
-        return out
+        return slope
     step = np.diff(theta, axis=1)
     step[:, sequence_of[1:] != sequence_of[:-1]] = 0.0
     back, ahead = step[:, :-1], step[:, 1:]
     limit = 2.0 * np.minimum(np.abs(back), np.abs(ahead))
     limit[back * ahead <= 0.0] = 0.0
-    np.clip(0.5 * (back + ahead), -limit, limit, out=out[:, 1:-1])
+    np.clip(0.5 * (back + ahead), -limit, limit, out=slope[:, 1:-1])
+    size = np.abs(step)
+    pair = size[:, :-1] + size[:, 1:]
+    before, after = pair[:, :-2], pair[:, 2:]
+    # What is not in two neighbouring differences: all of a kink is.
+    smooth = np.minimum(np.minimum(before, after), size[:, :-3] + size[:, 3:])
+    smooth /= KINK * (before + after) + TINY
+    np.minimum(smooth, 1.0, out=smooth)
+    smooth *= sequence_of[2 * BESIDE :] == sequence_of[: -2 * BESIDE]
+    twice = step[:, 1:-2] + step[:, 2:-1]
+    inner = slope[:, BESIDE:-BESIDE]
+    inner += smooth * (twice * (71.0 / 120.0) - (step[:, :-3] + step[:, 3:]) * (11.0 / 120.0) - inner)
+    out = _cross(theta, slope) / 12.0
+    out[:, BESIDE:-BESIDE] += _cross(smooth * twice, smooth * (step[:, 2:-1] - step[:, 1:-2])) / 1440.0
     return out
 
 

@@ -18,6 +18,13 @@ if TYPE_CHECKING:
 
     Quaternions = NDArray[np.complex128]
 
+BESIDE = 2
+"""Samples on either side from which the coning correction of a sample is taken."""
+KINK = 0.1
+"""Share of four successive differences that lies outside two neighbouring ones, from which on a rate has no kink. It is
+0.17 and more where the rate is linear or quadratic, and zero at a kink between rest and rotation."""
+TINY = 1e-300
+"""Angle, rad, far below any other: it keeps a ratio of two zeros from being undefined."""
 SMALL_ANGLE_SQUARED = 0.05
 """Squared rotation angle, rad², below which the Taylor series are exact to double precision."""
 

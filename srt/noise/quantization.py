@@ -22,8 +22,8 @@ _FEWEST_SMALL: Final = 10
 """Smallest number of differences below the gap; normal noise has such a gap with a probability of 1e-13."""
 _FEWEST_LARGE: Final = 3
 """Smallest number of differences above the gap."""
-_BULK: Final = (0.25, 0.9)
-"""Quantiles of the differences that single outlying readings hardly change; of normal noise, their ratio is 5."""
+_BULK: Final = (0.25, 0.8)
+"""Quantiles of the differences that single outlying readings hardly change; of normal noise, their ratio is 4."""
 
 
 def smallest_step(values: Array) -> Array:

@@ -52,6 +52,9 @@ LEFT_TO_RESIDUALS: Final = frozenset({
 """Warnings that leave the verdict to the residuals. Every other warning makes it doubtful: the readings or statements
 that it names are in the result, and residuals that agree do not show by how much they move it."""
 
+NEGLIGIBLE_SHIFT: Final = 0.5
+"""Largest shift of any sensor error, in its sigma, that leaves the verdict to the residuals: errors grow by 12 %."""
+
 OF_FIXTURE: Final = {
     "turned_angle_rad": "rotations",
     "start_angle_rad": "start angles",
@@ -144,10 +147,15 @@ def _lacking(names: tuple[str, ...]) -> Iterator[str]:
 
 
 def explained(calibration: Judged) -> set[str]:
-    """Faults that a modelled drift or the accuracy found of a fixture explains: the residuals then test for others."""
+    """Faults that a modelled drift or the accuracy found of a fixture explains, or whose effect is negligible.
+
+    The residuals then test for others.
+    """
     drift = [row for row in calibration.diagnostics.drift or () if row.modelled]
     out = {f"{row.sensor}_bias_drift" for row in drift}
     out |= {"units_joined" for row in drift if row.form.startswith("step")}
+    shifts = ((f.fault, f.details.get("largest_shift_sigma")) for f in calibration.diagnostics.faults or ())
+    out |= {fault for fault, shift in shifts if shift is not None and shift < NEGLIGIBLE_SHIFT}
     evidence = calibration.verdict
     return out | {"wrong_angle" for kind in (evidence and evidence.added_noise) or () if kind in _ANGLES}
 

@@ -9,8 +9,11 @@ from clean_recordings import main as clean_study
 from faults import clean_recording
 from foreign_motion import GRADES, Turn, drawn_errors, recording, windows
 from scipy.ndimage import uniform_filter1d
+from scipy.special import chdtri
 
+import srt
 from srt.diagnosis.staged_diagnosis import diagnose
+from srt.result.verdict import SOUND
 from srt.sequences.clipping import _limits_seen, _Triad
 
 SEED = 20261124
@@ -82,6 +85,17 @@ def test_clean_and_handled_recordings_are_not_accused(clean, handled, tmp_path, 
     """A twentieth of ``benchmarks/clean_recordings.py``, or less."""
     code = clean_study(clean=clean, handled=handled, first=8, seed=SEED, results=tmp_path / "results.jsonl")
     assert code == 0, capsys.readouterr().out
+
+
+@pytest.mark.parametrize("number", [104, 184])
+def test_a_tremor_of_12_hz_is_integrated_at_50_hz(number):
+    """A good gyro in a shaking hand: tremor of 3 to 12 Hz in turns, whose rotations no turn contradicts."""
+    tremor = drawn(number, 20261130, handled=True)
+    found = srt.calibrate(tremor.recording)
+    assert found.judgement.word == SOUND
+    error = found.errors.vector - tremor.truth
+    assert found.observed.all()
+    assert error @ np.linalg.solve(found.covariance, error) < chdtri(len(error), 1e-4)
 
 
 def test_knocks_in_turns_are_no_dead_gyro():

@@ -189,6 +189,18 @@ def test_many_spikes_are_no_quantization_steps(sensor, count):
     assert findings[0].details["count"] > 0.5 * count  # neighbouring spikes hide each other
 
 
+@pytest.mark.parametrize("sensor", ["gyro", "accel"])
+def test_spikes_of_one_size_in_each_twentieth_reading_are_no_quantization_steps(sensor):
+    """In a quarter of a window, more than a tenth of the differences can contain one."""
+    unit, _ = unstated_unit(0, "fixture", "industrial")
+    windows = [unit.window_indices(*span) for s in unit.sequences for span in (s.start_static_s, s.end_static_s)]
+    rest = np.concatenate([np.arange(w.start, w.stop) for w in windows])
+    rng, values = np.random.default_rng(60), getattr(unit, sensor).copy()
+    at, sigma = rng.choice(rest, len(rest) // 20, replace=False), np.std(np.diff(values[:100, 1])) / np.sqrt(2.0)
+    values[at, 1] += 100.0 * sigma * rng.choice([-1.0, 1.0], len(at))
+    assert srt.diagnose(replace(unit, **{sensor: values}), calibrating=False).findings[0].fault == "spikes"
+
+
 @pytest.mark.parametrize("readings", [2, 5])
 @pytest.mark.parametrize("sensor", ["gyro", "accel"])
 def test_a_burst_at_rest_is_placed_with_its_length(sensor, readings):

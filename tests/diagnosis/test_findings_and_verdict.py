@@ -6,7 +6,7 @@ from pathlib import Path
 import accuracy_trials
 import numpy as np
 import pytest
-from foreign_motion import GRADES, drawn_errors, hand_turns
+from foreign_motion import GRADES, drawn_errors, hand_turns, windows
 from foreign_motion import recording as by_hand
 from injected_faults.injection import Case
 from recorded_sets import data_folder
@@ -23,7 +23,7 @@ from srt.diagnosis.units import scales_of_result
 from srt.estimation.options import Options
 from srt.exceptions import DataError
 from srt.procedure import calibrate
-from srt.result.verdict import SOUND
+from srt.result.verdict import DOUBTFUL, SOUND
 
 SEED = 20264201
 FOLDER = data_folder()
@@ -214,6 +214,41 @@ def test_accelerometer_readings_in_turns_by_hand_are_not_accused():
     assert found.judgement.word == clean.judgement.word
     assert {fault.fault for fault in found.diagnostics.faults} == {fault.fault for fault in clean.diagnostics.faults}
     np.testing.assert_array_equal(found.errors.vector, clean.errors.vector)
+
+
+@pytest.mark.parametrize("labelled", [False, True])
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_knock_as_the_hand_takes_the_unit_is_no_spike(axis, labelled):
+    """One reading along one axis, before the unit rotates at 0.05 rad/s: it is in no window."""
+    turns = hand_turns(np.random.default_rng((SEED, 9)), shortest_s=2.0, count=15, rest_s=3.0)
+    rng, grade = np.random.default_rng((SEED, 10)), GRADES["tactical"]
+    unit = by_hand(turns, 5.0, drawn_errors(grade, rng), grade, rng, labelled=labelled)
+    begin = np.searchsorted(unit.time, 1e-6 + windows(turns, 5.0)[4][1])
+    assert np.abs(unit.gyro[begin : begin + 2]).max() < 0.05
+    accel = unit.accel.copy()
+    accel[begin + 1, axis] += 8.0
+    found, clean = srt.calibrate(replace(unit, accel=accel)), srt.calibrate(unit)
+    assert found.diagnostics.faults == clean.diagnostics.faults == ()
+    assert found.judgement.word == SOUND
+
+
+@pytest.mark.parametrize(("size", "word"), [(13.0, SOUND), (100.0, DOUBTFUL)])
+def test_a_spike_at_rest_is_in_doubt_if_the_result_shifts(size, word):
+    """13 sigma of a reading are 0.41 sigma of the mean of 1000: no sensor error shifts by more."""
+    unit = Case("tactical-fog", SEED).recording
+    window = unit.window_indices(*unit.sequences[4].start_static_s)
+    accel, middle = unit.accel.copy(), (window.start + window.stop) // 2
+    accel[middle, 1] += size * np.std(np.diff(accel[window, 1])) / np.sqrt(2.0)
+    clean, found = srt.calibrate(unit), srt.calibrate(replace(unit, accel=accel))
+    (spikes,) = (fault for fault in found.diagnostics.faults if fault.fault == "spikes")
+    assert "a knock" in spikes.sentence
+    assert spikes.sentence in found.warnings
+    assert (clean.judgement.word, found.judgement.word) == (SOUND, word)
+    shift = np.max(np.abs(found.errors.vector - clean.errors.vector) / clean.sigma)
+    # The reading less its prediction has the noise of both, 1.4 sigma.
+    limits = (size + np.array([-5.0, 5.0])) / np.sqrt(window.stop - window.start)
+    assert limits[0] < spikes.details["largest_shift_sigma"] < limits[1]
+    assert shift < spikes.details["largest_shift_sigma"]
 
 
 @pytest.mark.skipif(FOLDER is None, reason="the recorded sets are not at hand")

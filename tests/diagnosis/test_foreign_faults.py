@@ -239,6 +239,15 @@ def test_a_limit_below_the_noise_is_saturation(profile, axes):
     assert found.first.effect == "exit 1"  # no turn can be left out
 
 
+@pytest.mark.parametrize("seed", [2, 12, 16, 42, 50])
+def test_the_fastest_turn_of_a_coarse_unit_is_no_saturation(seed):
+    """At constant rates, the largest readings are those of one turn, whose ratio to gravity has errors of its own."""
+    rng, grade = np.random.default_rng((78, seed)), FOREIGN_GRADES["consumer"]
+    turned = hand_turns(rng, shortest_s=1.5, count=15, rest_s=5.0)
+    unit = recording(turned, 5.0, drawn_errors(grade, rng), grade, rng, profile="constant-rate", hz=50.0)
+    assert diagnose(unit, calibrating=False).findings == ()
+
+
 @pytest.mark.parametrize(("profile", "seed"), [("raised-cosine", 1), ("raised-cosine", 4), ("hand", 1)])
 def test_accelerometers_cut_at_zero_show_no_filter_of_the_gyros(profile, seed):
     """They read zero in rotations, too, as if the unit were at rest, while the rates fall."""
@@ -247,6 +256,17 @@ def test_accelerometers_cut_at_zero_show_no_filter_of_the_gyros(profile, seed):
     unit = recording(turned, 3.0, drawn_errors(grade, rng), grade, rng, profile=profile, hz=50.0)
     found = diagnose(replace(unit, accel=np.maximum(unit.accel, 0.0)), calibrating=False)
     assert "gyro_high_passed" not in {finding.fault for finding in found.findings}
+
+
+@pytest.mark.parametrize("time_s", [60.0, 120.0])
+def test_a_warm_up_of_the_gyros_is_no_filter(time_s):
+    """Each rest shows the decay of a filter; but the rates continue from rest to rest, whatever rotates."""
+    rng, grade = np.random.default_rng((78, 3)), FOREIGN_GRADES["industrial"]
+    turned = hand_turns(rng, shortest_s=1.5, count=15, rest_s=5.0)
+    unit = recording(turned, 5.0, drawn_errors(grade, rng), grade, rng, profile="constant-rate", hz=50.0)
+    bias = np.outer(0.05 * np.exp(-unit.time / time_s), [1.0, 0.5, -0.3])
+    found = diagnose(replace(unit, gyro=unit.gyro + bias), calibrating=False)
+    assert [finding.fault for finding in found.findings] == ["gyro_bias_drift"]
 
 
 def test_readings_of_gravity_that_drift_are_not_without_gravity():

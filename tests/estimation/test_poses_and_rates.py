@@ -226,10 +226,15 @@ def test_directions_that_a_protocol_hardly_shows_do_not_keep_it_from_converging(
 
 
 def test_misalignments_whose_squares_count_are_not_observed():
-    """Ferraris' turns without a fixture: 20 mrad beside 5e-6; NEES of thousands if they count as observed."""
+    """Ferraris' turns without a fixture: 20 mrad beside 5e-6; NEES of thousands if they count as observed.
+
+    A third of the units does not converge, and has no values.
+    """
     scores = [
-        protocols.by_protocol(("ferraris", "fixed"), unit, ["least-squares"])["least-squares"] for unit in range(3)
+        protocols.by_protocol(("ferraris", "fixed"), unit, ["least-squares"])["least-squares"] for unit in range(6)
     ]
+    scores = [score for score in scores if score.status == "partial"]
+    assert len(scores) > 1
     # The sigmas hold what the fixed misalignments may be: an upper limit, 1 %.
     assert sum(score.nees for score in scores) < chi2.ppf(0.99, sum(score.freedom for score in scores))
 

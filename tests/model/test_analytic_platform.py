@@ -110,29 +110,29 @@ def coning_rate(amplitude, frequency, duration):
     return rate
 
 
-def test_classical_coning_converges_with_the_fourth_power_of_the_interval():
-    """Each interval is wrong by its fifth power, so that half the interval leaves a sixteenth of the drift."""
+def test_classical_coning_converges_with_the_sixth_power_of_the_interval():
+    """Each interval is wrong by its seventh power, so that half the interval leaves a 64th of the drift."""
     amplitude, frequency, duration = 0.2, 2 * math.pi, 4.0
     rate = coning_rate(amplitude, frequency, duration)
     errors, bare = [], []
-    counts = (200, 400, 800, 1600)
+    counts = (100, 200, 400)
     for n in counts:
         increments = increments_of(rate, duration / n, n)
         found, _ = integrate_attitude(one_stream(increments, duration / n), PERFECT, np.zeros((1, 3)))
         errors.append(np.abs(found.C_end[0] - np.eye(3)).max())
         bare.append(np.abs(one_by_one(increments) - np.eye(3)).max())
     for (coarse, fine), n in zip(pairwise(errors), counts, strict=False):
-        # Next in size: a relative (W dt)², and the limiter, which acts in up to two samples at each of the 16
-        # extrema that two components have in four periods.
-        assert coarse / fine == pytest.approx(16.0, rel=(frequency * duration / n) ** 2 + 32 / n)
-    for coarse, fine in pairwise(bare):
-        assert coarse / fine == pytest.approx(4.0, rel=0.01)  # without the term it is the second power
+        # Next in size is a relative (2 W dt)²: the correction reaches over two intervals on either side.
+        assert coarse / fine == pytest.approx(64.0, rel=(2.0 * frequency * duration / n) ** 2)
+    for coarse, fine, n in zip(bare[:-1], bare[1:], counts, strict=False):
+        # Without the term it is the second power.
+        assert coarse / fine == pytest.approx(4.0, rel=(frequency * duration / n) ** 2)
     # W a²/2 · (W dt)²/6 of drift without the term. A sin² envelope has a mean a² of 3/8 of the peak's, two thirds of it
     # at W and a sixth each at W (1 ± 1/4), and the drift goes with the cube; sin a is not a: a² of it.
     drift = duration * frequency * 0.375 * amplitude**2 / 2 * (frequency * duration / counts[0]) ** 2 / 6
     drift *= 2 / 3 + (1.25**3 + 0.75**3) / 6
     assert bare[0] == pytest.approx(drift, rel=amplitude**2)
-    assert errors[0] < (frequency * duration / counts[0]) ** 2 * bare[0]
+    assert errors[0] < (frequency * duration / counts[0]) ** 4 * bare[0]
 
 
 # --- streams --------------------------------------------------------------------------------------------------------

@@ -85,5 +85,5 @@ def test_code_that_cannot_be_stored_is_compiled_all_the_same():
     names = {"__name__": "compiled_platform_without_a_file"}
     exec(compile(source, "<no file>", "exec"), names)  # noqa: S102
     with pytest.raises(RuntimeError, match="cannot cache"):
-        numba.njit(cache=True)(names["_change"].py_func)
-    assert names["_change"](1.0, 2.0, 4.0) == 1.5
+        numba.njit(cache=True)(names["_limited"].py_func)
+    assert names["_limited"](1.0, 2.0, 4.0) == 1.5
