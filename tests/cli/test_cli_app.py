@@ -289,7 +289,7 @@ def laboratory(tmp_path_factory):
     return folder
 
 
-@pytest.mark.parametrize("indices", [range(12, 25), pytest.param(range(1000), marks=pytest.mark.slow)])
+@pytest.mark.parametrize("indices", [range(12, 25), pytest.param(range(1000), marks=pytest.mark.campaign)])
 def test_random_command_lines_have_no_defect(laboratory, tmp_path, monkeypatch, indices):
     monkeypatch.chdir(tmp_path)
     runs = fuzz_arguments.runs(laboratory, tmp_path / "runs", 20261123, indices, 10.0)

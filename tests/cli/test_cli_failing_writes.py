@@ -8,6 +8,7 @@ import os
 import re
 import shutil
 import tempfile
+from itertools import product
 
 import numpy as np
 import pytest
@@ -271,9 +272,13 @@ def test_an_own_file_is_replaced_until_it_is_changed(row, lab, tmp_path, capfd):
         path.write_bytes(whole)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EIO])
-@pytest.mark.parametrize("row", ROWS)
+@pytest.mark.parametrize(
+    ("row", "number"),
+    [
+        pytest.param(*case, marks=pytest.mark.campaign if n % 19 else pytest.mark.slow)
+        for n, case in enumerate(product(ROWS, (errno.ENOSPC, errno.EIO)))
+    ],
+)
 def test_each_failing_call_leaves_old_or_new(row, number, lab, tmp_path, capfd):
     rng = np.random.default_rng(20261123)
     made = Row(row, lab, tmp_path, capfd)

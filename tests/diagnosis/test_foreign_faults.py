@@ -52,32 +52,32 @@ def case(kind, grade, rung=0, *, slow=True):
     [
         case("one accelerometer limited", "navigation-rlg", 1, slow=False),  # pulses held at one limit of one axis
         case("one accelerometer limited", "navigation-rlg", 0),
-        case("gyro_wrapped", "industrial-mems", 1, slow=False),  # ramps wrap within their slope
+        case("gyro_wrapped", "industrial-mems", 1),  # ramps wrap within their slope
         case("gyro_wrapped", "navigation-rlg", 1),
         case("unsigned words", "consumer-mems", 0),
         case("unsigned words", "tactical-fog", 1),
         case("one axis of another range", "industrial-mems", 0, slow=False),
         case("one axis in degrees", "navigation-rlg", 0),
-        case("gyro_dead_band", "navigation-rlg", 1, slow=False),  # two pulses
+        case("gyro_dead_band", "navigation-rlg", 1),  # two pulses
         case("sample_rate", "navigation-rlg", 2, slow=False),  # 2.4 %: the Earth rate is off by the same factor
         case("clock fast", "navigation-rlg", 2),
         case("latitude", "navigation-rlg", 0),
-        case("accel_lsb", "navigation-rlg", 1, slow=False),  # the Earth rate contradicts a wrong sample rate
+        case("accel_lsb", "navigation-rlg", 1),  # the Earth rate contradicts a wrong sample rate
         case("time_unit", "tactical-fog", 1),  # 31.6 times: near g, but equal on all axes
         case("stamps in minutes", "industrial-mems", 0, slow=False),  # 60 times is near 57.3, degrees
-        case("every second increment dropped", "tactical-fog", 0, slow=False),
+        case("every second increment dropped", "tactical-fog", 0),
         case("time_unit and gyro_lsb", "navigation-rlg", 2),  # an unknown clock and an unknown factor together
         case("one axis in degrees", "consumer-mems", 0),
         case("gyros high-passed", "consumer-mems", 2, slow=False),  # decays that look like shifted labels
         case("gyros high-passed", "navigation-rlg", 0),
-        case("gravity removed", "tactical-fog", 0, slow=False),
+        case("gravity removed", "tactical-fog", 0),
         case("negative readings cut off", "industrial-mems", 0, slow=False),
-        case("sign bit and magnitude", "navigation-rlg", 0, slow=False),
+        case("sign bit and magnitude", "navigation-rlg", 0),
         case("sign bit and magnitude", "tactical-fog", 1),
         case("gyro_wrapped", "tactical-fog", 2, slow=False),  # three times in a ramp
         case("accel_wrapped", "industrial-mems", 2),
         case("longitude for latitude", "tactical-fog", 0),
-        case("gyro_counts", "consumer-mems", 0, slow=False),  # 65.5 counts for 1 deg/s: within the range of a clock
+        case("gyro_counts", "consumer-mems", 0),  # 65.5 counts for 1 deg/s: within the range of a clock
         case("gyro_one_polarity", "consumer-mems", 0),  # a dead band, too
         case("samples_lost", "tactical-fog", 0),  # one rotation is an outlier, no step
         case("labels of a fast clock", "navigation-rlg", 0),
@@ -93,16 +93,16 @@ def test_named_first(kind, grade, rung):
     [
         case("labels_shifted", "navigation-rlg", 0.037, slow=False),  # a line in the spectrum of the windows
         case("labels_shifted", "consumer-mems", 0.016),  # 4 sigma of one parameter
-        case("windows reach into the rotations", "tactical-fog", 0.037, slow=False),  # refused by the angle in a window
+        case("windows reach into the rotations", "tactical-fog", 0.037),  # refused by the angle in a window
         case("windows reach into the rotations", "industrial-mems", 0.14),  # noise
         case("labels of a fast clock", "tactical-fog", 0.000625),  # a high-pass filter
         case("gyro_axis_delayed", "industrial-mems", 40.0, slow=False),  # a noisy window
         case("gyros low-passed", "industrial-mems", 60.0),  # an oscillating fixture
-        case("samples_duplicated", "navigation-rlg", 24.0, slow=False),  # spikes, or lost samples
+        case("samples_duplicated", "navigation-rlg", 24.0),  # spikes, or lost samples
         case("last value held at a lost sample", "navigation-rlg", 30.0),
         case("clock set by GPS", "industrial-mems", 30.0, slow=False),  # labels in the gap
         case("gap bridged by a line", "industrial-mems", 0.6),  # shifted labels
-        case("dead band of accelerometers", "consumer-mems", 16000.0, slow=False),  # a noisy window
+        case("dead band of accelerometers", "consumer-mems", 16000.0),  # a noisy window
         case("bit of a converter stuck", "navigation-rlg", 10.0, slow=False),  # vibration
         case("unsigned words", "navigation-rlg", 1.0),  # one polarity
     ],

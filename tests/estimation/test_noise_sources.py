@@ -260,7 +260,7 @@ def many():
     return run, data, measurements, still
 
 
-@pytest.mark.parametrize("units", [12, pytest.param(25, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("units", [12, pytest.param(25, marks=pytest.mark.campaign)])
 @pytest.mark.parametrize("name", SOURCES)
 def test_monte_carlo_of_one_source(name, units):
     """Units of 36 sequences with one source of noise: chi-square of the measurements, 1e-3 over the sources.

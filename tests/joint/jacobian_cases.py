@@ -196,8 +196,7 @@ def make(motions, variant, size, noise=NOISE, off=True):
     return Case(joint, state, system, prior, errors)
 
 
+MARKS = {"zero": pytest.mark.slow, "tiny": pytest.mark.campaign, "large": ()}
 CASES = [  # in the quick tests with large errors, where every term counts
-    pytest.param(v, s, id=f"{v}-{s}", marks=[pytest.mark.slow] * (s != "large"))
-    for v in VARIANTS
-    for s in ("zero", "tiny", "large")
+    pytest.param(v, s, id=f"{v}-{s}", marks=MARKS[s]) for v in VARIANTS for s in ("zero", "tiny", "large")
 ]

@@ -238,6 +238,7 @@ def test_matlab_objects_give_samples_of_the_rest_or_a_sentence(tmp_path, code):
         assert re.search(r"no array|is not a readable MATLAB|ended its reader|no column was recognised|damaged", text)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="limits of a process are Linux's")
 def test_matlab_compressed_that_swells(tmp_path):
     """A variable of a gigabyte in a megabyte."""
