@@ -422,3 +422,18 @@ def test_noise_of_an_integrated_window_acts_on_its_rotation_as_its_samples_do():
     expected = np.sum(share**2) / RATE_HZ * excess * np.outer(effect, effect)
     np.testing.assert_allclose(found[0], expected, rtol=2e-3, atol=1e-6 * expected.max())
     assert not found[1:].any()
+
+
+@pytest.mark.parametrize(("sensor", "kind"), [("gyro", "rate"), ("accel", "force")])
+def test_a_noisier_window_adds_the_variance_of_its_own_mean(sensor, kind):
+    """White noise of the density S has the variance S / T in a mean over T, beside that of all windows."""
+    data, measurements = quiet()
+    by, name = measurement_covariance.slopes_of(measurements), f"{sensor}_excess"
+    w, excess = int(data.start[1]), 1e-6
+    windows = replace(data.windows, **{name: np.zeros((len(data.windows.samples), 3))})
+    before = error_sources.white_noise(replace(data, windows=windows), by)[f"{sensor}_noise"].own[kind]
+    getattr(windows, name)[w, 1] = excess
+    added = error_sources.white_noise(replace(data, windows=windows), by)[f"{sensor}_noise"].own[kind] - before
+    effect = getattr(by, kind)[w][:, 1]
+    np.testing.assert_allclose(added[w], excess / DWELL_S * np.outer(effect, effect), rtol=1e-6, atol=1e-9 * excess)
+    assert not np.delete(added, w, axis=0).any()
