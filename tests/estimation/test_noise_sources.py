@@ -437,3 +437,18 @@ def test_a_noisier_window_adds_the_variance_of_its_own_mean(sensor, kind):
     effect = getattr(by, kind)[w][:, 1]
     np.testing.assert_allclose(added[w], excess / DWELL_S * np.outer(effect, effect), rtol=1e-6, atol=1e-9 * excess)
     assert not np.delete(added, w, axis=0).any()
+
+
+def test_an_integrated_window_has_a_twelfth_of_its_noise_besides_its_mean():
+    """The variance of φ by white noise S is S T / 3 over a window; its mean, of which φ has half, explains S T / 4."""
+    data, measurements = quiet()
+    w, excess = int(data.start[0]), 1e-6
+    by, integrated = measurement_covariance.slopes_of(measurements), np.arange(len(data.windows.duration_s)) == w
+    windows = replace(data.windows, gyro_excess=np.zeros((len(data.windows.samples), 3)))
+    before = error_sources.white_noise(replace(data, windows=windows), by, integrated)["gyro_noise"].own["turn"]
+    windows.gyro_excess[w, 1] = excess
+    after = error_sources.white_noise(replace(data, windows=windows), by, integrated)["gyro_noise"].own["turn"]
+    effect = by.rate[w][:, 1]
+    expected = DWELL_S / 12.0 * excess * np.outer(effect, effect)
+    np.testing.assert_allclose((after - before)[0], expected, rtol=1e-6, atol=1e-9 * excess)
+    assert not (after - before)[1:].any()
