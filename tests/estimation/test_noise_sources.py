@@ -5,6 +5,7 @@ A mutation of one source changes its own test: an alignment error times zero, or
 
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -452,3 +453,24 @@ def test_an_integrated_window_has_a_twelfth_of_its_noise_besides_its_mean():
     expected = DWELL_S / 12.0 * excess * np.outer(effect, effect)
     np.testing.assert_allclose((after - before)[0], expected, rtol=1e-6, atol=1e-9 * excess)
     assert not (after - before)[1:].any()
+
+
+@pytest.mark.parametrize("shared", [True, False])
+def test_a_rounding_that_noise_does_not_dither_shifts_the_whole_window(shared):
+    """Means of windows have its variance, whatever their length; rotations have none of it."""
+    data, measurements = quiet()
+    by, step = measurement_covariance.slopes_of(measurements), np.array([1e-3, 2e-3, 3e-3])
+    plain, stepped = (replace(data.noise, gyro_step=size, accel_step=size) for size in (np.zeros(3), step))
+    parts = {"windows": data.windows, "start": data.start, "end": data.end}
+    before, after = (
+        error_sources.quantization(SimpleNamespace(noise=noise, **parts), by, shared=shared)
+        for noise in (plain, stepped)
+    )
+    for name, kind in (("gyro_quantization", "rate"), ("accel_quantization", "force")):
+        effect = getattr(by, kind) * step
+        added = after[name].own[kind] - before[name].own[kind]
+        np.testing.assert_allclose(added, effect @ np.swapaxes(effect, -1, -2), rtol=1e-6, atol=1e-12)
+    turns = (found["gyro_quantization"].own["turn"] for found in (before, after))
+    np.testing.assert_array_equal(*turns)
+    of_means = (error_sources.raw_rate_variance(noise, data.windows.duration_s) for noise in (stepped, plain))
+    np.testing.assert_allclose(np.subtract(*of_means), np.tile(step**2, (len(data.windows.duration_s), 1)), rtol=1e-6)
