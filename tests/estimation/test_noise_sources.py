@@ -457,9 +457,13 @@ def test_an_integrated_window_has_a_twelfth_of_its_noise_besides_its_mean():
 
 @pytest.mark.parametrize("shared", [True, False])
 def test_a_rounding_that_noise_does_not_dither_shifts_the_whole_window(shared):
-    """Means of windows have its variance, whatever their length; rotations have none of it."""
+    """Means of windows have its variance, whatever their length; rotations have none of it.
+
+    The channels are turned to one another, so that a derivative is not its own transpose.
+    """
     data, measurements = quiet()
     by, step = measurement_covariance.slopes_of(measurements), np.array([1e-3, 2e-3, 3e-3])
+    by = by._replace(rate=by.rate @ rotation_matrix(np.array([0.3, -0.2, 0.5])))
     plain, stepped = (replace(data.noise, gyro_step=size, accel_step=size) for size in (np.zeros(3), step))
     parts = {"windows": data.windows, "start": data.start, "end": data.end}
     before, after = (
@@ -470,6 +474,13 @@ def test_a_rounding_that_noise_does_not_dither_shifts_the_whole_window(shared):
         effect = getattr(by, kind) * step
         added = after[name].own[kind] - before[name].own[kind]
         np.testing.assert_allclose(added, effect @ np.swapaxes(effect, -1, -2), rtol=1e-6, atol=1e-12)
+    # Of the errors at its two edges, a window shares with the rotations those next to them.
+    alone = np.sum(shared_edges(data) < 0, axis=1) if shared else np.full(len(by.rate), 2)
+    edge = by.rate * plain.gyro_edge / data.windows.duration_s[:, None, None]
+    expected = alone[:, None, None] * edge @ np.swapaxes(edge, -1, -2)
+    np.testing.assert_allclose(
+        before["gyro_quantization"].own["rate"], expected, rtol=1e-12, atol=1e-12 * edge.max() ** 2
+    )
     turns = (found["gyro_quantization"].own["turn"] for found in (before, after))
     np.testing.assert_array_equal(*turns)
     of_means = (error_sources.raw_rate_variance(noise, data.windows.duration_s) for noise in (stepped, plain))
