@@ -10,7 +10,7 @@ export PYTHONDONTWRITEBYTECODE :=
 STAMP := $(VENV)/.installed
 DEMO_STAMP := $(VENV)/.installed-demo
 
-.PHONY: demo test lint docs slow lowest figures clean
+.PHONY: demo test lint docs slow campaigns lowest figures clean
 
 # What the demo uses; an environment with everything has that too
 demo: $(if $(wildcard $(STAMP)),$(STAMP),$(DEMO_STAMP))
@@ -31,9 +31,13 @@ lint: $(STAMP)
 docs: $(STAMP)
 	$(BIN)/python -m sphinx -b html -n -W --keep-going -q docs build/docs
 
-# The full-size statistics (more than half an hour on two cores)
+# Larger samples and further cases
 slow: $(STAMP)
-	$(BIN)/python -m pytest -n auto -m slow
+	$(BIN)/python -m pytest -n auto --dist worksteal -m 'slow and not campaign'
+
+# The full-size statistics, and all cases of which the slow tests have a part (hours on two cores)
+campaigns: $(STAMP)
+	$(BIN)/python -m pytest -n auto --dist worksteal -m campaign
 
 # Core tests with every requirement at its lower bound, and in installations without extras; makes four environments
 lowest: $(STAMP)

@@ -151,7 +151,7 @@ _COUNTING = {"range", "reshape", "zeros", "empty", "ones", "arange", "reversed",
 
 
 def run_tests(folder: Path, tests: Sequence[str]) -> int:
-    """Exit code of pytest for tests of a copy of the tree, in a fork that has imported nothing of it."""
+    """Exit code of pytest for tests of a copy of the tree, slow ones too, in a fork that has imported nothing of it."""
     child = os.fork()
     if not child:
         nowhere = os.open(os.devnull, os.O_WRONLY)
@@ -160,7 +160,7 @@ def run_tests(folder: Path, tests: Sequence[str]) -> int:
         os.chdir(folder)
         sys.path.insert(0, str(folder))
         importlib.invalidate_caches()
-        os._exit(pytest.main(["-x", "-q", "-p", "no:cacheprovider", "-n", "0", *tests]))
+        os._exit(pytest.main(["-x", "-q", "-p", "no:cacheprovider", "-n", "0", "-m", "not campaign", *tests]))
     return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
 
 

@@ -1,6 +1,7 @@
 """Parts that the tests of the diagnosis share: the checks of some stages alone, on what is labelled."""
 
 from functools import cache, cached_property
+from itertools import count, product
 
 import pytest
 from injected_faults.injection import GRADES, Case
@@ -39,12 +40,16 @@ def examine_stages(recording, stages, *, options=None, calibrating=True):
 
 
 def grades_and_faults(faults):
-    """Parameters ``grade`` and ``fault``: every fault with every second grade, in turns; with ``slow`` all pairs."""
-    pairs = [
-        pytest.param(grade, fault, id=f"{grade}-{fault}", marks=[pytest.mark.slow] * ((i + k) % 2))
-        for i, fault in enumerate(faults)
-        for k, grade in enumerate(GRADES)
-    ]
+    """Parameters ``grade`` and ``fault``: every fault with every second grade, in turns.
+
+    Every nineteenth of the other pairs is slow, which takes the grades in turns; the rest are a campaign.
+    """
+    pairs, others = [], count()
+    for (i, fault), (k, grade) in product(enumerate(faults), enumerate(GRADES)):
+        marks = []
+        if (i + k) % 2:
+            marks = [pytest.mark.campaign if next(others) % 19 else pytest.mark.slow]
+        pairs.append(pytest.param(grade, fault, id=f"{grade}-{fault}", marks=marks))
     return pytest.mark.parametrize(("grade", "fault"), pairs)
 
 

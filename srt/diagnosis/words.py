@@ -305,7 +305,7 @@ class ZeroCell(NamedTuple):
 
 
 def zero_cells(evidence: Evidence) -> list[ZeroCell]:
-    """Intervals of inputs that read zero in the windows, by channel.
+    """Intervals of inputs that read zero in the windows, by channel; that of rounding where no other is significant.
 
     Statistic: twice the logarithm of the ratio of the likelihoods of truncation and of rounding, and of a dead band and
     the likelier of both, for normal noise with the most likely mean of each window and noise of each channel.
@@ -315,6 +315,7 @@ def zero_cells(evidence: Evidence) -> list[ZeroCell]:
     if evidence.data is None:
         return out
     windows, uneven = evidence.data.windows.samples, float(chdtri(1, _UNEVEN / len(_OTHERS)))
+    least = limit("chi-square", 1, tests=_CELLS)
     steps, tables = evidence.steps * evidence.per_rate, (evidence.rate, evidence.force)
     for s, sensor in enumerate(TRUNCATED):
         if _counts_pulses(evidence, sensor) or sensor in evidence.wrapped_readings:
@@ -322,8 +323,10 @@ def zero_cells(evidence: Evidence) -> list[ZeroCell]:
         for axis in range(3):
             column, step = tables[s][:, axis], steps[s, axis]
             cell = _zero_cell(column, step, windows)
+            if cell.truncated <= least and not cell.band:
+                continue  # as of rounding: the other readings, which take sixteen times as long, decide nothing
             # A converter with uneven steps has other readings that are as frequent beside their neighbours.
-            others = (_zero_cell(column - k * step, step, windows) for k in _OTHERS if cell.truncated > 0.0)
+            others = (_zero_cell(column - k * step, step, windows) for k in _OTHERS)
             if all(other.truncated < max(uneven, _LIKE_ZERO * cell.truncated) for other in others):
                 out[3 * s + axis] = cell
     return out

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import cache
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -184,11 +185,13 @@ def add_instability(joint: JointModel, solver: JointSolver, iteration: Iteration
     if any(term.sensor == "gyro" for term in found.terms):
         shown = [sensors for sensors in shown if "gyro" not in sensors]
     data, scatter = joint.data, joint.bias_scatter
+    undeviated = replace(state, bias_deviation=np.zeros_like(state.bias_deviation))
+    gyro_size = cache(lambda: _gyro_size(joint, solver, iteration, undeviated))  # of gyros alone, and of both triads
     for sensors in shown:
         at, explained = state, 0.0
         if "gyro" in sensors:
-            at = replace(state, bias_deviation=np.zeros_like(state.bias_deviation))
-            size, likelihood = _gyro_size(joint, solver, iteration, at)
+            at = undeviated
+            size, likelihood = gyro_size()
             explained = 2.0 * (likelihood - solution.log_likelihood)
             joint.with_data(replace(data, gyro_instability=size))
         if "accel" in sensors:

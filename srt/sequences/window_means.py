@@ -164,11 +164,13 @@ def _noise_density(readings: Array) -> Array:
     if count == 0:
         return np.zeros((2, *readings.shape[::2]))
     parts = readings[:, : count * PARTS].reshape(len(readings), PARTS, count, -1).mean(axis=2)
-    steps, rounding = np.abs(np.diff(readings, axis=1)), _SAME * np.abs(readings).max(axis=(0, 1))
-    step = np.min(steps, axis=1, where=steps > rounding, initial=np.inf)
+    along = np.ascontiguousarray(np.swapaxes(readings, 1, 2))  # extremes along contiguous axes take a third of the time
+    steps, highest, lowest = np.abs(np.diff(along)), along.max(axis=2), along.min(axis=2)
+    rounding = _SAME * np.maximum(highest, -lowest).max(axis=0)
+    steps[steps <= rounding[:, None]] = np.inf
     bend = np.median(np.diff(parts, n=2, axis=1) ** 2, axis=1)
     density = np.where(bend > rounding**2, bend * count / (6.0 * MEDIAN_OF_SQUARE), 0.0)
-    return np.stack([density, np.where(np.ptp(readings, axis=1) > _ROUNDED * step, density, 0.0)])
+    return np.stack([density, np.where(highest - lowest > _ROUNDED * steps.min(axis=2), density, 0.0)])
 
 
 def _excess(density: Array, dithered: Array) -> Array:

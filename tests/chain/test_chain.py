@@ -1,7 +1,7 @@
 """Every recording through every estimator to every output, with the values checked.
 
-The default form has every pair of recording, estimator and output; ``-m slow`` has the rest of the product, with the
-figures of certificates and the files of figures.
+The default form has every pair of recording, estimator and output; ``-m slow`` has a twentieth of the rest of the
+product, and ``-m campaign`` all else, with the figures of certificates and the files of figures.
 """
 
 import hashlib
@@ -11,7 +11,7 @@ from itertools import combinations
 from pathlib import Path
 
 import pytest
-from chain_outputs import CHEAP, OUTPUTS, PRODUCT, Chain, covering
+from chain_outputs import CHEAP, OUTPUTS, PRODUCT, Chain, covering, twentieth
 
 for package in ("filterpy", "gtsam", "matplotlib", "pandas", "fpdf", "jinja2"):
     pytest.importorskip(package)
@@ -60,7 +60,9 @@ def each_result_once():
 
 def marks(member):
     """Marks of a member of the product."""
-    return [] if member in covering() else [pytest.mark.slow]
+    if member in covering():
+        return []
+    return [pytest.mark.slow if member in twentieth() else pytest.mark.campaign]
 
 
 @pytest.mark.parametrize(
@@ -68,7 +70,7 @@ def marks(member):
 )
 def test_chain(request, chains, monkeypatch, name, estimator, output):
     chain = chains(name)
-    chain.pictures = request.node.get_closest_marker("slow") is not None
+    chain.pictures = (name, estimator, output) not in covering()
     if not chain.pictures:
         for module in ("html_page", "pdf"):
             monkeypatch.setattr(f"srt.reports.certificate.{module}.certificate_figures", lambda certificate: ())
@@ -79,3 +81,11 @@ def test_every_pair_occurs():
     for first, second in combinations(range(3), 2):
         wanted = {(each[first], each[second]) for each in PRODUCT}
         assert {(each[first], each[second]) for each in covering()} == wanted
+
+
+def test_the_slow_tests_are_a_twentieth_of_the_rest_with_every_estimator_output_and_recording_that_it_has():
+    rest = set(PRODUCT) - covering()
+    assert twentieth() <= rest
+    assert 0.9 * len(rest) < 20 * len(twentieth()) < 1.1 * len(rest)
+    for part in range(3):
+        assert {each[part] for each in twentieth()} == {each[part] for each in rest}

@@ -410,6 +410,7 @@ def turned_by_hand(folder):
     return np.array([errors.get(name, 0.0) for name in NAMES])
 
 
+@pytest.mark.slow
 def test_advice_on_a_turn_that_contradicts_is_a_command_that_works(tmp_path, capfd, shell):
     errors = turned_by_hand(tmp_path)
     file = tmp_path / "without.json"

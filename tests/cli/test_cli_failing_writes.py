@@ -8,6 +8,7 @@ import os
 import re
 import shutil
 import tempfile
+from itertools import product
 
 import numpy as np
 import pytest
@@ -75,7 +76,7 @@ ROWS = {
     "demo": "demo -o {out}/demo",
 }
 """Command lines; "over" writes over what an earlier run left."""
-SLOW = {"compare", "fleet", "replay", "robustness", "calibrate plot", "inspect plot", "noise plot", "certificate",
+LONG = {"compare", "fleet", "replay", "robustness", "calibrate plot", "inspect plot", "noise plot", "certificate",
         "calibrate log", "demo", "watch", "noise", "noise into", "budget", "inspect", "plan"}  # fmt: skip
 """Rows of more than half a second."""
 WITHOUT_OUTPUT = {"list"}
@@ -201,7 +202,7 @@ def test_every_command_that_writes_has_a_row():
     } - WITHOUT_OUTPUT
 
 
-@pytest.mark.parametrize("row", [name for name in ROWS if name not in SLOW])
+@pytest.mark.parametrize("row", [name for name in ROWS if name not in LONG])
 def test_a_failing_call_leaves_old_or_new(row, lab, tmp_path, capfd):
     rng = np.random.default_rng(20261123)
     made = Row(row, lab, tmp_path, capfd)
@@ -245,7 +246,7 @@ def test_nothing_is_written_into_a_recording(row, lab, capfd):
 @pytest.mark.parametrize(
     "row",
     [
-        pytest.param(row, marks=[pytest.mark.slow] * (row in SLOW))
+        pytest.param(row, marks=[pytest.mark.campaign] * (row in LONG))
         for row in ROWS
         if row.split()[0] not in WRITES_RECORDINGS and row != "noise into"
     ],
@@ -271,9 +272,17 @@ def test_an_own_file_is_replaced_until_it_is_changed(row, lab, tmp_path, capfd):
         path.write_bytes(whole)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EIO])
-@pytest.mark.parametrize("row", ROWS)
+IN_SLOW_TESTS = {("export", errno.ENOSPC), ("calibrate", errno.EIO), ("merge", errno.ENOSPC)}
+"""The commands that call least; the others are a campaign."""
+
+
+@pytest.mark.parametrize(
+    ("row", "number"),
+    [
+        pytest.param(*case, marks=pytest.mark.slow if case in IN_SLOW_TESTS else pytest.mark.campaign)
+        for case in product(ROWS, (errno.ENOSPC, errno.EIO))
+    ],
+)
 def test_each_failing_call_leaves_old_or_new(row, number, lab, tmp_path, capfd):
     rng = np.random.default_rng(20261123)
     made = Row(row, lab, tmp_path, capfd)

@@ -50,7 +50,7 @@ def check_rate(flags, expected):
         (6, 3000, 1),
         (9, 3000, 1),
         (21, 1500, 1),
-        *(pytest.param(n, 500, 20, marks=pytest.mark.slow) for n in (6, 7, 8, 10, 12, 16, 20, 25, 36, 60)),
+        *(pytest.param(n, 500, 20, marks=pytest.mark.campaign) for n in (6, 7, 8, 10, 12, 16, 20, 25, 36, 60)),
     ],
 )
 def test_sound_fleets_are_flagged_as_often_as_stated(units, fleets, times):

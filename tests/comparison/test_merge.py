@@ -258,7 +258,7 @@ def sum_is_chi_square(total, freedom):
 
 @pytest.mark.parametrize(
     ("estimator", "count"),
-    [("closed-form", 3), *(pytest.param(e, 40, marks=pytest.mark.slow) for e in ("closed-form", "least-squares"))],
+    [("closed-form", 3), *(pytest.param(e, 40, marks=pytest.mark.campaign) for e in ("closed-form", "least-squares"))],
 )
 def test_merged_units_are_consistent(estimator, count):
     """NEES of the merged values over units, and chi-squares of the recordings' agreement, are chi-square distributed.
@@ -277,10 +277,11 @@ def test_merged_units_are_consistent(estimator, count):
         probabilities.append([row.probability for row in table.parameters])
         wider = merge_calibrations(calibrations)
         assert np.all(wider.sigma >= merged.sigma * (1.0 - 1e-9))
+        # Weighted means of three, one of which may have noise of its own or an instability by chance.
+        ratio = merged.sigma * np.sum([c.sigma**-2.0 for c in calibrations], axis=0) ** 0.5
         # Gravity alone keeps the sigmas of the scales from falling by √3.
-        ratio = merged.sigma / calibrations[0].sigma
-        assert np.all(ratio[SCALE] > 0.65)
-        assert np.all(np.abs(np.delete(ratio, np.arange(N_PARAMETERS)[SCALE]) * np.sqrt(3.0) - 1.0) < 0.05)
+        assert np.all(ratio[SCALE] > 0.65 * np.sqrt(3.0))
+        assert np.all(np.abs(np.delete(ratio, np.arange(N_PARAMETERS)[SCALE]) - 1.0) < 0.05)
     sum_is_chi_square(nees, N_PARAMETERS * count)
     sum_is_chi_square(sum(statistics), 2 * N_PARAMETERS * count)
     if count >= 40:

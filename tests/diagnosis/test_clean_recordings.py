@@ -17,48 +17,49 @@ from srt.result.verdict import SOUND
 from srt.sequences.clipping import _limits_seen, _Triad
 
 SEED = 20261124
+SLOW = pytest.mark.slow
 LEAST = 0.2
 
 
-def case(seed, number, *, slow=True):
-    return pytest.param(seed, number, marks=[pytest.mark.slow] if slow else [])
+def case(seed, number, *, marks=pytest.mark.campaign):
+    return pytest.param(seed, number, marks=marks)
 
 
 @pytest.mark.parametrize(
     ("seed", "number"),
     [
-        case(20261201, 34, slow=False),  # bump: blocks of two filtered samples are correlated
+        case(20261201, 34, marks=()),  # bump: blocks of two filtered samples are correlated
         case(2026, 638),  # bump: corrected pulses, whose smallest step is the crosstalk of another axis
         case(2026, 891),
-        case(20261201, 102, slow=False),  # labels shifted: poses without a rotation, and the noise of pulses
+        case(20261201, 102, marks=SLOW),  # labels shifted: poses without a rotation, and the noise of pulses
         case(20261201, 132),  # short window: a core chosen for its small scatter, and filtered readings
-        case(20261201, 136, slow=False),
-        case(2026, 40, slow=False),  # noise: corrected pulses without a single pulse in the windows
+        case(20261201, 136, marks=()),
+        case(2026, 40, marks=SLOW),  # noise: corrected pulses without a single pulse in the windows
         case(2026, 341),  # wrong angle: one rotation, and a gyro scale factor of 1 %
         case(2026, 299),  # noise of a window: the filter moves the rotation into it
         case(2026, 948),
         case(20261201, 397),
         case(20261203, 385),  # short window: few means that scatter little by chance
-        case(20261301, 157, slow=False),  # labels shifted: noise of filtered poses
+        case(20261301, 157, marks=()),  # labels shifted: noise of filtered poses
         case(20261301, 324),  # count value: rest not found, as corrected pulses have a quieter tenth
         case(20261301, 456),  # axis stuck: a steady rate of a whole number of pulses
-        case(20261301, 619, slow=False),
+        case(20261301, 619, marks=SLOW),
         case(20261301, 945),  # bump: correlated blocks, whose scatter the median under-states
         case(20261303, 950),  # spikes: corrected pulses
-        case(20261303, 1676, slow=False),  # wrapped: single pulses at rest
-        case(20261302, 555, slow=False),  # creep: residuals that a robust fit passes through
-        case(20262700, 1295, slow=False),  # oscillation: power of filtered readings, which are correlated
+        case(20261303, 1676, marks=()),  # wrapped: single pulses at rest
+        case(20261302, 555, marks=SLOW),  # creep: residuals that a robust fit passes through
+        case(20262700, 1295, marks=()),  # oscillation: power of filtered readings, which are correlated
         case(20262900, 2430),  # noise of gyros: windows of two sequences that free rotations match by chance
-        case(20262910, 106, slow=False),  # axis stuck: no pulse in a whole window
+        case(20262910, 106, marks=SLOW),  # axis stuck: no pulse in a whole window
         case(20262920, 818),  # axis stuck: a rotation at a whole number of pulses for each sample
-        case(20262920, 1735, slow=False),  # axis stuck: filtered pulses until the rotation slows down
+        case(20262920, 1735, marks=()),  # axis stuck: filtered pulses until the rotation slows down
         case(20262800, 1879),  # creep: a window of 5 s among those of 30 and 90 s
-        case(7, 72, slow=False),  # short window: rests of a protocol in which sequences are recognised by chance
+        case(7, 72, marks=SLOW),  # short window: rests of a protocol in which sequences are recognised by chance
         case(7, 19),
-        case(20261126, 916, slow=False),  # dead accelerometer: a turn about its axis, with biases of 0.1 g
-        case(20261126, 15, slow=False),  # dead gyro: ten turns of a rate table with scale errors
-        case(20262301, 823, slow=False),  # a bit stuck: poses alone, in few places of the range
-        case(20261150, 925, slow=False),  # a high-pass filter: steady runs that begin in a rotation about the vertical
+        case(20261126, 916, marks=()),  # dead accelerometer: a turn about its axis, with biases of 0.1 g
+        case(20261126, 15, marks=SLOW),  # dead gyro: ten turns of a rate table with scale errors
+        case(20262301, 823, marks=()),  # a bit stuck: poses alone, in few places of the range
+        case(20261150, 925, marks=SLOW),  # a high-pass filter: steady runs that begin in a rotation about the vertical
     ],
 )
 def test_recordings_that_raised_a_finding(seed, number):
@@ -79,7 +80,7 @@ def test_g_sensitive_gyros_in_single_poses_are_sound(seed, number):
 
 @pytest.mark.parametrize(
     ("clean", "handled"),
-    [(3, 1), pytest.param(25, 10, marks=pytest.mark.slow)],
+    [pytest.param(3, 1, marks=pytest.mark.slow), pytest.param(25, 10, marks=pytest.mark.campaign)],
 )
 def test_clean_and_handled_recordings_are_not_accused(clean, handled, tmp_path, capsys):
     """A twentieth of ``benchmarks/clean_recordings.py``, or less."""

@@ -262,6 +262,7 @@ def test_a_unit_set_down_by_hand_has_no_spikes(repeat):
         assert Evidence(recording).spikes.sample.size == 0
 
 
+@pytest.mark.slow
 def test_half_a_count_value_is_refused_by_the_result():
     unit = turned_by_hand(0)
     half = replace(unit, gyro=0.5 * unit.gyro)
@@ -284,6 +285,7 @@ def test_equal_scale_errors_are_not_sound(sensor, factor):
     assert found.judgement.word != SOUND
 
 
+@pytest.mark.slow
 def test_time_stamps_of_a_file_are_no_sample_rate():
     """A factor of 1.3 on the gyros: with stamps, no sample rate is proposed; a stated one is."""
     unit, _ = unstated_unit(0, "fixture", "consumer")

@@ -131,6 +131,7 @@ def test_the_fitness_of_sequences_is_that_of_the_result(ids):
         assert name.rsplit("_", 1)[0] in fit.reason
 
 
+@pytest.mark.slow
 def test_the_commands_begin_with_the_fitness(tmp_path, shell):
     for name, unit in (("by-hand", turned(18)), ("drive", driven())):
         srt.write_recording(unit, tmp_path / name, samples_format="npz")

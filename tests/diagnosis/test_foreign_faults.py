@@ -21,6 +21,7 @@ from srt.sensor_errors import NAMES
 from srt.sequences import clipping, vibration
 
 SEED = 20261410
+SLOW = pytest.mark.slow
 
 
 def injected(kind, grade, rung, severity=None):
@@ -43,41 +44,41 @@ def first_cause(kind, *unit):
     return first and first.fault
 
 
-def case(kind, grade, rung=0, *, slow=True):
-    return pytest.param(kind, grade, rung, marks=[pytest.mark.slow] if slow else [])
+def case(kind, grade, rung=0, *, marks=pytest.mark.campaign):
+    return pytest.param(kind, grade, rung, marks=marks)
 
 
 @pytest.mark.parametrize(
     ("kind", "grade", "rung"),
     [
-        case("one accelerometer limited", "navigation-rlg", 1, slow=False),  # pulses held at one limit of one axis
+        case("one accelerometer limited", "navigation-rlg", 1, marks=()),  # pulses held at one limit of one axis
         case("one accelerometer limited", "navigation-rlg", 0),
-        case("gyro_wrapped", "industrial-mems", 1, slow=False),  # ramps wrap within their slope
+        case("gyro_wrapped", "industrial-mems", 1, marks=SLOW),  # ramps wrap within their slope
         case("gyro_wrapped", "navigation-rlg", 1),
         case("unsigned words", "consumer-mems", 0),
         case("unsigned words", "tactical-fog", 1),
-        case("one axis of another range", "industrial-mems", 0, slow=False),
+        case("one axis of another range", "industrial-mems", 0, marks=()),
         case("one axis in degrees", "navigation-rlg", 0),
-        case("gyro_dead_band", "navigation-rlg", 1, slow=False),  # two pulses
-        case("sample_rate", "navigation-rlg", 2, slow=False),  # 2.4 %: the Earth rate is off by the same factor
+        case("gyro_dead_band", "navigation-rlg", 1, marks=SLOW),  # two pulses
+        case("sample_rate", "navigation-rlg", 2, marks=()),  # 2.4 %: the Earth rate is off by the same factor
         case("clock fast", "navigation-rlg", 2),
         case("latitude", "navigation-rlg", 0),
-        case("accel_lsb", "navigation-rlg", 1, slow=False),  # the Earth rate contradicts a wrong sample rate
+        case("accel_lsb", "navigation-rlg", 1, marks=SLOW),  # the Earth rate contradicts a wrong sample rate
         case("time_unit", "tactical-fog", 1),  # 31.6 times: near g, but equal on all axes
-        case("stamps in minutes", "industrial-mems", 0, slow=False),  # 60 times is near 57.3, degrees
-        case("every second increment dropped", "tactical-fog", 0, slow=False),
+        case("stamps in minutes", "industrial-mems", 0, marks=()),  # 60 times is near 57.3, degrees
+        case("every second increment dropped", "tactical-fog", 0, marks=SLOW),
         case("time_unit and gyro_lsb", "navigation-rlg", 2),  # an unknown clock and an unknown factor together
         case("one axis in degrees", "consumer-mems", 0),
-        case("gyros high-passed", "consumer-mems", 2, slow=False),  # decays that look like shifted labels
+        case("gyros high-passed", "consumer-mems", 2, marks=()),  # decays that look like shifted labels
         case("gyros high-passed", "navigation-rlg", 0),
-        case("gravity removed", "tactical-fog", 0, slow=False),
-        case("negative readings cut off", "industrial-mems", 0, slow=False),
-        case("sign bit and magnitude", "navigation-rlg", 0, slow=False),
+        case("gravity removed", "tactical-fog", 0, marks=SLOW),
+        case("negative readings cut off", "industrial-mems", 0, marks=()),
+        case("sign bit and magnitude", "navigation-rlg", 0, marks=SLOW),
         case("sign bit and magnitude", "tactical-fog", 1),
-        case("gyro_wrapped", "tactical-fog", 2, slow=False),  # three times in a ramp
+        case("gyro_wrapped", "tactical-fog", 2, marks=()),  # three times in a ramp
         case("accel_wrapped", "industrial-mems", 2),
         case("longitude for latitude", "tactical-fog", 0),
-        case("gyro_counts", "consumer-mems", 0, slow=False),  # 65.5 counts for 1 deg/s: within the range of a clock
+        case("gyro_counts", "consumer-mems", 0, marks=SLOW),  # 65.5 counts for 1 deg/s: within the range of a clock
         case("gyro_one_polarity", "consumer-mems", 0),  # a dead band, too
         case("samples_lost", "tactical-fog", 0),  # one rotation is an outlier, no step
         case("labels of a fast clock", "navigation-rlg", 0),
@@ -91,19 +92,19 @@ def test_named_first(kind, grade, rung):
 @pytest.mark.parametrize(
     ("kind", "grade", "severity"),
     [
-        case("labels_shifted", "navigation-rlg", 0.037, slow=False),  # a line in the spectrum of the windows
+        case("labels_shifted", "navigation-rlg", 0.037, marks=()),  # a line in the spectrum of the windows
         case("labels_shifted", "consumer-mems", 0.016),  # 4 sigma of one parameter
-        case("windows reach into the rotations", "tactical-fog", 0.037, slow=False),  # refused by the angle in a window
+        case("windows reach into the rotations", "tactical-fog", 0.037, marks=SLOW),  # refused by the angle in a window
         case("windows reach into the rotations", "industrial-mems", 0.14),  # noise
         case("labels of a fast clock", "tactical-fog", 0.000625),  # a high-pass filter
-        case("gyro_axis_delayed", "industrial-mems", 40.0, slow=False),  # a noisy window
+        case("gyro_axis_delayed", "industrial-mems", 40.0, marks=()),  # a noisy window
         case("gyros low-passed", "industrial-mems", 60.0),  # an oscillating fixture
-        case("samples_duplicated", "navigation-rlg", 24.0, slow=False),  # spikes, or lost samples
+        case("samples_duplicated", "navigation-rlg", 24.0, marks=SLOW),  # spikes, or lost samples
         case("last value held at a lost sample", "navigation-rlg", 30.0),
-        case("clock set by GPS", "industrial-mems", 30.0, slow=False),  # labels in the gap
+        case("clock set by GPS", "industrial-mems", 30.0, marks=()),  # labels in the gap
         case("gap bridged by a line", "industrial-mems", 0.6),  # shifted labels
-        case("dead band of accelerometers", "consumer-mems", 16000.0, slow=False),  # a noisy window
-        case("bit of a converter stuck", "navigation-rlg", 10.0, slow=False),  # vibration
+        case("dead band of accelerometers", "consumer-mems", 16000.0, marks=SLOW),  # a noisy window
+        case("bit of a converter stuck", "navigation-rlg", 10.0, marks=()),  # vibration
         case("unsigned words", "navigation-rlg", 1.0),  # one polarity
     ],
 )
@@ -133,7 +134,10 @@ OF_FOREIGN_UNITS = [
 
 @pytest.mark.parametrize(
     ("kind", "grade", "by_hand"),
-    [pytest.param(*row, marks=[pytest.mark.slow] * (n % 2)) for n, row in enumerate(OF_FOREIGN_UNITS)],
+    [
+        pytest.param(*row, marks=((), pytest.mark.slow, (), pytest.mark.campaign)[n % 4])
+        for n, row in enumerate(OF_FOREIGN_UNITS)
+    ],
 )
 def test_a_fault_of_foreign_units_is_first(kind, grade, by_hand):
     number = GRADES.index(grade)
@@ -155,7 +159,7 @@ def test_mixed_pulses_are_no_dead_band(kind):
     assert "gyro_dead_band" not in {f.fault for f in diagnose(unit, calibrating=False).findings}
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 @pytest.mark.parametrize("grade", ["navigation-rlg", "tactical-fog"])
 def test_earth_rate_of_sound_units_confirms_no_sample_rate(grade):
     for seed in range(SEED, SEED + 8):

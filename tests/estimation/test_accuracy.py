@@ -1,7 +1,7 @@
 """Claims of the closed form on simulated units: exactness, fixture errors, large errors, honest sigmas.
 
-Each claim is tested in a small form here and in full, with ``-m slow``, over the number of draws that it is stated for.
-Bounds are the claims themselves, or statistical: value plus 3.5 standard errors of the sample size used.
+Each claim is tested in a small form here and, with ``-m campaign``, in full over the number of draws that it is stated
+for. Bounds are the claims themselves, or statistical: value plus 3.5 standard errors of the sample size used.
 """
 
 from functools import partial
@@ -27,7 +27,7 @@ def worst(trials, part=ERRORS):
 
 def sized(small, full):
     """The same test with a small and with its full number of draws."""
-    return pytest.mark.parametrize("count", [small, pytest.param(full, marks=pytest.mark.slow)])
+    return pytest.mark.parametrize("count", [small, pytest.param(full, marks=pytest.mark.campaign)])
 
 
 @sized(1, 20)

@@ -85,7 +85,7 @@ def test_random_walk_has_its_covariance():
 
 
 @pytest.mark.parametrize("form", [WALK, "linear"])
-@pytest.mark.parametrize("count", [24, pytest.param(60, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [24, pytest.param(60, marks=pytest.mark.campaign)])
 def test_a_form_is_told_from_independent_errors_of_the_windows(form, count):
     """p-values below 10 % in at most 10 % of the samples without the form, and below 1e-6 in most with it."""
     rng = np.random.default_rng(20261128)
@@ -104,6 +104,7 @@ def test_a_form_is_told_from_independent_errors_of_the_windows(form, count):
     assert np.mean(drifting < 1e-6) >= 0.8
 
 
+@pytest.mark.slow
 def test_p_values_are_uniform_without_drift():
     """Of each candidate; the larger of two p-values is at least as large as a uniform one."""
     rng = np.random.default_rng(20261123)
@@ -157,7 +158,7 @@ def test_a_variance_component_of_zero_is_rarely_significant():
 
 
 @pytest.mark.parametrize(("estimator", "first"), [("least-squares", 100), ("ekf", 200)])
-@pytest.mark.parametrize("units", [3, pytest.param(30, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("units", [3, pytest.param(30, marks=pytest.mark.campaign)])
 def test_recordings_without_drift_are_not_changed(estimator, first, units):
     """Units with bias instability as stated: by design at most one of 50,000 selects a drift."""
     pytest.importorskip("filterpy" if estimator == "ekf" else "numpy")
@@ -168,6 +169,7 @@ def test_recordings_without_drift_are_not_changed(estimator, first, units):
         assert srt.calibrate(unit, estimator, checks=False).diagnostics.drift is None
 
 
+@pytest.mark.slow
 def test_warm_up_and_temperature_are_told_apart():
     """A drift with temperature, which rises and falls, is no function of time that the other forms have."""
     grade, rng = GRADES["industrial"], np.random.default_rng(3)
@@ -192,15 +194,14 @@ def error_over_sigma(found, errors):
     ("case", "seed", "named"),
     [
         ("fixture, accelerometer step of 0.4 mg", 0, {("accel", "step at 123.5 s")}),
-        ("fixture, gyro step of 30 °/h", 0, {("gyro", "step at 123.5 s")}),
-        ("hand, accelerometer step of 0.4 mg", 0, {("accel", "step at 55.1 s")}),
+        pytest.param("fixture, gyro step of 30 °/h", 0, {("gyro", "step at 123.5 s")}, marks=pytest.mark.slow),
+        pytest.param("hand, accelerometer step of 0.4 mg", 0, {("accel", "step at 55.1 s")}, marks=pytest.mark.slow),
         ("hand, gyro step of 30 °/h", 0, {("gyro", "step at 55.1 s")}),
-        ("hand, 500 s, linear, 8 mg and 570 °/h", 0, {("accel", "linear"), ("gyro", "linear")}),
-        pytest.param(
-            "hand, 500 s, linear, 8 mg and 570 °/h",
-            1,
-            {("accel", "linear"), ("gyro", "linear")},
-            marks=pytest.mark.slow,
+        *(
+            pytest.param(
+                "hand, 500 s, linear, 8 mg and 570 °/h", seed, {("accel", "linear"), ("gyro", "linear")}, marks=mark
+            )
+            for seed, mark in enumerate((pytest.mark.slow, pytest.mark.campaign))
         ),
         ("navigation on a fixture, warm-up of 1 mg", 1, {("accel", "warm-up")}),
     ],

@@ -146,6 +146,7 @@ def test_a_fixture_that_saw_one_pose_does_not_determine_the_other_axes(tmp_path)
     assert found.judgement.word != "sound"
 
 
+@pytest.mark.slow
 def test_a_whole_test_of_table_1_is_sound_and_one_with_a_lost_sequence_is_not(whole, tmp_path):
     recorded = srt.load_recording(whole)
     found = srt.calibrate(recorded)
@@ -175,6 +176,7 @@ def test_a_prior_gives_what_is_fixed():
     np.testing.assert_array_equal(found.errors.group("gyro_orthogonality"), mean.group("gyro_orthogonality"))
 
 
+@pytest.mark.slow
 def test_the_summary_and_the_certificate_say_that_the_clock_is_taken_as_exact(whole, tmp_path, shell, plain_page):
     said = "Time base taken as exact: 1 ppm of clock is 1 ppm of every gyro scale factor."
     file = str(tmp_path / "unit.json")

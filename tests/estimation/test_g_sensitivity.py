@@ -168,7 +168,7 @@ def test_fixture_errors_leave_a_part_of_the_earth_rate():
 # --- with noise ---------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("n", [12, pytest.param(60, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("n", [12, pytest.param(60, marks=pytest.mark.campaign)])
 def test_units_are_within_their_sigmas(n):
     """MEMS units of 0.5 °/s and 30 °/h/g, each with errors, Γ and noise of its own, on one 1 mrad fixture.
 
@@ -328,6 +328,7 @@ def test_command_and_file(calibrated, shell):
     assert loaded.to_dict() == {k: v for k, v in document.items() if k != "digest"}
 
 
+@pytest.mark.slow
 def test_the_certificate_shows_it(calibrated):
     file = calibrated / "again.json"
     recording = srt.load_recording(calibrated / "rec")
@@ -417,6 +418,7 @@ def test_covariance_of_corrected_samples_has_it():
     )
 
 
+@pytest.mark.slow
 def test_budget_command(tmp_path, shell):
     """Estimating g-sensitivity leaves less than 1e-3 of its effect in the error budget.
 

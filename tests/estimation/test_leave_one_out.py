@@ -190,7 +190,7 @@ def again_without(calibration, recording, row, estimator, **options):
     [
         *((e, 4) for e in PLAYBACK),
         *((e, 2) for e in ("ekf", "graph")),
-        *(pytest.param(e, 17, marks=pytest.mark.slow) for e in ALL),
+        *(pytest.param(e, 17, marks=pytest.mark.campaign) for e in ALL),
     ],
 )
 def test_influence_is_that_of_calibrating_without_the_sequence(estimator, count):
@@ -307,8 +307,8 @@ def clean(seed, estimator):
     [
         ("closed-form", 8),
         ("least-squares", 5),
-        *(pytest.param(e, 200, marks=pytest.mark.slow) for e in PLAYBACK),
-        *(pytest.param(e, 60, marks=pytest.mark.slow) for e in ("ekf", "graph")),
+        *(pytest.param(e, 200, marks=pytest.mark.campaign) for e in PLAYBACK),
+        *(pytest.param(e, 60, marks=pytest.mark.campaign) for e in ("ekf", "graph")),
     ],
 )
 def test_chi_square_of_clean_recordings(estimator, count):

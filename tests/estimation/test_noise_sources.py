@@ -5,6 +5,7 @@ A mutation of one source changes its own test: an alignment error times zero, or
 
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -260,7 +261,7 @@ def many():
     return run, data, measurements, still
 
 
-@pytest.mark.parametrize("units", [12, pytest.param(25, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("units", [12, pytest.param(25, marks=pytest.mark.campaign)])
 @pytest.mark.parametrize("name", SOURCES)
 def test_monte_carlo_of_one_source(name, units):
     """Units of 36 sequences with one source of noise: chi-square of the measurements, 1e-3 over the sources.
@@ -422,3 +423,65 @@ def test_noise_of_an_integrated_window_acts_on_its_rotation_as_its_samples_do():
     expected = np.sum(share**2) / RATE_HZ * excess * np.outer(effect, effect)
     np.testing.assert_allclose(found[0], expected, rtol=2e-3, atol=1e-6 * expected.max())
     assert not found[1:].any()
+
+
+@pytest.mark.parametrize(("sensor", "kind"), [("gyro", "rate"), ("accel", "force")])
+def test_a_noisier_window_adds_the_variance_of_its_own_mean(sensor, kind):
+    """White noise of the density S has the variance S / T in a mean over T, beside that of all windows."""
+    data, measurements = quiet()
+    by, name = measurement_covariance.slopes_of(measurements), f"{sensor}_excess"
+    w, excess = int(data.start[1]), 1e-6
+    windows = replace(data.windows, **{name: np.zeros((len(data.windows.samples), 3))})
+    before = error_sources.white_noise(replace(data, windows=windows), by)[f"{sensor}_noise"].own[kind]
+    getattr(windows, name)[w, 1] = excess
+    added = error_sources.white_noise(replace(data, windows=windows), by)[f"{sensor}_noise"].own[kind] - before
+    effect = getattr(by, kind)[w][:, 1]
+    np.testing.assert_allclose(added[w], excess / DWELL_S * np.outer(effect, effect), rtol=1e-6, atol=1e-9 * excess)
+    assert not np.delete(added, w, axis=0).any()
+
+
+def test_an_integrated_window_has_a_twelfth_of_its_noise_besides_its_mean():
+    """The variance of φ by white noise S is S T / 3 over a window; its mean, of which φ has half, explains S T / 4."""
+    data, measurements = quiet()
+    w, excess = int(data.start[0]), 1e-6
+    by, integrated = measurement_covariance.slopes_of(measurements), np.arange(len(data.windows.duration_s)) == w
+    windows = replace(data.windows, gyro_excess=np.zeros((len(data.windows.samples), 3)))
+    before = error_sources.white_noise(replace(data, windows=windows), by, integrated)["gyro_noise"].own["turn"]
+    windows.gyro_excess[w, 1] = excess
+    after = error_sources.white_noise(replace(data, windows=windows), by, integrated)["gyro_noise"].own["turn"]
+    effect = by.rate[w][:, 1]
+    expected = DWELL_S / 12.0 * excess * np.outer(effect, effect)
+    np.testing.assert_allclose((after - before)[0], expected, rtol=1e-6, atol=1e-9 * excess)
+    assert not (after - before)[1:].any()
+
+
+@pytest.mark.parametrize("shared", [True, False])
+def test_a_rounding_that_noise_does_not_dither_shifts_the_whole_window(shared):
+    """Means of windows have its variance, whatever their length; rotations have none of it.
+
+    The channels are turned to one another, so that a derivative is not its own transpose.
+    """
+    data, measurements = quiet()
+    by, step = measurement_covariance.slopes_of(measurements), np.array([1e-3, 2e-3, 3e-3])
+    by = by._replace(rate=by.rate @ rotation_matrix(np.array([0.3, -0.2, 0.5])))
+    plain, stepped = (replace(data.noise, gyro_step=size, accel_step=size) for size in (np.zeros(3), step))
+    parts = {"windows": data.windows, "start": data.start, "end": data.end}
+    before, after = (
+        error_sources.quantization(SimpleNamespace(noise=noise, **parts), by, shared=shared)
+        for noise in (plain, stepped)
+    )
+    for name, kind in (("gyro_quantization", "rate"), ("accel_quantization", "force")):
+        effect = getattr(by, kind) * step
+        added = after[name].own[kind] - before[name].own[kind]
+        np.testing.assert_allclose(added, effect @ np.swapaxes(effect, -1, -2), rtol=1e-6, atol=1e-12)
+    # Of the errors at its two edges, a window shares with the rotations those next to them.
+    alone = np.sum(shared_edges(data) < 0, axis=1) if shared else np.full(len(by.rate), 2)
+    edge = by.rate * plain.gyro_edge / data.windows.duration_s[:, None, None]
+    expected = alone[:, None, None] * edge @ np.swapaxes(edge, -1, -2)
+    np.testing.assert_allclose(
+        before["gyro_quantization"].own["rate"], expected, rtol=1e-12, atol=1e-12 * edge.max() ** 2
+    )
+    turns = (found["gyro_quantization"].own["turn"] for found in (before, after))
+    np.testing.assert_array_equal(*turns)
+    of_means = (error_sources.raw_rate_variance(noise, data.windows.duration_s) for noise in (stepped, plain))
+    np.testing.assert_allclose(np.subtract(*of_means), np.tile(step**2, (len(data.windows.duration_s), 1)), rtol=1e-6)

@@ -138,7 +138,7 @@ def scenario(name: str, seed: int, **tables):
     return scenario_from_dict(base | tables)
 
 
-@pytest.mark.parametrize("units", [6, pytest.param(60, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("units", [6, pytest.param(60, marks=pytest.mark.campaign)])
 @pytest.mark.parametrize("name", ["24-face-tumble", "rate-table"])
 def test_errors_agree_with_their_sigmas(name, units):
     """NEES of the parameters that do not depend on the choice of axes, family-wise 1 %."""

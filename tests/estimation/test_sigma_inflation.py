@@ -52,6 +52,7 @@ def test_a_unit_with_stated_noise_keeps_its_sigmas():
     assert found.noise.sigma_inflation == 1.0
 
 
+@pytest.mark.slow
 def test_exchanged_labels_are_no_noise():
     """Exchanged labels: a gyro bias is 15 sigma off. All estimators name the sequence."""
     case = Case("navigation-rlg", 20261135)

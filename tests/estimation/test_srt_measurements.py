@@ -124,7 +124,9 @@ def test_noise_free():
 
 
 @pytest.mark.parametrize("case", NINETEEN_POSITIONS)
-@pytest.mark.parametrize("units", [pytest.param(2, id="small"), pytest.param(100, id="full", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "units", [pytest.param(2, id="small"), pytest.param(100, id="full", marks=pytest.mark.campaign)]
+)
 def test_errors_reach_the_bound(case, units):
     """The rms of a group over the units is that of the bound within 3.5 standard errors."""
     scores = [nineteen_positions((case,), unit, ["least-squares"])["least-squares"] for unit in range(units)]

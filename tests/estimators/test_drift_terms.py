@@ -56,6 +56,7 @@ def assert_columns(joint, draw, steps):
             assert np.abs(J - expected).max() <= tolerance * np.abs(J).max() + 1e-9, (kind, i)
 
 
+@pytest.mark.slow
 def test_columns_against_differences():
     """At drifts of 40 mg and 1000 °/h."""
     recording, _ = noisy_recording(1, "tactical", sample_rate_hz=50.0)

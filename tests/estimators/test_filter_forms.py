@@ -160,6 +160,7 @@ def test_sequential_filters_need_windows_of_their_own(recording):
         srt.calibrate(recording, "ekf", checks=False, filter="one-pass", gyro_bias="per-sequence")
 
 
+@pytest.mark.slow
 def test_unscented_filter_uses_all_measurements(recording):
     """With drift that is handed on, the sigmas are those of the optimum, to the 2 % of linearisation."""
     few = recording.with_sequences(tuple(label for label in recording.sequences if label.id in "1247"))

@@ -273,7 +273,7 @@ class Linear:
         return JointModel(self.data, OPTIONS, initial_estimate(self.data, OPTIONS))
 
 
-@pytest.fixture(params=[200.0, pytest.param(1000.0, marks=pytest.mark.slow)])
+@pytest.fixture(params=[200.0, pytest.param(1000.0, marks=pytest.mark.campaign)])
 def linear(request, still_planet):
     recording, truth = record(1, noise=SMALL, share=SHARE, sample_rate_hz=request.param)
     data = prepare_checked(recording, recording.sequences, OPTIONS.average)

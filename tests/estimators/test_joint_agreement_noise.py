@@ -57,6 +57,7 @@ def test_full_model_with_navigation_noise(seed):
     assert difference(ekf, dense)[1] <= 2.0 * shift[1] + AGREE
 
 
+@pytest.mark.slow
 def test_full_model_where_the_bias_drifts():
     """A stated instability of both sensors: filter, graph and dense solution at one, iterated to the end."""
     make = navigation_problem(1, instability=True)

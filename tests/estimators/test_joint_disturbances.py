@@ -138,24 +138,34 @@ LONG = [
 LONG += [(with_lost_samples, name) for name in ("1", "2", "4", "5")]
 
 
-def one_bad_sequence(test, short=SHORT):
-    """Some of the cases for the end window of one unit; with ``slow`` all cases, both windows and other units."""
-    cases = [pytest.param(case, name, 101, "end", id=f"{case.__name__}-{name}") for case, name in short]
-    cases += [
-        pytest.param(case, name, seed, which, id=f"{case.__name__}-{name}-{seed}-{which}", marks=pytest.mark.slow)
-        for case, name in LONG
-        for seed in (102, 103, 104)
-        for which in (("end",) if case is with_lost_samples else ("start", "end"))
+def further(cases):
+    """Cases as parameters: every nineteenth is slow, so that all parts occur in turns; the others are a campaign."""
+    names = ("-".join(getattr(part, "__name__", str(part)) for part in case) for case in cases)
+    return [
+        pytest.param(*case, id=name, marks=pytest.mark.campaign if n % 19 else pytest.mark.slow)
+        for n, (case, name) in enumerate(zip(cases, names, strict=True))
     ]
+
+
+def one_bad_sequence(test, short=SHORT, marks=()):
+    """Some of the cases for the end window of one unit; in campaigns all cases, both windows and other units."""
+    cases = [pytest.param(case, name, 101, "end", id=f"{case.__name__}-{name}", marks=marks) for case, name in short]
+    cases += further(
+        [
+            (case, name, seed, which)
+            for case, name in LONG
+            for seed in (102, 103, 104)
+            for which in (("end",) if case is with_lost_samples else ("start", "end"))
+        ]
+    )
     return pytest.mark.parametrize(("case", "name", "seed", "which"), cases)(test)
 
 
 def harmless(test):
-    """Two sequences, one with each estimator; with ``slow`` all combinations, of more units."""
+    """Two sequences, one with each estimator; in campaigns all combinations, of more units."""
     short = [("ekf", "1", 101), ("graph", "7", 101)]
     long = [(e, name, seed) for e in ("ekf", "graph") for name in SEQUENCES for seed in (102, 103, 104)]
-    cases = [*short, *(pytest.param(*c, marks=pytest.mark.slow) for c in long)]
-    return pytest.mark.parametrize(("estimator", "name", "seed"), cases)(test)
+    return pytest.mark.parametrize(("estimator", "name", "seed"), [*short, *further(long)])(test)
 
 
 @cache
@@ -260,12 +270,14 @@ def moved_too_far(calibration, seed, name, loss):
     [
         *[(estimator, "7", 104, "start") for estimator in ("closed-form", "ekf")],
         *[("least-squares", "7", seed, "start") for seed in (103, 104)],
-        *[
-            pytest.param("graph", name, seed, which, marks=pytest.mark.slow)
-            for name in SEQUENCES
-            for seed in (102, 103, 104)
-            for which in ("start", "end")
-        ],
+        *further(
+            [
+                ("graph", name, seed, which)
+                for name in SEQUENCES
+                for seed in (102, 103, 104)
+                for which in ("start", "end")
+            ]
+        ),
     ],
 )
 def test_a_window_that_is_noisier_than_the_others_has_its_own_noise(estimator, name, seed, which):
@@ -277,7 +289,7 @@ def test_a_window_that_is_noisier_than_the_others_has_its_own_noise(estimator, n
     assert np.abs(errors).max() < norm.isf(0.005 / (27 * 28))
 
 
-@partial(one_bad_sequence, short=[(with_lost_samples, "4")])
+@partial(one_bad_sequence, short=[(with_lost_samples, "4")], marks=pytest.mark.slow)
 def test_a_robust_graph_stays_where_it_was(case, name, seed, which):
     """Cauchy's loss keeps every parameter that other sequences determine within 3 sigma of the undisturbed result."""
     calibration = result(case, seed, name, which, loss="cauchy")

@@ -1,7 +1,7 @@
 """Factor graph and Kalman filter against the Cramér-Rao bound: nearly efficient, with honest sigmas and innovations.
 
-4 units of two grades here, 667 of three with ``-m slow``. Claims and their statistical bounds are those of ``honesty.py
-efficiency``: limit plus 3.5 standard errors at this size.
+4 units of two grades here, 667 of three with ``-m campaign``. Claims and their statistical bounds are those of
+``honesty.py efficiency``: limit plus 3.5 standard errors at this size.
 """
 
 import math
@@ -41,7 +41,8 @@ def missed_by_innovations(scores):
 
 @pytest.mark.parametrize(
     ("grade", "count"),
-    [(g, 4) for g in ("navigation", "tactical")] + [pytest.param(g, 667, marks=pytest.mark.slow) for g in GRADES],
+    [pytest.param("navigation", 4, marks=pytest.mark.slow), ("tactical", 4)]
+    + [pytest.param(g, 667, marks=pytest.mark.campaign) for g in GRADES],
 )
 def test_graph_and_filter_are_nearly_efficient(grade, count):
     """All criteria in one test, or each worker would simulate the units anew; 50 Hz shows the same as 100 Hz."""

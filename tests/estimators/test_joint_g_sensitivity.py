@@ -118,7 +118,7 @@ def test_noise_free(estimator):
     assert np.abs(found.g_sensitivity - gamma).max() < 1e-4 * PER_G
 
 
-@pytest.mark.parametrize("units", [3, pytest.param(60, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("units", [3, pytest.param(60, marks=pytest.mark.campaign)])
 def test_nees(units):
     """Sensor errors and Γ of industrial units with 30 °/h/g and 0.5 °/s of bias."""
     plan, errors, followed = mems_scenario(dwell_s=4.0, sample_rate_hz=50.0), [], []

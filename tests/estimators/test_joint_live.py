@@ -44,7 +44,12 @@ def unit():
 
 
 @pytest.mark.parametrize(
-    "seed", [SEED, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (402, *range(410, 450)))]
+    "seed",
+    [
+        SEED,
+        pytest.param(402, marks=pytest.mark.slow),
+        *(pytest.param(seed, marks=pytest.mark.campaign) for seed in range(410, 450)),
+    ],
 )
 def test_it_ends_where_the_batch_ends(seed):
     """The last replay is the batch's own problem from another point: the stopping rule is 0.01 sigma."""

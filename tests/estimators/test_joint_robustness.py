@@ -33,7 +33,7 @@ SITE = accuracy_trials.SITE
 
 def sized(small, full):
     """The same test with a small and with its full number of draws."""
-    return pytest.mark.parametrize("count", [small, pytest.param(full, marks=pytest.mark.slow)])
+    return pytest.mark.parametrize("count", [small, pytest.param(full, marks=pytest.mark.campaign)])
 
 
 def distance(found, reference):
@@ -99,6 +99,7 @@ def test_a_failure_from_a_bad_start_is_reported(estimator, count):
         print("  draw {}: {} after {} iterations, {:.2g} of the tolerance away".format(*row))
 
 
+@pytest.mark.slow
 def test_the_optimum_does_not_depend_on_the_start_where_mars_is_rotated_from_the_mount(monkeypatch):
     """The mounting's prior is renewed near the solution; as the start left it, the optimum moves with the start."""
     rng = np.random.default_rng(50)
@@ -221,7 +222,7 @@ def consistent(nees, count):
 @pytest.mark.parametrize(
     ("case", "count"),
     [(name, 1) for name in LESS_KNOWN]
-    + [pytest.param(name, 300 if name == "free" else 40, marks=pytest.mark.slow) for name in LESS_KNOWN],
+    + [pytest.param(name, 300 if name == "free" else 40, marks=pytest.mark.campaign) for name in LESS_KNOWN],
 )
 def test_filter_and_graph_are_consistent_and_agree(case, count):
     """Both find the same within 0.05 sigma, as they solve the same problem, and their sigmas are true."""

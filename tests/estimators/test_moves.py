@@ -173,7 +173,10 @@ OPTIONS = [
 ]
 
 
-@pytest.mark.parametrize("estimator", ["closed-form", *ESTIMATORS])
+@pytest.mark.parametrize(
+    "estimator",
+    ["closed-form", *(pytest.param(e, marks=[pytest.mark.slow] * (e != "least-squares")) for e in ESTIMATORS)],
+)
 def test_every_result_can_be_written_as_strict_json(estimator, tmp_path):
     """Steps without degrees of freedom have no p-value: None, and never NaN."""
     few = replace(moved()[0], sequences=moved()[0].sequences[:3])

@@ -89,7 +89,7 @@ def test_estimators_agree_on_white_noise(white):
         assert np.all(one.contributions["stated_rate"][scale] > 0.9 * 20e-6)
 
 
-@pytest.mark.parametrize("units", [5, pytest.param(100, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("units", [5, pytest.param(100, marks=pytest.mark.campaign)])
 @pytest.mark.parametrize(("name", "bias"), [*((name, "auto") for name in ESTIMATORS), ("least-squares", "g-sensitive")])
 def test_errors_agree_with_their_sigmas(name, bias, units):
     """NEES of all parameters that a rate table shows, and of the gyro scale factors alone: 3.5 standard errors.

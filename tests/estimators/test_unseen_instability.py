@@ -116,7 +116,7 @@ def scores(kind, grade, statement, seed):
 
 
 @pytest.mark.parametrize(
-    "grades", [USUAL, pytest.param(dict.fromkeys(OF_KIND, GRADES), marks=pytest.mark.slow)], ids=["usual", "all"]
+    "grades", [USUAL, pytest.param(dict.fromkeys(OF_KIND, GRADES), marks=pytest.mark.campaign)], ids=["usual", "all"]
 )
 @pytest.mark.parametrize("statement", STATEMENTS)
 @pytest.mark.parametrize(("kind", "estimator"), [(kind, each) for kind in OF_KIND for each in OF_KIND[kind]])

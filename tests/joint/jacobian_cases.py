@@ -196,8 +196,11 @@ def make(motions, variant, size, noise=NOISE, off=True):
     return Case(joint, state, system, prior, errors)
 
 
-CASES = [  # in the quick tests with large errors, where every term counts
-    pytest.param(v, s, id=f"{v}-{s}", marks=[pytest.mark.slow] * (s != "large"))
-    for v in VARIANTS
-    for s in ("zero", "tiny", "large")
-]
+def marks(variant, size):
+    """Quick tests have large errors, where every term counts; the slow ones zero errors of all unknowns and of none."""
+    if size == "large":
+        return ()
+    return pytest.mark.slow if size == "zero" and variant in ("all", "free") else pytest.mark.campaign
+
+
+CASES = [pytest.param(v, s, id=f"{v}-{s}", marks=marks(v, s)) for v in VARIANTS for s in ("zero", "tiny", "large")]

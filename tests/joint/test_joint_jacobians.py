@@ -208,7 +208,10 @@ def test_edge_columns_against_errors_in_the_samples(motions, variant, size):
 
 @pytest.mark.parametrize(
     ("variant", "size"),
-    [pytest.param("drift", "zero", marks=pytest.mark.slow), ("drift", "large"), ("rates, drift", "large")],
+    [
+        *(pytest.param(*each, marks=pytest.mark.slow) for each in (("drift", "zero"), ("rates, drift", "large"))),
+        ("drift", "large"),
+    ],
 )
 def test_drift_columns_against_drift_in_the_samples(motions, variant, size, monkeypatch):
     """Steps of the bias from window to part of a turn to window, of every draw, in the samples: the same covariance.

@@ -192,7 +192,7 @@ def statistics(case, count, rng):
 
 
 @pytest.mark.parametrize("case", CASES)
-@pytest.mark.parametrize("count", [30, pytest.param(500, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [30, pytest.param(500, marks=pytest.mark.campaign)])
 def test_the_sigmas_are_true(case, count):
     nees, normal, errors = statistics(case, count, np.random.default_rng([17, count, list(CASES).index(case)]))
     # The mean of chi-squares of 3 (of 1) degrees of freedom has the standard error sqrt(6/N) (sqrt(2/N)): 3.5 of it.
@@ -288,7 +288,9 @@ class TestPlayback:
         recording = read_out(motion, accuracy_trials.normal_errors(rng), accuracy_trials.GRADES["navigation"], rng)
         return U, recording, srt.calibrate(recording)
 
-    @pytest.mark.parametrize("count", [10, pytest.param(100, marks=pytest.mark.slow)])
+    @pytest.mark.parametrize(
+        "count", [pytest.param(10, marks=pytest.mark.slow), pytest.param(100, marks=pytest.mark.campaign)]
+    )
     def test_its_sigma_is_true(self, count):
         rng = np.random.default_rng([4, count])
         nees = []

@@ -22,7 +22,7 @@ PITCHES = (LEVEL_AND_NOSE_DOWN_RAD, (0.0, QUARTER), (0.0, -QUARTER, QUARTER), (0
 SIGMAS = {"level_sigma_rad": 1e-4, "axis_sigma_rad": 1e-4}
 
 
-@pytest.mark.parametrize("count", [24, pytest.param(200, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [24, pytest.param(200, marks=pytest.mark.campaign)])
 def test_instability_is_one_drift_over_the_poses(count):
     """100 µg of instability exceed levelling and noise: biases of the poses are one drift about that of the unit."""
     rng = np.random.default_rng(20261123)

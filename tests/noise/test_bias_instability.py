@@ -266,6 +266,7 @@ def test_without_stated_noise_the_weights_have_what_the_windows_show_and_the_bou
     np.testing.assert_array_equal(stated.accel_limit, stated.accel_flicker)
 
 
+@pytest.mark.slow
 def test_sigma_of_the_instability_is_that_of_medians():
     """Medians of 35 windows with 20 squares an octave: the squares of 800 estimates scatter as their 1-sigma says.
 

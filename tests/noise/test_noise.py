@@ -88,6 +88,7 @@ def test_flicker_spread_against_simulated_flicker():
     assert np.std(means) == pytest.approx(flicker_spread(windows), rel=0.2)
 
 
+@pytest.mark.slow
 def test_restricted_likelihood_recovers_components():
     """Mean over 200 draws within 3.5 standard errors of the truth, and 10 % for the bias of clipping at zero."""
     rng = np.random.default_rng(9)
@@ -243,6 +244,7 @@ def test_dithered_readings_have_no_error_of_their_own():
     assert found.undithered == ()
 
 
+@pytest.mark.slow
 def test_a_component_without_effect_is_left_out_and_another_kept():
     """By chance, a component that is not there stays in one of a thousand; one of 3 sigma always does."""
     rng = np.random.default_rng(11)

@@ -93,6 +93,7 @@ def test_the_command_refuses_such_noise(tmp_path, maker, shell):
     assert "angular random walk" not in out
 
 
+@pytest.mark.slow
 def test_one_channel_without_figures_leaves_those_of_the_others(tmp_path, shell):
     folder = log(tmp_path / "rest", low_pass, clean, clean)
     out = " ".join(shell("noise", folder, "-o", tmp_path / "noise.json").out.split())
@@ -106,6 +107,7 @@ def test_one_channel_without_figures_leaves_those_of_the_others(tmp_path, shell)
         assert abs(found["value"] - true) < 3.5 / 1.96 * 0.5 * (found["high"] - found["low"])
 
 
+@pytest.mark.slow
 def test_a_clean_log_keeps_its_figures(tmp_path):
     found = noise_terms(srt.load_recording(log(tmp_path / "rest", clean, walking, drifting)), (0, SAMPLES))
     assert not found.refused

@@ -36,7 +36,7 @@ def three(rng, terms, n=simulated.SAMPLES, dt=DT):
 
 
 @pytest.mark.parametrize("length_s", [LENGTH_S, *(pytest.param(t, marks=pytest.mark.slow) for t in (600.0, 86400.0))])
-@pytest.mark.parametrize("count", [1, pytest.param(10, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [1, pytest.param(10, marks=pytest.mark.campaign)])
 def test_intervals_cover_as_stated(length_s, count):
     """A twentieth of benchmarks/noise_terms.py, and one log by default: within 3.5 standard errors of 95 %.
 
@@ -86,6 +86,7 @@ def test_estimates_have_the_known_limits(term, coefficients):
     assert np.all(np.abs(found.value[:3, k] - coefficients[k]) < 3.5 / 1.96 * 1.3 * half)
 
 
+@pytest.mark.slow
 def test_a_term_is_known_after_the_length_that_it_needs():
     """Predicted from a log that resolves it: at that length the relative half-width is a half, on the mean of six."""
     rng = np.random.default_rng(3)

@@ -181,7 +181,7 @@ def nees_of_units(file, plan, estimator, units, first):
 
 @pytest.mark.parametrize(
     ("estimator", "units"),
-    [("least-squares", 5), *(pytest.param(e, 300, marks=pytest.mark.slow) for e in ("least-squares", "graph"))],
+    [("least-squares", 5), *(pytest.param(e, 300, marks=pytest.mark.campaign) for e in ("least-squares", "graph"))],
 )
 def test_simulated_units_have_the_predicted_accuracy(white, estimator, units):
     file, plan = white
@@ -236,7 +236,7 @@ def test_a_fixture_with_one_axis():
     assert {axis for c in plan.candidates for axis, _ in c.axis_rotations} == {1}
 
 
-@pytest.mark.parametrize("axes", ["one", pytest.param("two", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("axes", ["one", pytest.param("two", marks=pytest.mark.campaign)])
 def test_the_shortest_test_meets_all_targets_and_hardly_more(axes):
     file = file_of(WHITE)
     wanted = np.full(27, math.nan)

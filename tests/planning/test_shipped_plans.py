@@ -12,7 +12,7 @@ from srt.planning.planner import make_plan, table_1_plan
 PAGE = Path(__file__).parents[2] / "docs" / "planning.md"
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 @pytest.mark.parametrize("name", names("plan"))
 def test_plans_and_those_of_table_1_are_those_of_the_page(name):
     row = re.search(rf"^\| `{name}` \| (\S+) \| (\S+) \| \d+ % \| (\S+) \| (\d+) \|$", PAGE.read_text(), re.MULTILINE)

@@ -247,6 +247,7 @@ def test_every_benchmark_is_explained():
     assert named | {"speed.py"} == {p.name for p in (ROOT / "benchmarks").glob("*.py")}
 
 
+@pytest.mark.slow
 def test_notebook_runs(tmp_path, monkeypatch):
     nbclient, nbformat = pytest.importorskip("nbclient"), pytest.importorskip("nbformat")
     pytest.importorskip("ipykernel")

@@ -8,7 +8,7 @@ commands, one a line. A comment before a block changes this:
 - ``<!-- file: NAME -->`` and ``<!-- append: NAME -->`` write the block to a file;
 - ``<!-- part of: FILE -->``: the block is a part of a file of the page or of the repository, too;
 - ``<!-- not run: REASON -->``: commands pass the parser, Python and TOML are compiled. With the reason "takes N s" the
-  block runs in the slow tests.
+  block runs in a campaign.
 """
 
 import contextlib
@@ -37,7 +37,9 @@ pytestmark = pytest.mark.usefixtures("blank_figures")
 ROOT = Path(__file__).parents[2]
 PAGES = {p.relative_to(ROOT).as_posix(): p for p in [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]}
 MARK = re.compile(r"<!-- (given|file|append|part of|not run): (.*?) -->")
-SLOW = "takes"
+LONG = "takes"
+LONG_PAGES = {"docs/planning.md", "docs/turned-by-hand.md"}
+"""Pages that run in the slow tests: plans by the whole search, and recordings of many minutes."""
 LANGUAGES = {"python", "console", "toml", ""}
 
 
@@ -93,8 +95,8 @@ def check_command(words):
 class PageRun:
     """Blocks of a page as they run."""
 
-    def __init__(self, page, *, slow):
-        self.page, self.slow = page, slow
+    def __init__(self, page, *, whole):
+        self.page, self.whole = page, whole
         self.names, self.printed, self.counts = {}, None, Counter()
 
     def block(self, token, marks):
@@ -105,7 +107,7 @@ class PageRun:
             files = [folder / marks["part of"] for folder in (Path(), ROOT)]
             assert token.content in next(f for f in files if f.exists()).read_text(encoding="utf-8")
         language = "console" if token.type == "code_block" else token.info.strip()
-        idle = "not run" in marks and not (self.slow and marks["not run"].startswith(SLOW))
+        idle = "not run" in marks and not (self.whole and marks["not run"].startswith(LONG))
         if language not in LANGUAGES:
             self.counts["skipped"] += 1
         elif language == "":
@@ -167,16 +169,16 @@ def pages():
     for page, path in PAGES.items():
         text = path.read_text(encoding="utf-8")
         if re.search(r"^```\w|\n\n {4}\S", text, re.M):
-            yield pytest.param(page, False, id=page)
-        if f"<!-- not run: {SLOW}" in text:
-            yield pytest.param(page, True, id=f"{page}-slow", marks=pytest.mark.slow)
+            yield pytest.param(page, False, id=page, marks=[pytest.mark.slow] * (page in LONG_PAGES))
+        if f"<!-- not run: {LONG}" in text:
+            yield pytest.param(page, True, id=f"{page}-whole", marks=pytest.mark.campaign)
 
 
-@pytest.mark.parametrize(("page", "slow"), list(pages()))
-def test_blocks_run_and_print_what_the_page_shows(page, slow, tmp_path, monkeypatch, record_property):
+@pytest.mark.parametrize(("page", "whole"), list(pages()))
+def test_blocks_run_and_print_what_the_page_shows(page, whole, tmp_path, monkeypatch, record_property):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "80")
-    run = PageRun(page, slow=slow)
+    run = PageRun(page, whole=whole)
     for token, marks in blocks(page):
         run.block(token, marks)
     record_property("documentation", dict(run.counts))
@@ -186,6 +188,7 @@ ROW = re.compile(r"^\| `srt (.*?)` \| (.*) \|$", re.M)
 """Command and Python in the table of docs/python.md."""
 
 
+@pytest.mark.slow
 def test_every_command_has_a_row_whose_python_runs(tmp_path, monkeypatch, record_property):
     # docs/planning.md has a plan by the whole search.
     monkeypatch.setattr(annealing, "TRIALS", annealing.TRIALS // 8)

@@ -183,6 +183,7 @@ def test_exact_readings_navigate_to_the_truth(example, name):
     assert np.all(errors <= [math.radians(0.01 / 3600.0) * 10.0, MICRO_G * 10.0, 0.5 * MICRO_G * 100.0])
 
 
+@pytest.mark.slow
 def test_one_minute(example, tmp_path, capsys):
     pytest.importorskip("pyins")
     pytest.importorskip("gtsam")

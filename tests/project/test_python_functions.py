@@ -140,6 +140,7 @@ def test_inspection_and_comparison_are_those_of_the_commands(recording, folder, 
     assert json.loads(json.dumps(found)) == {key: value for key, value in written.items() if key != "digest"}
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("short_search")
 def test_plan_is_that_of_the_command(tmp_path, shell):
     file = tmp_path / "small.toml"

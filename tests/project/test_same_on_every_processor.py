@@ -38,25 +38,26 @@ def assert_same(name, found):
     np.testing.assert_allclose(found[1], values, rtol=0, atol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["short plan"])
 def test_old_kernels_and_other_last_bits_at_once(name):
     assert_same(name, results(name, 1, OPENBLAS_CORETYPE="Nehalem", NPY_DISABLE_CPU_FEATURES=SIMD))
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 @pytest.mark.parametrize("name", process_results.SUBJECTS)
 @pytest.mark.parametrize("kernel", KERNELS)
 def test_kernels_of_the_linear_algebra(kernel, name):
     assert_same(name, results(name, OPENBLAS_CORETYPE=kernel))
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 @pytest.mark.parametrize("name", process_results.SUBJECTS)
 def test_instruction_sets_of_numpy(name):
     assert_same(name, results(name, NPY_DISABLE_CPU_FEATURES=SIMD))
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 @pytest.mark.parametrize("name", process_results.SUBJECTS)
 def test_last_bits_of_the_inputs(name):
     assert_same(name, process_results.results(name, 2))

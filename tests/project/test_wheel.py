@@ -144,6 +144,7 @@ def test_the_wheel_holds_all_modules_and_data_of_the_tree(wheel):
     assert held == {*wanted, FILES[0]}
 
 
+@pytest.mark.slow
 def test_the_source_distribution_has_the_tests_and_builds_the_same_wheel(source, sdist, wheel, tmp_path):
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     assert sdist.name == f"strapdown_rotation_test-{project['version']}.tar.gz"
@@ -244,6 +245,7 @@ def assert_loads_and_applies(python: Path, folder: Path) -> None:
         np.testing.assert_allclose(corrected["accel"], force, rtol=0, atol=64 * 12 * np.finfo(float).eps)
 
 
+@pytest.mark.slow
 def test_it_loads_and_applies_beside_numpy_and_scipy_alone(alone, tmp_path):
     assert_loads_and_applies(alone, tmp_path)
 

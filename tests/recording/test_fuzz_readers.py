@@ -59,7 +59,7 @@ def test_undamaged_files_are_read(name, tmp_path):
         fuzz.read(name, seed, fuzz.place(seed, tmp_path / "input", None, []))
 
 
-@pytest.mark.parametrize("count", [10, pytest.param(1500, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [10, pytest.param(1500, marks=pytest.mark.campaign)])
 @pytest.mark.parametrize("name", NAMES)
 def test_damaged_files_give_samples_or_one_clear_sentence(name, tmp_path, count):
     for index in range(count):

@@ -238,6 +238,7 @@ def test_matlab_objects_give_samples_of_the_rest_or_a_sentence(tmp_path, code):
         assert re.search(r"no array|is not a readable MATLAB|ended its reader|no column was recognised|damaged", text)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="limits of a process are Linux's")
 def test_matlab_compressed_that_swells(tmp_path):
     """A variable of a gigabyte in a megabyte."""
@@ -252,7 +253,7 @@ def test_matlab_compressed_that_swells(tmp_path):
     assert re.search(r"takes more than \d+ MiB of memory", refusal(tmp_path / "a.mat"))
 
 
-@pytest.mark.parametrize("step", [193, pytest.param(23, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("step", [193, pytest.param(23, marks=pytest.mark.campaign)])
 @pytest.mark.parametrize("options", [{}, {"do_compression": True}, {"format": "4"}])
 def test_matlab_cut_off_anywhere(tmp_path, monkeypatch, options, step):
     """The rest is either whole variables or a sentence."""

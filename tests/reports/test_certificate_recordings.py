@@ -153,7 +153,7 @@ def test_both_forms_of_every_kind(recordings, calibrations, saved, tmp_path, kin
     result = {
         "closed-form": lambda: calibrations[0],
         "merged": lambda: merge_calibrations(calibrations),
-        "held": lambda: srt.calibrate(recordings[0], asymmetry=False),
+        "held": lambda: srt.calibrate(recordings[0], asymmetry=False, start=calibrations[0].errors),
         "least-squares": lambda: srt.calibrate(recordings[0], "least-squares"),
     }[kind]()
     source = saved(result)

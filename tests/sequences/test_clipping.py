@@ -62,7 +62,7 @@ def test_rails_that_a_shake_reaches_for_single_samples(hand):
     assert channels(replace(hand, gyro=np.round(hand.gyro / lsb) * lsb)) == set()
 
 
-@pytest.mark.parametrize("units", [1, pytest.param(20, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("units", [1, pytest.param(20, marks=pytest.mark.campaign)])
 @pytest.mark.parametrize("grade", GRADES)
 def test_nothing_is_found_in_sound_fixture_recordings(grade, units):
     for seed in range(units):

@@ -58,7 +58,9 @@ def normalised(seed, grade, profile, estimator="least-squares"):
     return z
 
 
-@pytest.mark.parametrize("units", [pytest.param(1, id="small"), pytest.param(20, id="full", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "units", [pytest.param(1, id="small"), pytest.param(20, id="full", marks=pytest.mark.campaign)]
+)
 def test_errors_of_hand_turned_units_match_their_sigmas(units):
     """Turns of 0.5-30 s, four profiles, four grades: the rms of each parameter in its family-wise 1 % band."""
     grades, profiles = list(GRADES), list(PROFILES)
@@ -151,7 +153,9 @@ def test_nineteen_positions_without_labels_and_without_noise(profile, estimator)
         assert np.all(difference[part][observed[part]] < limit), group
 
 
-@pytest.mark.parametrize("units", [pytest.param(2, id="small"), pytest.param(100, id="full", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "units", [pytest.param(2, id="small"), pytest.param(100, id="full", marks=pytest.mark.campaign)]
+)
 @pytest.mark.parametrize("estimator", ["least-squares", "graph"])
 def test_nineteen_positions_with_noise(estimator, units):
     """0.001 °/√h and 10 µg/√Hz, no labels: the rms of each error group in the family-wise 1 % band of its sigma."""

@@ -119,7 +119,12 @@ def label_effect(recording, truth):
 
 
 @pytest.mark.parametrize(
-    "seed", [*range(3), *(pytest.param(k, marks=pytest.mark.slow) for k in (*range(3, 16), *range(1000, 1300)))]
+    "seed",
+    [
+        *range(3),
+        *(pytest.param(k, marks=pytest.mark.slow) for k in range(3, 16)),
+        *(pytest.param(k, marks=pytest.mark.campaign) for k in range(1000, 1300)),
+    ],
 )
 def test_any_order_with_repeats_moves_and_joins_of_units_off_by_30_percent(seed):
     recording, order = hard_test(seed)
@@ -138,7 +143,9 @@ def test_noise_free_labels_change_nothing(seed):
     assert np.max(np.abs(difference)) < 1e-9
 
 
-@pytest.mark.parametrize("seeds", [range(100, 102), pytest.param(range(2000, 2200), marks=pytest.mark.slow)], ids=len)
+@pytest.mark.parametrize(
+    "seeds", [range(100, 102), pytest.param(range(2000, 2200), marks=pytest.mark.campaign)], ids=len
+)
 @pytest.mark.parametrize("grade", GRADES)
 def test_labels_hardly_matter(grade, seeds):
     pairs = [label_effect(*fair_test(seed, grade)) for seed in seeds]

@@ -57,8 +57,8 @@ MODELLED = {"instability": 0.02, "all": 0.02}
     ("source", "units", "estimator"),
     [
         ("white", 12, "closed-form"),
-        *(pytest.param(source, 2500, "closed-form", marks=pytest.mark.slow) for source in SOURCES),
-        *(pytest.param(source, 600, "graph", marks=pytest.mark.slow) for source in ("instability", "all")),
+        *(pytest.param(source, 2500, "closed-form", marks=pytest.mark.campaign) for source in SOURCES),
+        *(pytest.param(source, 600, "graph", marks=pytest.mark.campaign) for source in ("instability", "all")),
     ],
 )
 def test_predicted_sigma_is_that_of_simulated_units(source, units, estimator):

@@ -83,6 +83,7 @@ def test_disputed_results_are_those_of_single_runs(tmp_path):
     assert {"converged", "partial", "inconsistent"} <= statuses
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("motion", ["", ONE_MOTION], ids=["each", "one"])
 def test_a_batch_leaves_no_recording_in_memory(tmp_path, motion):
     """Without the collector of circular references, which counts objects, not bytes."""
@@ -159,6 +160,7 @@ def test_a_failure_that_no_unit_has_alone_is_told(tmp_path, monkeypatch):
         estimate_units(recordings, [Options()] * 2)
 
 
+@pytest.mark.slow
 def test_a_campaign_runs_in_batches(tmp_path, monkeypatch):
     """Every trial once, the same to the bit with one worker and with two, and to rounding by itself."""
     campaign = small_campaign(tmp_path, trials="24" + ONE_MOTION)

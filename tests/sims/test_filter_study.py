@@ -65,7 +65,7 @@ def test_one_pass_from_zero_converges_for_small_errors_only(size, from_zero):
     assert len(rows[FROM_ZERO]["nis"]) == 17
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 @pytest.mark.parametrize("size", [0.3, 3, 50])
 def test_all_forms_on_a_unit_of_their_own(size):
     """From the fixture all are right; no form reports convergence with errors beyond its sigmas."""

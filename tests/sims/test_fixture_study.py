@@ -15,7 +15,7 @@ def test_the_limits_of_a_cell_are_met():
         assert not FIXTURE.beyond([row[name] for row in rows], len(FIXTURE.limited))
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 @pytest.mark.parametrize(
     "arguments",
     [

@@ -41,6 +41,7 @@ def small(tmp_path):
 # The same numbers
 
 
+@pytest.mark.slow
 def test_dask_gives_the_same_numbers(small, tmp_path):
     distributed = pytest.importorskip("distributed")
     campaign = small(trials=2)
@@ -189,6 +190,7 @@ def test_starts_that_only_campaigns_have(small):
 # Nothing is lost
 
 
+@pytest.mark.slow
 def test_a_campaign_that_was_killed_goes_on(small, tmp_path):
     """Killed outright in the middle; every trial it had finished is there, and the rest comes out as it would have."""
     campaign = small(trials=6)

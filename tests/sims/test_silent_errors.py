@@ -31,6 +31,7 @@ def test_vibration_is_named_and_its_effect_removed(name, units):
     assert all(score.nees < chi2.isf(1e-4 / units, 27) for score in scores)
 
 
+@pytest.mark.slow
 def test_a_wrong_clock_and_gravity_are_told():
     pytest.importorskip("gtsam")
     for name in ("clock off by 1e-4", "gravity off by 342 ppm"):

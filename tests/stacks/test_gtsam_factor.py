@@ -72,7 +72,7 @@ def test_derivatives_of_the_sums(g_sensitive):
             np.testing.assert_allclose(found.jacobian[part, k], value, rtol=0, atol=2e-8 + 5e-5 * np.abs(value).max())
 
 
-@pytest.mark.parametrize("count", [500, pytest.param(4000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [500, pytest.param(4000, marks=pytest.mark.campaign)])
 def test_covariance_is_that_of_the_noise(count):
     """Draws of the samples' noise: n of them show a variance to √(2/n), 3.5 of these; correlations to √(1/n)."""
     unit = calibrated()
@@ -223,7 +223,9 @@ def test_refusals():
         preintegrate(replace(unit, noise=NoiseFigures()), *samples(), DT)
 
 
-@pytest.mark.parametrize("count", [2, pytest.param(8, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "count", [pytest.param(2, marks=pytest.mark.slow), pytest.param(8, marks=pytest.mark.campaign)]
+)
 def test_the_prior_helps_and_its_covariance_is_true(count):
     """Draws of unit, noise and fixes: squares of the errors over their covariance, 27 for z and 6 for a pose."""
     study = pytest.importorskip("intrinsic_priors")

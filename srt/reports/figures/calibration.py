@@ -6,6 +6,7 @@ below them the ±1 sigma bars on a scale of their own, at estimate minus truth w
 
 from __future__ import annotations
 
+import re
 import textwrap
 from typing import TYPE_CHECKING, Final
 
@@ -32,6 +33,7 @@ from srt.reports.figures.style import (
     MaxNLocator,
     NullLocator,
     SubFigure,
+    TextPath,
     save_figure,
     style,
     symbol,
@@ -65,6 +67,8 @@ _OTHER: Final = ("", "other", GREY, "D")
 """Word in the name of a component, label, colour and marker of its kind; the first that fits."""
 _APART: Final = 0.2  # distance of the marks of two kinds at one sequence, in sequences
 _HEADING: Final = 90  # characters of the heading beside the legend
+_HEADING_POINTS: Final = 680.0  # width of the heading, pt: the legend begins at 700
+_SHORTEST: Final = 4  # characters of a title that is shortened
 _FOOT_WIDTH: Final = 172  # characters in a line of the explanation at the foot
 _LAST: Final = (
     "Bottom left: each iteration re-processes the samples with the corrected errors, until the corrections are "
@@ -175,12 +179,23 @@ def _separate_groups(axes: Axes, which: Indices) -> None:
             axes.axvline(at - 0.5, color=FAINT, linewidth=0.7)
 
 
+def _heading(title: str, text: str) -> str:
+    """Title and text, with as much of the title as fits beside the legend: of wide letters it is less."""
+    length = _HEADING - len(text)
+    while True:
+        heading = f"{clipped(title, length)}: {text}"
+        # Without mathematics, and without letters that the font may lack.
+        plain = re.sub(r"[^ -#%-~]", "M", heading)
+        if length <= _SHORTEST or TextPath((0.0, 0.0), plain, size=LARGE).get_extents().width < _HEADING_POINTS:
+            return heading
+        length -= 1
+
+
 def _header(figure: SubFigure, calibration: Calibration, truth: SensorErrors | None, title: str | None) -> None:
     word, status = calibration.judgement.word, calibration.status
     verdict = word if status == "converged" else f"{word} ({status.replace('_', ' ')})"
     text = f"{verdict}, {calibration.estimator}"
-    heading = f"{clipped(title, _HEADING - len(text))}: {text}" if title else text
-    figure.text(0.008, 0.5, heading, fontsize=LARGE, color=INK, va="center")
+    figure.text(0.008, 0.5, _heading(title, text) if title else text, fontsize=LARGE, color=INK, va="center")
     handles = [Line2D([], [], color=BLUE, marker="o", markersize=4.5, label="estimate, ±1σ")]
     if truth is not None:
         hollow = {"marker": "D", "markersize": 8.0, "markeredgecolor": VERMILION, "markerfacecolor": "none"}

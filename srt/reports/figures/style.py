@@ -22,6 +22,7 @@ with optional("matplotlib", "plot", "A plot"):
     from matplotlib.layout_engine import ConstrainedLayoutEngine
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
+    from matplotlib.textpath import TextPath
     from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, MultipleLocator, NullLocator
 
 if TYPE_CHECKING:
@@ -31,7 +32,8 @@ if TYPE_CHECKING:
 __all__ = [
     "BLUE", "DPI", "FAINT", "GREEN", "GREY", "INK", "LARGE", "MEDIUM", "ORANGE", "PURPLE", "SKY", "SMALL", "SYMBOL",
     "VERMILION", "Axes", "ConstrainedLayoutEngine", "Figure", "FuncFormatter", "Line2D", "LogLocator", "MaxNLocator",
-    "MultipleLocator", "NullLocator", "Patch", "SubFigure", "estimator_styles", "save_figure", "style", "symbol",
+    "MultipleLocator", "NullLocator", "Patch", "SubFigure", "TextPath", "estimator_styles", "save_figure", "style",
+    "symbol",
 ]  # fmt: skip
 
 # Okabe and Ito's colours, which all types of colour vision distinguish; the markers differ too.

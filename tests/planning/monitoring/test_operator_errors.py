@@ -39,7 +39,9 @@ def test_errors_are_named_before_the_next_sequence_turns(grade, kind):
     assert not false
 
 
-@pytest.mark.parametrize("every", [4, pytest.param(1, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "every", [pytest.param(4, marks=pytest.mark.slow), pytest.param(1, marks=pytest.mark.campaign)]
+)
 def test_a_test_without_errors_has_none_at_any_time(whole, every):
     recording, windows = whole.recording, whole.motion.windows
     for number, (name, ((_, turned), (settled, end))) in list(enumerate(zip(SEQUENCES, windows, strict=True)))[::every]:
@@ -122,6 +124,7 @@ def test_rests_and_their_motions_without_rotations():
     assert motion.angle_rad == pytest.approx(2e-3 / 3.0, rel=0.02)  # between the middles of the outer thirds
 
 
+@pytest.mark.slow
 def test_a_followed_test_tells_each_sequence_once_and_the_repetition_that_helps(whole):
     recording = whole.recording
     followed = FollowedTest(targets={"gyro_scale_x": 1e-7})
