@@ -179,8 +179,8 @@ class FactorGraph:
             for key, size in ((D, self.drift.states), (N, self.drift.unknowns)):
                 for step in range(joint.data.K):
                     self.values.insert(key(step), np.zeros(size))
-        if joint.drift.size:
-            self.values.insert(S(0), np.zeros(joint.drift.size))
+        if joint.choice.drift.size:
+            self.values.insert(S(0), np.zeros(joint.choice.drift.size))
         if self.compensated.stated.sequences.size:
             self.values.insert(T(0), np.zeros(1))
 
@@ -200,7 +200,7 @@ class FactorGraph:
         out: list[factors.Term] = [([X(0)] * n, sign * J[:, :, errors])] if len(errors) else []
         if len(axes):
             out.append(([self.bias_key(k) for k in owners.tolist()], sign * J[:, :, axes]))
-        if self.joint.drift.size:
+        if self.joint.choice.drift.size:
             out.append(([S(0)] * n, sign * by_form))
         if kind in self.drift.steps:
             steps = self.drift.steps[kind].tolist()
@@ -325,7 +325,7 @@ class FactorGraph:
         if joint.fixture_states:
             of_axes, of_angle = (factors.gaussian(total(alignment_covariances(joint, size))) for size in (3, 1))
             graph.add(gtsam.PriorFactorRot3(F(0), gtsam.Rot3(), of_axes))
-            graph.add(gtsam.PriorFactorRot3(U(0), gtsam.Rot3(joint.U_prior), of_axes))
+            graph.add(gtsam.PriorFactorRot3(U(0), gtsam.Rot3(joint.choice.U_prior), of_axes))
             graph.add(gtsam.PriorFactorVector(L(0), np.zeros(1), of_angle))
         if self.gravity:
             sigma = joint.data.recording.site.gravity_sigma_m_s2
@@ -344,8 +344,8 @@ class FactorGraph:
             self._drift_chain()
         if self.compensated.stated.sequences.size:
             graph.add(gtsam.PriorFactorVector(T(0), np.full(1, -self.state.table_rate), isotropic(1, 1.0)))
-        if joint.drift.size:
-            wide = factors.gaussian(np.diag(joint.drift.sigma**2))
+        if joint.choice.drift.size:
+            wide = factors.gaussian(np.diag(joint.choice.drift.sigma**2))
             graph.add(gtsam.PriorFactorVector(S(0), -self.state.drift, wide))
         if joint.bias_walks and len(self.axes):
             step = joint.bias_walk_sigma()[:, self.axes]

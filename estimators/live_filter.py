@@ -126,7 +126,6 @@ class LiveFilter:
         self.labels: list[SequenceLabel] = []
         self.coarse = CoarseFilter(self.prior)
         self.iteration: IterationState | None = None
-        self.joint: JointModel | None = None
         self.solver = KalmanSolver(self.prior)
 
     def add(self, recording: Recording, label: SequenceLabel) -> LiveReport:
@@ -155,18 +154,18 @@ class LiveFilter:
         data = prepare_checked(recording.with_sequences(so_far), so_far, self.options.average)
         # With few sequences there are several minima: the most probable one is used.
         starts = (self.coarse.estimate(), initial_estimate(data, self.options))
-        self.joint, self.solver, self.iteration = min((self._solve_from(data, start) for start in starts), key=_rank)
+        self.solver, self.iteration = min((self._solve_from(data, start) for start in starts), key=_rank)
         return self._report(data)
 
     def _solve_from(
         self, data: PreparedRecording, start: tuple[SensorErrors, Array]
-    ) -> tuple[JointModel, KalmanSolver, IterationState]:
+    ) -> tuple[KalmanSolver, IterationState]:
         """Process all sequences so far from the original prior, starting the iteration at ``start``."""
         joint, solver = JointModel(data, self.options, start), KalmanSolver(self.prior)
         requested = np.array([name in self.options.fixed_names for name in NAMES])
-        iteration = IterationState(joint.start, ~requested)
+        iteration = IterationState(joint, joint.start, ~requested)
         with threadpool_limits(limits=1, user_api="blas"):
-            return joint, solver, iterate(joint, solver, iteration, requested=requested, max_step=_MAX_STEP)
+            return solver, iterate(solver, iteration, requested=requested, max_step=_MAX_STEP)
 
     def _report(self, data: PreparedRecording) -> LiveReport:
         assert self.iteration is not None
@@ -190,12 +189,12 @@ class LiveFilter:
         )
 
 
-def _rank(solution: tuple[JointModel, KalmanSolver, IterationState]) -> tuple[bool, float]:
+def _rank(solution: tuple[KalmanSolver, IterationState]) -> tuple[bool, float]:
     """Sort key of solutions: converged ones first, then by the sum of squares of residuals and prior."""
-    joint, solver, iteration = solution
+    solver, iteration = solution
     if iteration.point is None or iteration.status == "outside_model":
         return True, math.inf
-    residual = whole_solution(joint, solver, iteration).residual
+    residual = whole_solution(solver, iteration).residual
     return iteration.status != "converged", float(residual @ residual)
 
 

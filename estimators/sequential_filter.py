@@ -115,12 +115,6 @@ class SequentialFilter(JointSolver):
                 f"The filter {form!r} needs labelled sequences on a fixture, no shared windows, no stated rates and "
                 "one gyro bias: use filter='iterated'."
             )
-        start, fixture = joint.options.start, joint.data.recording.fixture
-        if isinstance(start, SensorErrors) and joint.data.nominal is not None:
-            # The rotation of MARS on the table, too, would be that of the given errors, and is not renewed later.
-            joint.U_prior, joint.U_note = mounting_prior(
-                fixture, estimate_from_fixture(joint.data, joint.data.rotation_stream)[1]
-            )
         self.prior: Prior = prior
         self.form, self.free = form, free
         self.last: FilterRun | None = None
@@ -136,9 +130,14 @@ class SequentialFilter(JointSolver):
 
     def process(self, joint: JointModel, progress: Progress | None) -> IterationState:
         """Process all sequences in time order, starting from the prior mean."""
-        joint.ends_tied = True  # a sequence is not returned to once the errors are small enough
+        joint, data = joint.with_choice(ends_tied=True), joint.data  # the filter does not return to a sequence later
+        if isinstance(joint.options.start, SensorErrors) and data.nominal is not None:
+            # The rotation of MARS on the table, too, would be that of the given errors, and is not renewed later.
+            U, note = mounting_prior(data.recording.fixture, estimate_from_fixture(data, data.rotation_stream)[1])
+            joint = joint.with_choice(U_prior=U, U_note=note)
         vector = np.where(self.free, self.prior.mean.vector, joint.fixed_values.vector)
-        iteration = IterationState(replace(joint.start, errors=SensorErrors(vector), U=joint.U_prior), self.free)
+        start = replace(joint.start, errors=SensorErrors(vector), U=joint.choice.U_prior)
+        iteration = IterationState(joint, start, self.free)
         iteration.corrections = []
         updates: list[SequenceUpdate] = []
         for i, k in enumerate(joint.order.tolist()):
@@ -161,7 +160,7 @@ class SequentialFilter(JointSolver):
             sigma=np.array([np.sqrt(np.diag(update.covariance)) for update in updates]),
         )
         iteration.covariance = updates[-1].covariance
-        self._compare_with_optimum(joint, iteration)
+        self._compare_with_optimum(iteration)
         return iteration
 
     def update(
@@ -205,12 +204,13 @@ class SequentialFilter(JointSolver):
         x[:n] = 0.0
         return SequenceUpdate(state, x, ekf.root, E[:, :n] @ total, covariance, innovations)
 
-    def _compare_with_optimum(self, joint: JointModel, iteration: IterationState) -> None:
+    def _compare_with_optimum(self, iteration: IterationState) -> None:
         """Set the status by the distance of the estimate from the optimum of all measurements and the prior."""
+        joint = iteration.joint
         state, compensated = placed(joint, iteration.state)
         for _ in range(_ATTITUDE_PASSES):
             iteration.point = point = Linearisation(joint, state, compensated, self.free)
-            solution = whole_solution(joint, self, iteration)
+            solution = whole_solution(self, iteration)
             kept = np.where(attitude_columns(point.columns), solution.delta, 0.0)
             state = apply_correction(state, point.columns, kept)
         assert iteration.covariance is not None
@@ -278,4 +278,4 @@ def run_sequentially(solver: SequentialFilter, joint: JointModel, progress: Prog
         {name: reason_on_request(name, uncertain, joint.data) for name in options.fixed_names}, uncertain
     )
     with threadpool_limits(limits=1, user_api="blas"):
-        return make_calibration(joint, solver, solver.process(joint, progress), fixed, None)
+        return make_calibration(solver, solver.process(joint, progress), fixed, None)

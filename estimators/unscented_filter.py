@@ -118,10 +118,11 @@ class SequenceModel:
     def __init__(self, joint: JointModel, state: JointState, k: int, free: Mask) -> None:
         label = joint.data.labels[k]
         data = prepare_checked(joint.data.recording.with_sequences((label,)), (label,), joint.options.average)
-        self.joint, self.free = JointModel(data, joint.options, (state.errors, state.U)), free
-        self.joint.U_prior, self.joint.ends_tied = joint.U_prior, joint.ends_tied
-        if joint.drift.force_axes is not None:  # two windows alone would show one direction
-            self.joint.follow_force(joint.drift.force_axes)
+        own, choice = JointModel(data, joint.options, (state.errors, state.U)), joint.choice
+        own = own.with_choice(U_prior=choice.U_prior, ends_tied=choice.ends_tied)
+        if choice.drift.force_axes is not None:  # two windows alone would show one direction
+            own = own.with_force_axes(choice.drift.force_axes)
+        self.joint, self.free = own, free
         self.system = self._linearise(replace(state, bias_deviation=np.zeros((1, 3)), attitude=None))
         self.columns = global_columns(self.system)
         self.rows = np.concatenate([rows.index.ravel() for rows in self.system.rows if np.all(rows.owner >= 0)])

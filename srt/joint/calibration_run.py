@@ -35,12 +35,7 @@ from srt.joint.model_selection import (
 )
 from srt.joint.recording_opening import contradicting_move
 from srt.joint.residual_analysis import contradicting_rests, contradictions
-from srt.joint.solution_analysis import (
-    FixedParameters,
-    analyse_solution,
-    make_calibration,
-    whole_solution,
-)
+from srt.joint.solution_analysis import FixedParameters, analyse_solution, make_calibration, whole_solution
 from srt.joint.solver import IterationState, JointSolver
 from srt.model.table1 import SEQUENCES
 from srt.sensor_errors import NAMES
@@ -69,67 +64,64 @@ def run(joint: JointModel, solver: JointSolver, progress: Progress | None) -> Ca
     """
     joint.options.refuse(("step", "down", "measured_vertical", "window_attitude"), "Joint estimation")
     count = Iterations(progress)
-    joint, found = _with_sound_moves(joint, solver, count)
-    options = joint.options
-    unseen = _not_shown_by_poses(joint)
-    requested = np.array([name in unseen or name in options.fixed_names for name in NAMES])
-    start = joint.with_fixed_values(joint.start, requested)
-    iteration = IterationState(start, ~requested) if found is None else found
+    iteration = _with_sound_moves(joint, solver, count)
+    unseen, fixed = _not_shown_by_poses(iteration.joint), joint.options.fixed_names
+    requested = np.array([name in unseen or name in fixed for name in NAMES])
+    if iteration.point is None:
+        iteration = IterationState.at_start(iteration.joint, requested)
     held: Diagnostics | None = None
     for _ in range(_ROUNDS * (1 + MOST_TERMS)):
-        iteration = iterate(joint, solver, iteration, requested=requested, count=count)
-        iteration = _with_still_windows(joint, solver, iteration, requested, count)
-        uncertain = _fixed_sigma(joint)
-        if (found_held := _integrate_moving_windows(joint, solver, iteration, uncertain)) is not None:
+        iteration = iterate(solver, iteration, requested=requested, count=count)
+        iteration = _with_still_windows(solver, iteration, requested, count)
+        uncertain = _fixed_sigma(iteration.joint)
+        if (found_held := _integrate_moving_windows(solver, iteration, uncertain)) is not None:
             held = found_held
             continue
-        if _relies_on_fixture(joint, iteration, uncertain):
-            vague = requested | _vague(joint, iteration, requested)
-            solver.prior = joint.prior_of_fixture(uncertain)
+        if _relies_on_fixture(iteration, uncertain):
+            vague = requested | _vague(iteration, requested)
+            joint, solver.prior = iteration.joint.relying_on_fixture(uncertain)
             solver.restart()
             start = replace(joint.start, drift=iteration.state.drift)
-            iteration = IterationState(joint.with_fixed_values(start, vague), ~vague)
+            iteration = IterationState(joint, joint.with_fixed_values(start, vague), ~vague)
             continue
         if iteration.status != "converged":
             break
-        if any(
-            add(joint, solver, iteration)
-            for add in (add_g_sensitivity, add_undersampling, add_instability, add_unmodelled_noise, add_drift)
-        ):
-            if joint.relies_on_fixture:
-                solver.prior = joint.prior_of_fixture(_fixed_sigma(joint))
+        changes = (add_g_sensitivity, add_undersampling, add_instability, add_unmodelled_noise, add_drift)
+        changed = next(filter(None, (change(solver, iteration) for change in changes)), None)
+        if changed is not None:
+            iteration = changed
+            if iteration.joint.relies_on_fixture:
+                iteration.joint, solver.prior = iteration.joint.relying_on_fixture(_fixed_sigma(iteration.joint))
             continue
         # A drift can hide a wrong move, or come from one: the moves are judged again beside it.
-        if joint.drift.terms and (moves := _contradicting_move(joint, solver, iteration)):
-            joint = joint.without_moves(moves)
+        if iteration.joint.choice.drift.terms and (moves := _contradicting_move(solver, iteration)):
             solver.restart()
-            iteration = IterationState(joint.with_fixed_values(joint.start, requested), ~requested)
+            iteration = IterationState.at_start(iteration.joint.without_moves(moves), requested)
             continue
-        suspect = contradicting_rests(joint, whole_solution(joint, solver, iteration))
-        if (found_held := _integrate_moving_windows(joint, solver, iteration, uncertain, suspect)) is not None:
+        suspect = contradicting_rests(iteration.joint, whole_solution(solver, iteration))
+        if (found_held := _integrate_moving_windows(solver, iteration, uncertain, suspect)) is not None:
             held = found_held
-            joint.unmodelled_sigma = NO_ERRORS
+            iteration.joint = iteration.joint.with_choice(unmodelled_sigma=NO_ERRORS)
             continue
-        weak = iteration.free & (iteration.sigma > observed_limit(joint.admission))
+        weak = iteration.free & (iteration.sigma > observed_limit(iteration.joint.choice.admission))
         if not weak.any() or solver.prior is not None:
             break
         iteration.free = iteration.free & ~weak
-        iteration.state = joint.with_fixed_values(iteration.state, weak)
+        iteration.state = iteration.joint.with_fixed_values(iteration.state, weak)
     iteration.corrections, iteration.refits = count.corrections, count.refits
     if iteration.status == "converged":
         iteration.message = count.converged
-    uncertain = _fixed_sigma(joint)
-    reasons = unseen | {name: reason_on_request(name, uncertain, joint.data) for name in options.fixed_names}
-    return make_calibration(joint, solver, iteration, FixedParameters(reasons, uncertain), held)
+    uncertain = _fixed_sigma(iteration.joint)
+    reasons = unseen | {name: reason_on_request(name, uncertain, iteration.joint.data) for name in fixed}
+    return make_calibration(solver, iteration, FixedParameters(reasons, uncertain), held)
 
 
 def _fixed_sigma(joint: JointModel) -> Array:
     """1-sigma of every parameter where it is fixed, with the accuracy of the fixture as found."""
-    return fixed_sigma(as_found(joint.data, joint.unmodelled_sigma), joint.options)
+    return fixed_sigma(as_found(joint.data, joint.choice.unmodelled_sigma), joint.options)
 
 
 def _with_drift(
-    joint: JointModel,
     solver: JointSolver,
     iteration: IterationState,
     requested: Mask,
@@ -137,39 +129,37 @@ def _with_drift(
     accused: Callable[[IterationState], int],
 ) -> IterationState | None:
     """Solution with bias drift if less than half of the windows or moves accused without it are so beside it."""
-    drift, unmodelled = joint.drift, joint.unmodelled_sigma
     found = replace(iteration, corrections=list(iteration.corrections or ()))
     before = left = accused(iteration)
-    while left and add_drift(joint, solver, found):
+    while left and (changed := add_drift(solver, found)) is not None:
         solver.restart()
-        found = iterate(joint, solver, found, requested=requested, count=count)
+        found = iterate(solver, changed, requested=requested, count=count)
         if found.status != "converged":
             left = before
             break
         left = accused(found)
     if 2 * left < before:
         return found
-    joint.drift, joint.unmodelled_sigma = drift, unmodelled
     solver.restart()
     return None
 
 
 def _with_still_windows(
-    joint: JointModel, solver: JointSolver, iteration: IterationState, requested: Mask, count: Iterations
+    solver: JointSolver, iteration: IterationState, requested: Mask, count: Iterations
 ) -> IterationState:
     """Solution with a bias drift, if that explains why windows seem to move."""
 
     def moving(at: IterationState) -> int:
         assert at.point is not None
-        return int(joint.moving_windows(at.state, at.point.compensated).sum())
+        return int(at.joint.moving_windows(at.state, at.point.compensated).sum())
 
     if iteration.status != "converged":
         return iteration
-    return _with_drift(joint, solver, iteration, requested, count, moving) or iteration
+    return _with_drift(solver, iteration, requested, count, moving) or iteration
 
 
 def _integrate_moving_windows(
-    joint: JointModel, solver: JointSolver, iteration: IterationState, uncertain: Array, suspect: Mask | None = None
+    solver: JointSolver, iteration: IterationState, uncertain: Array, suspect: Mask | None = None
 ) -> Diagnostics | None:
     """Integrate the attitude in windows in which the unit moved; diagnostics before, None if there are no new ones.
 
@@ -177,22 +167,23 @@ def _integrate_moving_windows(
     """
     if iteration.point is None or iteration.status == "outside_model":
         return None
+    joint = iteration.joint
     moving_windows = joint.moving_windows(iteration.state, iteration.point.compensated, suspect)
     if not moving_windows.any():
         return None
-    table = analyse_solution(joint, solver, iteration, uncertain).table
+    table = analyse_solution(solver, iteration, uncertain).table
     held = replace(solver.diagnostics(joint), sequences=table)
-    joint.integrate_windows(moving_windows)
+    iteration.joint = joint.with_integrated(moving_windows)
     solver.restart()
     return held
 
 
-def _relies_on_fixture(joint: JointModel, iteration: IterationState, uncertain: Array) -> bool:
+def _relies_on_fixture(iteration: IterationState, uncertain: Array) -> bool:
     """True if the nominal angles of the fixture give a parameter more accurately than the test, which lacks sequences.
 
     ``uncertain`` is the sigma of the initial values. Poses alone measure the directions that the fixture states.
     """
-    data = joint.data
+    joint, data = iteration.joint, iteration.joint.data
     if data.nominal is None or data.posed.all() or set(SEQUENCES) <= set(data.ids):
         return False
     if joint.options.prior is not None or joint.relies_on_fixture:
@@ -201,12 +192,12 @@ def _relies_on_fixture(joint: JointModel, iteration: IterationState, uncertain: 
     return bool(vague.any()) or iteration.status != "converged"
 
 
-def _vague(joint: JointModel, iteration: IterationState, requested: Mask) -> Mask:
+def _vague(iteration: IterationState, requested: Mask) -> Mask:
     """Parameters that neither the measurements nor the nominal angles of the fixture give, but for asymmetries.
 
     They are fixed: within a prior as wide as a third, the iteration would wander. The prior of asymmetries is narrow.
     """
-    known = determined_by_fixture(joint.data) | ["asymmetry" in name for name in NAMES]
+    known = determined_by_fixture(iteration.joint.data) | ["asymmetry" in name for name in NAMES]
     if iteration.point is not None:
         known = known | observable_parameters(iteration.point.system, requested)
     return np.asarray(~known)
@@ -232,45 +223,40 @@ def observable_at_start(joint: JointModel, wanted: Mask) -> Mask:
     start = placed(joint, joint.start)
     observable = observable_parameters(linearise(joint, *start, wanted), ~wanted)
     covariance = BlockSolution(linearise(joint, *start, wanted, default_prior())).covariance
-    return observable & (np.sqrt(np.diag(covariance)) <= observed_limit(joint.admission, finest_sigma(covariance)))
+    limit = observed_limit(joint.choice.admission, finest_sigma(covariance))
+    return observable & (np.sqrt(np.diag(covariance)) <= limit)
 
 
-def _with_sound_moves(
-    joint: JointModel, solver: JointSolver, count: Iterations
-) -> tuple[JointModel, IterationState | None]:
-    """Leave out the moves that contradict the other measurements, one after the other.
+def _with_sound_moves(joint: JointModel, solver: JointSolver, count: Iterations) -> IterationState:
+    """Solution without the moves that contradict the other measurements, left out one after the other.
 
-    Returns the model without them, and its solution if one was found.
+    If there is none, or no move is left, the state is that before the first iteration.
     """
     requested = np.array([name in joint.options.fixed_names for name in NAMES])
     while joint.data.moves:
-        start = IterationState(joint.with_fixed_values(joint.start, requested), ~requested)
-        iteration = iterate(joint, solver, start, requested=requested, count=count)
+        iteration = iterate(solver, IterationState.at_start(joint, requested), requested=requested, count=count)
+        joint = iteration.joint
         if iteration.status != "converged":
             solver.restart()
             break
-        if add_g_sensitivity(joint, solver, iteration):
-            joint.start = replace(joint.start, drift=iteration.state.drift)
+        changed = add_g_sensitivity(solver, iteration) or add_fixture_errors(solver, iteration)
+        if changed is not None:
+            joint = changed.joint
             continue
-        if add_fixture_errors(joint, solver, iteration):
-            continue
-        reasons = _contradicting_move(joint, solver, iteration)
+        reasons = _contradicting_move(solver, iteration)
         if not reasons:
-            return joint, iteration
-
-        def accused(found: IterationState, joint: JointModel = joint) -> int:
-            return len(_contradicting_move(joint, solver, found))
-
-        found = _with_drift(joint, solver, iteration, requested, count, accused)
+            return iteration
+        found = _with_drift(solver, iteration, requested, count, lambda at: len(_contradicting_move(solver, at)))
         if found is not None:
-            return joint, found
+            return found
         joint = joint.without_moves(reasons)
         solver.restart()
-    return joint, None
+    return IterationState.at_start(joint, requested)
 
 
-def _contradicting_move(joint: JointModel, solver: JointSolver, iteration: IterationState) -> dict[int, str]:
+def _contradicting_move(solver: JointSolver, iteration: IterationState) -> dict[int, str]:
     """Move that contradicts the other measurements of a solution, with the reason; empty if none does."""
-    against = contradictions(joint, whole_solution(joint, solver, iteration))
+    joint = iteration.joint
+    against = contradictions(joint, whole_solution(solver, iteration))
     tests = [(against[step].chi_square, against[step].degrees_of_freedom) for step in joint.rank.tolist()]
     return contradicting_move(tests, joint.data.is_move)

@@ -84,7 +84,6 @@ def apply_correction(state: JointState, c: Columns, delta: Array) -> JointState:
 
 
 def iterate(
-    joint: JointModel,
     solver: JointSolver,
     iteration: IterationState,
     *,
@@ -97,10 +96,9 @@ def iterate(
 
     Parameters
     ----------
-    joint : JointModel
     solver : JointSolver
     iteration : IterationState
-        Initial state and free parameters.
+        Model, initial state and free parameters.
     requested : ndarray of bool, shape (27,)
         Parameters fixed on request.
     count : Iterations, optional
@@ -117,11 +115,11 @@ def iterate(
     scatter_updates = 0
     damping = _Damping()
     observability_known = not np.array_equal(iteration.free, ~requested)
-    for _ in range(joint.options.max_playbacks):
+    for _ in range(iteration.joint.options.max_playbacks):
         near = bool(corrections) and corrections[-1] < _NEAR
         last = corrections[-1] if near else None
-        state, compensated = _compensate(joint, iteration.state, scatter_updates, last)
-        scatter_updates += near
+        joint, state, compensated = _compensate(iteration.joint, iteration.state, scatter_updates, last)
+        iteration.joint, scatter_updates = joint, scatter_updates + near
         point = Linearisation(joint, state, compensated, iteration.free)
         if near and not observability_known and solver.prior is None:
             observability_known = True
@@ -133,7 +131,8 @@ def iterate(
         if correction is None:
             break
         sigma = iteration.sigma
-        if joint.tie_ends(sigma):
+        if (tied := joint.with_tied_ends(sigma)) is not None:
+            iteration.joint = tied
             continue
         negligible = np.maximum(converged[0] * PARAMETER_UNITS, converged[1] * sigma)
         if (
@@ -204,8 +203,8 @@ def _least_tilt_sigma(joint: JointModel, compensated: CompensatedData) -> float:
 
 def _compensate(
     joint: JointModel, state: JointState, scatter_updates: int, correction: float | None
-) -> tuple[JointState, CompensatedData]:
-    """Compensate the data; close to the solution, also update the priors that are estimated from the data.
+) -> tuple[JointModel, JointState, CompensatedData]:
+    """Compensate the data; close to the solution, also update the priors of the model that the data show.
 
     ``scatter_updates`` is the number of updates so far; the last correction is None while the state is far from the
     solution.
@@ -214,15 +213,15 @@ def _compensate(
     if state.attitude is None:
         state = initial_attitudes(joint, state, compensated)
     if correction is None:
-        return state, compensated
+        return joint, state, compensated
     if scatter_updates == 0:
-        joint.update_mounting_prior(state)
+        joint = joint.with_mounting_prior(state)
     if scatter_updates < _SCATTER_UPDATES:
-        joint.update_bias_scatter(state, compensated, correction)
+        joint = joint.with_bias_scatter(state, compensated, correction)
         if not joint.bias_walks and state.bias_deviation.any():  # a fault of one sequence caused the scatter
             state = replace(state, bias_deviation=np.zeros_like(state.bias_deviation))
             compensated = joint.compensate(state)
-    return state, compensated
+    return joint, state, compensated
 
 
 def _correct(

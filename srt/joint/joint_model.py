@@ -11,16 +11,16 @@ integrated rotation between the windows of a sequence, and the mean rate of runs
 from __future__ import annotations
 
 import math
+from copy import copy
 from dataclasses import replace
-from functools import cached_property
-from typing import TYPE_CHECKING, Final
+from functools import cache, cached_property, partial
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from srt.constants import EARTH_RATE_RAD_S
 from srt.estimation import error_sources as sources
 from srt.estimation.convergence import PARAMETER_UNITS
-from srt.estimation.error_sources import NO_ERRORS
 from srt.estimation.fixed_parameters import fixed_values
 from srt.estimation.g_sensitivity import LEAST_SCATTER, RestRates, pose_regression
 from srt.estimation.g_sensitivity import MODE as G_SENSITIVE
@@ -28,7 +28,7 @@ from srt.estimation.observability import admission_sigma
 from srt.estimation.rest_rate_scatter import excess_variance
 from srt.estimation.srt_measurements import SrtProcessor
 from srt.joint.drift import DriftTerms, drift_chain, drift_states
-from srt.joint.joint_state import CompensatedData, JointState, LevelFrame
+from srt.joint.joint_state import CompensatedData, JointState, LevelFrame, ModelChoice
 from srt.joint.nominal_attitudes import mounting_limit, mounting_prior, nominal_end, nominal_start
 from srt.joint.stated_rates import SteadyReadings
 from srt.model import measurement_model as model
@@ -45,10 +45,11 @@ from srt.sequences.stillness import moved_windows
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from srt.estimation.drift_model import DriftTerm
     from srt.estimation.error_sources import Slopes, Source
     from srt.estimation.g_sensitivity import PoseRegression
     from srt.estimation.options import Options
-    from srt.joint.drift import DriftChain, DriftStates
+    from srt.joint.drift import DriftStates
     from srt.joint.stated_rates import StatedRates
     from srt.model.rotation_integrals import RotationIntegrals
     from srt.model.sensor_model import Triad
@@ -60,8 +61,6 @@ _UNCONSTRAINED_BIAS: Final = 1e-2
 """Bias scatter between sequences, rad/s (about 2000 °/h): larger than that of any unit, so that biases are free."""
 _RELEVANT_EDGE_NOISE: Final = 1e-3
 """Errors at window edges are estimated if quantization has a larger share of the variance of a rotation than this."""
-_LEAST_WOBBLE: Final = 1e-4
-"""Least axis wobble, relative to the sigma of the fixture's angles: the covariance of an attitude must be regular."""
 _LEAST_WALK: Final = 1e-3
 """Smallest step of the bias walk, as a share of the rate noise of a window: the walk's covariance must be regular."""
 _LINEAR: Final = 1e-3
@@ -70,6 +69,8 @@ _LINEAR: Final = 1e-3
 
 class JointModel:
     """Unknowns, measurements and noise of a recording, and its linearisation about an estimate.
+
+    A model does not change. One of another choice is another model, which shares all that the choice does not affect.
 
     Parameters
     ----------
@@ -80,31 +81,48 @@ class JointModel:
     """
 
     def __init__(self, data: PreparedRecording, options: Options, start: tuple[SensorErrors, Array]) -> None:
-        self.data, self.options = data, options
+        self.options, self.steady = options, SteadyReadings.of(data)
         self.fixture_states = options.fixture_states and data.recording.fixture is not None
-        self.integrated = np.zeros(len(data.windows.duration_s), dtype=np.bool_)
-        self.processor, self.steady = SrtProcessor(data, options, self.integrated), SteadyReadings.of(data)
         self.nominal = [nominal_start(s) if data.recording.fixture is not None else None for s in data.catalogue]
-        self.ends_tied = False
-        """True if the angle between the fixture's axes is a measurement in end attitudes, too; see :meth:`tie_ends`."""
-        self.admission = admission_sigma()
-        """A parameter counts as observed if its sigma is below a third of this."""
-        self.unmodelled_sigma = NO_ERRORS
-        """Unmodelled errors that are added to the noise."""
         stated = np.zeros(3) if data.noise.gyro_wander is None else data.noise.gyro_wander
         fixed = {"pooled": np.zeros(3), "per-sequence": np.full(3, _UNCONSTRAINED_BIAS)}
-        self.bias_scatter = fixed.get(options.gyro_bias, stated)
+        scatter = fixed.get(options.gyro_bias, stated)
         # Flicker noise is taken as independent between neighbours: their difference has twice the variance.
-        self.bias_step = self.bias_scatter * math.sqrt(2.0) / flicker_spread(data.windows.samples)
-        self.drift = DriftTerms(data)
-        """Drift within the recording that is modelled, and gyro g-sensitivity."""
+        step = scatter * math.sqrt(2.0) / flicker_spread(data.windows.samples)
+        mounting = mounting_prior(data.recording.fixture, start[1])
+        integrated = np.zeros(len(data.windows.duration_s), dtype=np.bool_)
+        self.choice = ModelChoice(data, DriftTerms(data), scatter, step, integrated, admission_sigma(), *mounting)
+        self.processor = SrtProcessor(data, options, integrated)
         self._lay_out()
-        self.U_prior, self.U_note = mounting_prior(data.recording.fixture, start[1])
+        # One for all models of the recording: steps of the drift, by the number of parts of a rotation.
+        self._chain = cache(partial(drift_chain, data, self.rank[self.window_sequence], self.rank))
         self.fixed_values = fixed_values(data, options, start[0])
         deviation, earth_rate = np.zeros((data.K, 3)), np.zeros((len(self.level_frames), 3))
         self.start = JointState(start[0], deviation, np.eye(3), start[1], 0.0, 0.0, earth_rate, np.zeros(0))
         if options.gyro_bias == G_SENSITIVE:
-            self.start = self.with_g_sensitivity(self.start)
+            followed, self.start = self.with_g_sensitivity(self.start)
+            self.choice, self.processor = followed.choice, followed.processor
+        self._complete = True
+
+    def __setattr__(self, name: str, value: object) -> None:
+        """Refuse changes of a complete model."""
+        if "_complete" in vars(self):
+            raise AttributeError(f"{name} of a joint model does not change: make another model by with_choice.")
+        super().__setattr__(name, value)
+
+    def _with(self, **attributes: Any) -> JointModel:
+        out = copy(self)
+        vars(out).update(attributes)
+        return out
+
+    def with_choice(self, **changes: Any) -> JointModel:
+        """Model with another choice; ``changes`` are attributes of :class:`~srt.joint.joint_state.ModelChoice`."""
+        return self._with(choice=replace(self.choice, **changes))
+
+    @property
+    def data(self) -> PreparedRecording:
+        """Data with the noise model that is chosen."""
+        return self.choice.data
 
     def _lay_out(self) -> None:
         """Assign windows and sequences to level frames, and each window to the first sequence that uses it."""
@@ -136,10 +154,6 @@ class JointModel:
             before = np.flatnonzero(data.rotation[self.order, 0] < data.windows.samples[w, 0])
             self.window_sequence[w] = self.order[before[-1]] if before.size else self.order[0]
             self.window_frame[w] = fixture_frame
-        self.is_end = np.zeros(W, dtype=np.bool_)
-        self.is_end[data.end] = True
-        self.is_start = np.zeros(W, dtype=np.bool_)
-        self.is_start[data.start] = True
         middle = data.windows.samples.mean(axis=1)
         self.times = 0.5 * (middle[data.start] + middle[data.end])
         steps = np.diff(self.times[self.order])
@@ -155,19 +169,16 @@ class JointModel:
             known = EARTH_RATE_RAD_S * np.array([math.cos(latitude), 0.0, -math.sin(latitude)])
         return LevelFrame(np.where(unknown > 0.0, 0.0, known), unknown, fixture)
 
-    def update_mounting_prior(self, state: JointState) -> None:
-        """Update the prior of the mounting near the solution, so that it does not depend on the initial estimate."""
-        U, fixture = state.U, self.data.recording.fixture
-        if self.data.nominal is not None and fixture is not None:
-            if np.linalg.norm(rotation_vector(U[None])) > 0.5 * mounting_limit(fixture, self.unmodelled_sigma):
-                gamma = self.drift.g_sensitivity(state.drift)
-                U = self.processor.process(state.errors, U=U, g_sensitivity=gamma).U
-            self.U_prior, self.U_note = mounting_prior(fixture, U, self.unmodelled_sigma)
-
-    @property
-    def turned_by_hand(self) -> bool:
-        """True without a fixture."""
-        return self.data.recording.fixture is None
+    def with_mounting_prior(self, state: JointState) -> JointModel:
+        """Model with the mounting's prior near the solution, so that it does not depend on the initial estimate."""
+        U, fixture, choice = state.U, self.data.recording.fixture, self.choice
+        if self.data.nominal is None or fixture is None:
+            return self
+        if np.linalg.norm(rotation_vector(U[None])) > 0.5 * mounting_limit(fixture, choice.unmodelled_sigma):
+            gamma = choice.drift.g_sensitivity(state.drift)
+            U = self.processor.process(state.errors, U=U, g_sensitivity=gamma).U
+        U, note = mounting_prior(fixture, U, choice.unmodelled_sigma)
+        return self.with_choice(U_prior=U, U_note=note)
 
     @property
     def heading_rad(self) -> float:
@@ -175,25 +186,13 @@ class JointModel:
         fixture = self.data.recording.fixture
         return 0.0 if fixture is None or fixture.heading_rad is None else fixture.heading_rad
 
-    @property
-    def alignment_sigma(self) -> float:
-        """Standard deviation of base, mounting and non-orthogonality of the axes, rad."""
-        return sources.alignment_sigma(self.data.recording)
-
-    @property
-    def start_sigma(self) -> Array:
-        """Standard deviation of inner angle, outer angle and axis wobble of a start, shape (3,), rad."""
-        inner, outer, wobble = sources.start_sigma(self.data.recording).tolist()
-        return np.array([inner, outer, math.hypot(_LEAST_WOBBLE * inner, wobble)])
-
-    def tie_ends(self, sigma: Array) -> bool:
-        """Use the fixture in end attitudes once the sensor errors are known to ``sigma``; True if this is new.
+    def with_tied_ends(self, sigma: Array) -> JointModel | None:
+        """Model that uses the fixture in end attitudes, once the sensor errors are known to ``sigma``; None before.
 
         With large errors, products of two of them exceed the wobble, and the iteration would converge slowly.
         """
-        new = not self.ends_tied and bool(np.all(sigma / PARAMETER_UNITS < _LINEAR))
-        self.ends_tied |= new
-        return new
+        new = not self.choice.ends_tied and bool(np.all(sigma / PARAMETER_UNITS < _LINEAR))
+        return self.with_choice(ends_tied=True) if new else None
 
     @cached_property
     def nominal_ends(self) -> list[Array | None]:
@@ -203,29 +202,38 @@ class JointModel:
     def without_moves(self, reasons: Mapping[int, str]) -> JointModel:
         """Model of the recording without some moves, by their position and with the reason, and with the same drift."""
         out = JointModel(self.data.without_moves(reasons), self.options, (self.start.errors, self.start.U))
-        out.unmodelled_sigma = self.unmodelled_sigma
-        if self.drift.force_axes is not None and out.drift.force_axes is None:
-            out.start = out.with_g_sensitivity(out.start)
-        out.drift = DriftTerms(out.data, self.drift.terms, out.drift.force_axes)
-        out.start = replace(out.start, drift=np.r_[out.start.drift, np.zeros(out.drift.size - len(out.start.drift))])
-        return out
+        drift = self.choice.drift
+        if drift.force_axes is not None and out.choice.drift.force_axes is None:
+            out = out.with_g_sensitivity(out.start)[0]
+        out, start = out.with_drift(drift.terms, out.start)
+        return out._with(start=start).with_choice(unmodelled_sigma=self.choice.unmodelled_sigma)
 
-    def with_g_sensitivity(self, state: JointState) -> JointState:
-        """Model gyro g-sensitivity where the poses show it; return the state with Γ from the rates at rest."""
-        self.follow_force(axes := self._poses(state).observed)
-        measured = self.processor.process(state.errors, U=state.U)
+    def with_drift(self, terms: tuple[DriftTerm, ...], state: JointState) -> tuple[JointModel, JointState]:
+        """Model with terms of drift beside those that it has, and a state with their coefficients, zero."""
+        before = self.choice.drift
+        drift = DriftTerms(self.data, (*before.terms, *terms), before.force_axes)
+        coefficients = np.append(state.drift, np.zeros(drift.size - len(state.drift)))
+        return self.with_choice(drift=drift), replace(state, drift=coefficients)
+
+    def with_g_sensitivity(self, state: JointState) -> tuple[JointModel, JointState]:
+        """Model with gyro g-sensitivity where the poses show it, and the state with Γ from the rates at rest."""
+        axes = self._poses(state).observed
+        out = self.with_force_axes(axes)
+        measured = out.processor.process(state.errors, U=state.U)
         assert measured.poses is not None
         first = measured.gyro.matrix @ measured.poses.fit(measured.rest_rate) @ axes.T
-        return replace(state, drift=np.concatenate([first.T.ravel(), state.drift]))
+        state = replace(state, drift=np.concatenate([first.T.ravel(), state.drift]))
+        return out._with(start=replace(self.start, drift=state.drift)), state
 
-    def follow_force(self, axes: Array) -> None:
-        """Model gyro g-sensitivity along axes of B, unit vectors of shape (n, 3)."""
-        self.drift = DriftTerms(self.data, self.drift.terms, axes)
-        self.processor = SrtProcessor(self.data, replace(self.options, gyro_bias=G_SENSITIVE), self.integrated)
+    def with_force_axes(self, axes: Array) -> JointModel:
+        """Model with gyro g-sensitivity along axes of B, unit vectors of shape (n, 3)."""
+        drift = DriftTerms(self.data, self.choice.drift.terms, axes)
+        processor = SrtProcessor(self.data, replace(self.options, gyro_bias=G_SENSITIVE), self.choice.integrated)
+        return self._with(processor=processor).with_choice(drift=drift)
 
     def _poses(self, state: JointState) -> PoseRegression:
         """Regression of the rates at rest on specific force."""
-        return self.rest_rates(state, np.zeros((len(self.integrated), 3))).poses
+        return self.rest_rates(state, np.zeros((len(self.choice.integrated), 3))).poses
 
     def rest_rates(self, state: JointState, rate: Array) -> RestRates:
         """Rates at rest, shape (W, 3), rad/s, with their regression on specific force."""
@@ -236,17 +244,17 @@ class JointModel:
 
     @property
     def relies_on_fixture(self) -> bool:
-        """True if :meth:`prior_of_fixture` is in use."""
-        return bool(np.any(self.admission < admission_sigma()))
+        """True if the prior of :meth:`relying_on_fixture` is in use."""
+        return bool(np.any(self.choice.admission < admission_sigma()))
 
-    def prior_of_fixture(self, uncertain: Array) -> Prior:
-        """Prior about the values that the nominal angles of the fixture give, with sigma ``uncertain``.
+    def relying_on_fixture(self, uncertain: Array) -> tuple[JointModel, Prior]:
+        """Model with a prior about the values that the nominal angles of the fixture give, with sigma ``uncertain``.
 
         A parameter is then observed if the measurements reduce this sigma to a third. The others have the value that
         prior and measurements together give, so that sums that are known better stay right.
         """
-        self.admission = np.minimum(admission_sigma(), np.where(uncertain > 0.0, uncertain, np.inf))
-        return Prior.from_sigma(self.admission, self.fixed_values)
+        sigma = np.minimum(admission_sigma(), np.where(uncertain > 0.0, uncertain, np.inf))
+        return self.with_choice(admission=sigma), Prior.from_sigma(sigma, self.fixed_values)
 
     def with_fixed_values(self, state: JointState, fixed: Mask) -> JointState:
         """Give fixed parameters their values."""
@@ -256,15 +264,15 @@ class JointModel:
     def bias_walk_sigma(self) -> Array:
         """Standard deviation of the bias steps between sequences in time order, shape (K − 1, 3), rad/s."""
         least = _LEAST_WALK * self.data.noise.gyro_white / math.sqrt(float(self.data.windows.duration_s.max()))
-        by_scatter = np.sqrt(self.walk_share)[:, None] * self.bias_scatter
+        by_scatter = np.sqrt(self.walk_share)[:, None] * self.choice.bias_scatter
         # From pose to pose, g-sensitivity and flicker noise change by more than a random walk with that scatter.
-        return np.asarray(np.maximum(np.maximum(by_scatter, self.bias_step), least))
+        return np.asarray(np.maximum(np.maximum(by_scatter, self.choice.bias_step), least))
 
     @property
     def bias_walks(self) -> bool:
         """True if every sequence has its own gyro bias, following a random walk."""
         free = self.data.noise.gyro_flicker is None or self.options.gyro_bias == "per-sequence"
-        return free and bool(self.bias_scatter.any()) and self.data.K > 1
+        return free and bool(self.choice.bias_scatter.any()) and self.data.K > 1
 
     def earth_rate(self, state: JointState) -> Array:
         """Earth's rate ω_L in the level frame of every window, shape (W, 3), rad/s."""
@@ -278,19 +286,19 @@ class JointModel:
         deviation = state.bias_deviation @ slope.T
         gyro_mean, accel_mean = self.data.means(gyro, accel)
         force = accel.compensate(accel_mean)
-        rate = gyro.compensate(gyro_mean - force @ self.drift.g_sensitivity(state.drift).T)
+        rate = gyro.compensate(gyro_mean - force @ self.choice.drift.g_sensitivity(state.drift).T)
         force_jacobian = model.force_error_jacobian(force, accel)
         rate_jacobian = model.rate_error_jacobian(rate, gyro, self.data.rectified(gyro, accel)[0])
         raw_rate, raw_force = rate, force
         rate = rate - deviation[self.window_sequence]
-        deviation = deviation + self.drift.raw("gyro", state.drift, "parts").mean(axis=1) @ slope.T
+        deviation = deviation + self.choice.drift.raw("gyro", state.drift, "parts").mean(axis=1) @ slope.T
         integrals, rotation, force = self._integrate(state, deviation, force)
         by = sources.slopes(gyro, accel, raw_rate, raw_force, integrals)
         by_drift = self._drift_form(by, gyro)
         stated = self.steady
         along = stated.compensated_force(accel)
-        self.drift.add_g_sensitivity(by_drift, by, raw_force, (stated.by_raw_rate(gyro), along))
-        drift = self.drift.of_forms(state.drift)
+        self.choice.drift.add_g_sensitivity(by_drift, by, raw_force, (stated.by_raw_rate(gyro), along))
+        drift = self.choice.drift.of_forms(state.drift)
         force, rate = force - by_drift["force"] @ drift, rate - by_drift["rate"] @ drift
         rotation = rotation_matrix(-self._rotation_drift(integrals, state)) @ rotation
         noise = self._sensor_noise(by)
@@ -315,11 +323,11 @@ class JointModel:
     def _stated_rates(self, state: JointState, gyro: Triad, force: Array) -> StatedRates:
         """Runs at a stated rate; ``force`` is the mean specific force in the halves of their steady windows."""
         rated, shares = self.steady.rated, self.steady.shares
-        drift = state.bias_deviation[rated, None] + shares @ self.drift.raw("gyro", state.drift, "parts")[rated]
+        drift = state.bias_deviation[rated, None] + shares @ self.choice.drift.raw("gyro", state.drift, "parts")[rated]
         windows, earth = self.data.start[rated], np.zeros((len(rated), 1, 3))
         if state.attitude is not None:  # before the first iteration it is unknown
             earth = self.earth_rate(state)[windows, None] @ state.attitude[windows]
-        raw_bias = drift + force @ self.drift.g_sensitivity(state.drift).T
+        raw_bias = drift + force @ self.choice.drift.g_sensitivity(state.drift).T
         return self.steady.compensate(gyro, raw_bias, earth, self.data.noise)
 
     def _drift_form(self, by: Slopes, gyro: Triad) -> dict[str, Array]:
@@ -327,15 +335,15 @@ class JointModel:
         assert by.integrals.time_parts is not None
         stated = self.steady
         return {
-            "stated_rate": self.drift.jacobian("gyro", "parts", stated.by_parts(gyro), stated.rated),
-            "force": self.drift.jacobian("accel", "windows", by.force),
-            "rate": self.drift.jacobian("gyro", "windows", by.rate),
-            "turn": self.drift.jacobian("gyro", "parts", by.integrals.time_parts),
+            "stated_rate": self.choice.drift.jacobian("gyro", "parts", stated.by_parts(gyro), stated.rated),
+            "force": self.choice.drift.jacobian("accel", "windows", by.force),
+            "rate": self.choice.drift.jacobian("gyro", "windows", by.rate),
+            "turn": self.choice.drift.jacobian("gyro", "parts", by.integrals.time_parts),
         }
 
     def _rotation_drift(self, integrals: RotationIntegrals, state: JointState) -> Array:
         """Attitude error of the rotations by the modelled drift about its mean in each rotation, shape (K, 3), rad."""
-        drift = self.drift.raw("gyro", state.drift, "parts")
+        drift = self.choice.drift.raw("gyro", state.drift, "parts")
         assert integrals.time_parts is not None
         return np.asarray(np.einsum("kpab,kpb->ka", integrals.time_parts, drift - drift.mean(axis=1, keepdims=True)))
 
@@ -344,31 +352,20 @@ class JointModel:
         noise, stated, out = self.data.noise, self.steady, {}
         flicker, parts = noise.gyro_flicker, by.integrals.time_parts
         gyros = flicker is not None and flicker.any() and self.options.gyro_bias != "pooled"
+        count = parts_per_rotation(self.data.K) if gyros else 0
         if gyros and flicker is not None and parts is not None:
             rotations = {"turn": (np.arange(self.data.K), parts)}
             if stated.rated.size:
                 rotations["stated_rate"] = stated.rated, stated.by_parts(gyro)
-            out["gyro"] = drift_states(self._gyro_chain, flicker, ("rate", by.rate), rotations)
+            out["gyro"] = drift_states(self._chain(count), flicker, ("rate", by.rate), rotations)
         if noise.accel_flicker.any():  # in the steps of the gyros, if there are any
-            chain = self._gyro_chain if gyros else self._accel_chain
-            out["accel"] = drift_states(chain, noise.accel_flicker, ("force", by.force))
+            out["accel"] = drift_states(self._chain(count), noise.accel_flicker, ("force", by.force))
         return out
 
-    def with_data(self, data: PreparedRecording) -> None:
-        """Use data with another noise model."""
-        self.data = data
-        if data.noise.gyro_wander is not None:
-            self.bias_scatter = data.noise.gyro_wander
-
-    @cached_property
-    def _gyro_chain(self) -> DriftChain:
-        """Steps of the drift of the gyros."""
-        return drift_chain(self.data, self.rank[self.window_sequence], self.rank, parts_per_rotation(self.data.K))
-
-    @cached_property
-    def _accel_chain(self) -> DriftChain:
-        """Steps of the drift of the accelerometers."""
-        return drift_chain(self.data, self.rank[self.window_sequence], self.rank, 0)
+    def with_data(self, data: PreparedRecording) -> JointModel:
+        """Model of data with another noise model."""
+        wander = data.noise.gyro_wander
+        return self.with_choice(data=data, bias_scatter=self.choice.bias_scatter if wander is None else wander)
 
     def _integrate(self, state: JointState, deviation: Array, force: Array) -> tuple[RotationIntegrals, Array, Array]:
         """Integrals of the rotations, rotations relative to inertial space, and mean specific forces of the windows.
@@ -377,9 +374,9 @@ class JointModel:
         the beginning of the window, or at the end of one from which no rotation starts.
         """
         data = self.data
-        if not self.integrated.any():
+        if not self.choice.integrated.any():
             integrals, _ = integrate_attitude(
-                self.processor.stream_without(self.drift.g_sensitivity(state.drift), accel_triad(state.errors)),
+                self.processor.stream_without(self.choice.drift.g_sensitivity(state.drift), accel_triad(state.errors)),
                 gyro_triad(state.errors),
                 np.zeros((data.K, 3)),
                 bias_offset=deviation,
@@ -391,19 +388,19 @@ class JointModel:
             state.errors,
             U=state.U,
             bias_offset=deviation,
-            g_sensitivity=self.drift.g_sensitivity(state.drift),
+            g_sensitivity=self.choice.drift.g_sensitivity(state.drift),
             earth_rate_offset=self._unknown_earth_rate(state),
             with_noise=True,
         )
         integrals = processed.integrals
         assert integrals.C_turned is not None
-        shared = self.integrated[data.end] & self.is_start[data.end]
+        shared = self.choice.integrated[data.end] & np.isin(data.end, data.start)
         C_end = np.where(shared[:, None, None], integrals.C_turned, integrals.C_end)
         rotation = rotation_matrix(processed.earth_rate * integrals.weight_s[:, None]) @ C_end
         force = force.copy()
         at_end = np.einsum("kba,kb->ka", integrals.C_end, processed.carried[:, 1])
         for windows, carried in ((data.end, at_end), (data.start, processed.carried[:, 0])):
-            used = self.integrated[windows]
+            used = self.choice.integrated[windows]
             force[windows[used]] = carried[used]
         return integrals, rotation, force
 
@@ -423,15 +420,15 @@ class JointModel:
         white = self.data.noise.gyro_white**2 * float(by.integrals.weight_s.min())
         shared = bool(np.any(2.0 * self.data.noise.gyro_edge**2 > _RELEVANT_EDGE_NOISE * white))
         out = sources.white_noise(self.data, by) | sources.quantization(self.data, by, shared=shared)
-        if self.integrated.any():
+        if self.choice.integrated.any():
             # In a window with integrated attitude the gyros measure motion: 1 rad/s gives the rate no weight.
-            out["gyro_noise"].own["rate"][self.integrated] = np.eye(3)
-            out["gyro_noise"].own["turn"] += sources.excess_of_turns(self.data, by, self.integrated)
-        for term, _ in self.drift.of("gyro"):
+            out["gyro_noise"].own["rate"][self.choice.integrated] = np.eye(3)
+            out["gyro_noise"].own["turn"] += sources.excess_of_turns(self.data, by, self.choice.integrated)
+        for term, _ in self.choice.drift.of("gyro"):
             if term.form == WALK:
                 out["gyro_drift"] = sources.walk_between_windows(self.data, by, term.sigma)
         out |= sources.undersampled_motion(self.data)
-        return out | sources.unmodelled(self.data, self.unmodelled_sigma)
+        return out | sources.unmodelled(self.data, self.choice.unmodelled_sigma)
 
     def rest_rate(self, state: JointState, compensated: CompensatedData) -> Array:
         """Compensated rates of the windows with the bias of their sequence, less the Earth's, shape (W, 3), rad/s."""
@@ -445,16 +442,17 @@ class JointModel:
         assert state.attitude is not None
         gyro = gyro_triad(state.errors)
         rest = model.angular_rate_residual(compensated.rate, state.attitude, self.earth_rate(state))[0]
-        wander = np.sqrt(np.linalg.inv(gyro.matrix) ** 2 @ self.bias_scatter**2)
+        wander = np.sqrt(np.linalg.inv(gyro.matrix) ** 2 @ self.choice.bias_scatter**2)
         chance, accel = STILLNESS_PROBABILITY / len(rest), accel_triad(state.errors)
-        drift = [self.drift.raw(sensor, state.drift, "halves") for sensor in ("gyro", "accel")]
+        drift = [self.choice.drift.raw(sensor, state.drift, "halves") for sensor in ("gyro", "accel")]
         moved = moved_windows(self.data, gyro, accel, rest, wander, chance, drift=drift, suspect=suspect)
-        return np.asarray(moved & ~self.integrated)
+        return np.asarray(moved & ~self.choice.integrated)
 
-    def integrate_windows(self, windows: Mask) -> None:
-        """Integrate the attitude over windows instead of taking it as constant."""
-        self.integrated = self.integrated | windows
-        self.processor = SrtProcessor(self.data, self.processor.options, self.integrated)
+    def with_integrated(self, windows: Mask) -> JointModel:
+        """Model that integrates the attitude over these windows, too, instead of taking it as constant."""
+        integrated = self.choice.integrated | windows
+        processor = SrtProcessor(self.data, self.processor.options, integrated)
+        return self._with(processor=processor).with_choice(integrated=integrated)
 
     @cached_property
     def rest_rate_weights(self) -> Array:
@@ -465,34 +463,34 @@ class JointModel:
             weights[np.arange(self.data.K), which] = T[which]
         return np.asarray(weights / weights.sum(axis=1, keepdims=True))
 
-    def update_bias_scatter(self, state: JointState, compensated: CompensatedData, correction: float) -> None:
-        """Estimate the bias scatter between sequences from the rates at rest, if no instability is specified."""
+    def with_bias_scatter(self, state: JointState, compensated: CompensatedData, correction: float) -> JointModel:
+        """Model with the bias scatter between sequences of the rates at rest, if no instability is specified."""
         free = self.options.gyro_bias in ("auto", G_SENSITIVE)
         if self.data.noise.gyro_wander is not None or not free or self.data.K < 3:
-            return
+            return self
         rest = np.einsum("wab,wb->wa", np.linalg.inv(compensated.slopes.rate), self.rest_rate(state, compensated))
         left = 1.0
-        if self.drift.force_axes is not None:  # the scatter beyond g-sensitivity, of which its fit takes a part
+        if self.choice.drift.force_axes is not None:  # the scatter beyond g-sensitivity, of which its fit takes a part
             poses, T = self._poses(state), self.data.windows.duration_s
             rest = rest - compensated.force @ poses.fit(rest).T
             deviation = self.rest_rate_weights - T / T.sum()
             left = float(poses.scatter_left(compensated.force, deviation, self.window_sequence))
             if left < LEAST_SCATTER:
-                self.bias_scatter = self.bias_step = np.zeros(3)
-                return
+                return self.with_choice(bias_scatter=np.zeros(3), bias_step=np.zeros(3))
         weights = self.rest_rate_weights
         variance = sources.raw_rate_variance(self.data.noise, self.data.windows.duration_s)
-        doubt = sources.earth_rate_sigma(self.data.recording, self.unmodelled_sigma)
+        doubt = sources.earth_rate_sigma(self.data.recording, self.choice.unmodelled_sigma)
         noise = np.mean(weights[~self.data.is_move] ** 2 @ variance, axis=0)
         expected = noise + doubt**2
         own = weights @ rest
         own = own.mean(axis=0) + (own - own.mean(axis=0)) / math.sqrt(left)
         unstated = self.data.recording.noise.gyro_noise is None
         # In hand the Earth's rate is estimated, with attitudes that are as far off as the last correction.
-        off = min(doubt, EARTH_RATE_RAD_S * correction) if self.turned_by_hand else doubt
+        off = min(doubt, EARTH_RATE_RAD_S * correction) if self.data.recording.fixture is None else doubt
         least = noise + off**2
         excess = excess_variance(own[~self.data.is_move], expected, least if unstated else None)
-        self.bias_scatter = np.sqrt(excess)
+        scatter = np.sqrt(excess)
         in_time = self.order[~self.data.is_move[self.order]]
         steps = np.mean(np.diff(own[in_time], axis=0) ** 2, axis=0) - 2.0 * expected
-        self.bias_step = np.where(self.bias_scatter > 0.0, np.sqrt(np.maximum(steps, 0.0)), 0.0)
+        step = np.where(scatter > 0.0, np.sqrt(np.maximum(steps, 0.0)), 0.0)
+        return self.with_choice(bias_scatter=scatter, bias_step=step)

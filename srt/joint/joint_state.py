@@ -1,16 +1,19 @@
-"""State of the joint model, and the recorded data as compensated with it."""
+"""State of the joint model, the choice of what it models, and the recorded data as compensated with a state."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from srt.estimation.error_sources import NO_ERRORS
+
 if TYPE_CHECKING:
-    from srt.estimation.error_sources import Slopes, Source
-    from srt.joint.drift import DriftStates
+    from srt.estimation.error_sources import Slopes, Source, UnmodelledErrors
+    from srt.joint.drift import DriftStates, DriftTerms
     from srt.joint.stated_rates import StatedRates
     from srt.sensor_errors import SensorErrors
-    from srt.types import Array
+    from srt.sequences.preparation import PreparedRecording
+    from srt.types import Array, Mask
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,6 +33,45 @@ class LevelFrame:
     earth_rate: Array
     unknown_sigma: Array
     fixture: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ModelChoice:
+    """Choice of what is modelled besides the sensor errors, as residuals and estimates show it.
+
+    Attributes
+    ----------
+    data : PreparedRecording
+        Data with their noise model, bias instability and undersampled motion included.
+    drift : DriftTerms
+        Drift within the recording, and gyro g-sensitivity.
+    bias_scatter, bias_step : ndarray, shape (3,), rad/s
+        Standard deviations of the gyro biases of the sequences about their mean, and of their steps from one to the
+        next.
+    integrated : ndarray of bool, shape (W,)
+        Windows over which the attitude is integrated, as the unit moved in them.
+    admission : ndarray, shape (27,)
+        A parameter counts as observed if its sigma is below a third of this.
+    U_prior : ndarray, shape (3, 3)
+        Prior mean of U.
+    U_note : str
+        Warning if that is not the stated mounting.
+    unmodelled_sigma : UnmodelledErrors
+        Unmodelled errors that are added to the noise.
+    ends_tied : bool
+        True if the angle between the fixture's axes is a measurement in end attitudes, too.
+    """
+
+    data: PreparedRecording
+    drift: DriftTerms
+    bias_scatter: Array
+    bias_step: Array
+    integrated: Mask
+    admission: Array
+    U_prior: Array
+    U_note: str
+    unmodelled_sigma: UnmodelledErrors = NO_ERRORS
+    ends_tied: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -144,7 +144,7 @@ def _columns(joint: JointModel, compensated: CompensatedData) -> Columns:
         "gravity": 1,
         "table_rate": 1 if joint.steady.rated.size else 0,
         "earth_rate": 3 * len(joint.level_frames),
-        "drift_form": joint.drift.size,
+        "drift_form": joint.choice.drift.size,
         "attitude": 3 * len(compensated.force),
         "edge": 3 * compensated.edges.unknowns,
     }
@@ -418,7 +418,7 @@ class _Builder:
         if not joint.fixture_states:
             return
         covariance = {source: R[None] for source, R in alignment_covariances(joint, 3).items()}
-        for name, rotation in (("base", state.base), ("mounting", joint.U_prior.T @ state.U)):
+        for name, rotation in (("base", state.base), ("mounting", joint.choice.U_prior.T @ state.U)):
             v = rotation_vector(rotation[None])
             self.add(name, _RECORDING, v, covariance, [(name, 0, inverse_right_jacobian(v))])
         covariance = {source: R[None] for source, R in alignment_covariances(joint, 1).items()}
@@ -439,8 +439,8 @@ class _Builder:
     def add_drift_forms(self) -> None:
         """Prior of the coefficients of the modelled drift; wide but for random walks."""
         joint = self.joint
-        if joint.drift.size:
-            self.add_prior_of("drift_form", 0, self.state.drift, {"drift": np.diag(joint.drift.sigma**2)[None]})
+        if joint.choice.drift.size:
+            self.add_prior_of("drift_form", 0, self.state.drift, {"drift": np.diag(joint.choice.drift.sigma**2)[None]})
 
     def add_bias_walk(self) -> None:
         """Steps of the gyro bias between sequences."""

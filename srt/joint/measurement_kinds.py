@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import math
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from srt.estimation import error_sources
 from srt.joint.nominal_attitudes import pose_nominal
 
 if TYPE_CHECKING:
     from srt.joint.joint_model import JointModel
     from srt.joint.joint_state import JointState
     from srt.types import Array, Indices
+
+_LEAST_WOBBLE: Final = 1e-4
+"""Least axis wobble, relative to the sigma of the fixture's angles: the covariance of an attitude must be regular."""
 
 
 def fixed_headings(joint: JointModel) -> Indices:
@@ -69,7 +74,7 @@ def fixture_attitudes(joint: JointModel) -> list[tuple[str, list[tuple[int, int,
     ends = [
         (k, int(data.end[k]), nominal)
         for k in on_fixture
-        if joint.ends_tied and int(data.end[k]) not in known and (nominal := joint.nominal_ends[k]) is not None
+        if joint.choice.ends_tied and int(data.end[k]) not in known and (nominal := joint.nominal_ends[k]) is not None
     ]
     kinds = (("start", starts, slice(0, 3)), ("end", ends, slice(2, 3)))
     return [(kind, poses, components) for kind, poses, components in kinds if poses]
@@ -77,9 +82,10 @@ def fixture_attitudes(joint: JointModel) -> list[tuple[str, list[tuple[int, int,
 
 def start_covariances(joint: JointModel, components: slice) -> dict[str, Array]:
     """Covariance of components of a start by source of error: as stated, and what the residuals show beyond it."""
-    excess = joint.unmodelled_sigma
+    excess = joint.choice.unmodelled_sigma
+    inner, outer, wobble = error_sources.start_sigma(joint.data.recording).tolist()
     sigmas = {
-        "earth_rate_alignment": joint.start_sigma,
+        "earth_rate_alignment": np.array([inner, outer, math.hypot(_LEAST_WOBBLE * inner, wobble)]),
         "wobble_excess": np.array([0.0, 0.0, excess.wobble]),
         "angle_excess": np.array([excess.angle, excess.angle, 0.0]),
     }
@@ -88,5 +94,6 @@ def start_covariances(joint: JointModel, components: slice) -> dict[str, Array]:
 
 def alignment_covariances(joint: JointModel, size: int) -> dict[str, Array]:
     """Covariance of ``size`` components of the alignment by source of error, as :func:`start_covariances`."""
-    sigmas = {"earth_rate_alignment": joint.alignment_sigma, "alignment_excess": joint.unmodelled_sigma.alignment}
+    stated, excess = error_sources.alignment_sigma(joint.data.recording), joint.choice.unmodelled_sigma.alignment
+    sigmas = {"earth_rate_alignment": stated, "alignment_excess": excess}
     return {source: sigma**2 * np.eye(size) for source, sigma in sigmas.items()}

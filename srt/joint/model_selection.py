@@ -1,4 +1,7 @@
-"""Selection of what a converged solution models besides: g-sensitivity, bias instability, unmodelled noise, drift."""
+"""Selection of what a converged solution models besides: g-sensitivity, bias instability, unmodelled noise, drift.
+
+Each function returns the iteration with the model that it selects, or None if the model stays as it is.
+"""
 
 from __future__ import annotations
 
@@ -20,14 +23,9 @@ from srt.estimation.drift_model import (
 )
 from srt.estimation.error_sources import LARGEST_FIXTURE_RAD, NO_ERRORS, accel_drift, by_drift, turns_estimated
 from srt.estimation.g_sensitivity_report import significant_g_sensitivity
-from srt.estimation.goodness_of_fit import (
-    contradicting_group,
-    faulty_group,
-    is_misfit,
-)
+from srt.estimation.goodness_of_fit import contradicting_group, faulty_group, is_misfit
 from srt.estimation.rest_rate_scatter import gyro_instability
 from srt.joint.block_solution import BlockSolution
-from srt.joint.drift import DriftTerms
 from srt.joint.linearisation import linearise
 from srt.joint.residual_analysis import contradictions, undersampling_likelihood, unmodelled_noise
 from srt.joint.solution_analysis import (
@@ -44,7 +42,7 @@ from srt.result.verdict import MISFIT_PROBABILITY
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from srt.estimation.drift_model import DriftTerm, Sensor
+    from srt.estimation.drift_model import Sensor
     from srt.estimation.error_sources import UnmodelledErrors
     from srt.joint.joint_model import JointModel
     from srt.joint.joint_state import JointState
@@ -73,44 +71,44 @@ _SAME_NOISE: Final = (0.1, 1e-6)
 """Relative and absolute (rad, m/s², rad/s) change of the unmodelled error that is negligible."""
 
 
-def add_g_sensitivity(joint: JointModel, solver: JointSolver, iteration: IterationState) -> bool:
-    """Model gyro g-sensitivity if the residuals exceed the noise and the rates at rest show it; True if so."""
-    if joint.options.gyro_bias != "auto" or joint.drift.force_axes is not None or solver.weights():
-        return False
-    solution = whole_solution(joint, solver, iteration)
-    if any(joint.unmodelled_sigma.of_unit) or not is_misfit(*goodness_of_fit(joint, solver, solution, solution.system)):
-        return False
+def add_g_sensitivity(solver: JointSolver, iteration: IterationState) -> IterationState | None:
+    """Model gyro g-sensitivity, if the residuals exceed the noise and the rates at rest show it; None if not."""
+    joint = iteration.joint
+    if joint.options.gyro_bias != "auto" or joint.choice.drift.force_axes is not None or solver.weights():
+        return None
+    solution = whole_solution(solver, iteration)
+    if any(joint.choice.unmodelled_sigma.of_unit) or not is_misfit(*goodness_of_fit(joint, solver, solution)):
+        return None
     point = iteration.point
     assert point is not None
     rest = joint.rest_rate(point.state, point.compensated)
-    if significant_g_sensitivity(joint.data, point.compensated.force, rest, joint.integrated) is None:
-        return False
-    iteration.state = joint.with_g_sensitivity(iteration.state)
+    if significant_g_sensitivity(joint.data, point.compensated.force, rest, joint.choice.integrated) is None:
+        return None
     solver.restart()
-    return True
+    joint, state = joint.with_g_sensitivity(iteration.state)
+    return replace(iteration, joint=joint, state=state)
 
 
-def add_undersampling(joint: JointModel, solver: JointSolver, iteration: IterationState) -> bool:
-    """Model the error of rotations by motion too fast for the sample rate; True if it changed.
+def add_undersampling(solver: JointSolver, iteration: IterationState) -> IterationState | None:
+    """Model the error of rotations by motion too fast for the sample rate; None if it is as before.
 
     It must be more likely than an error that is equal in all rotations, and than a fault of one of them. Without noise
     it is that of the integration of a simulation, which is too small to be anything else and need not be a misfit.
     """
-    data = joint.data
-    if solver.weights() or any(joint.unmodelled_sigma.of_unit) or not data.fast_motion.any():
-        return False
-    solution = whole_solution(joint, solver, iteration)
-    fit = goodness_of_fit(joint, solver, solution, solution.system)
+    joint, data = iteration.joint, iteration.joint.data
+    if solver.weights() or any(joint.choice.unmodelled_sigma.of_unit) or not data.fast_motion.any():
+        return None
+    solution = whole_solution(solver, iteration)
+    fit = goodness_of_fit(joint, solver, solution)
     if data.undersampling is None and not is_misfit(*fit) and not data.noise.noise_free:
-        return False
+        return None
     share = _undersampling(joint, solution, fit)
     if share is None or (
         data.undersampling is not None and math.isclose(share, data.undersampling, rel_tol=_SAME_NOISE[0])
     ):
-        return False
-    joint.with_data(replace(data, undersampling=share))
+        return None
     solver.restart()
-    return True
+    return replace(iteration, joint=joint.with_data(replace(data, undersampling=share)))
 
 
 def _undersampling(joint: JointModel, solution: BlockSolution, fit: tuple[float, int]) -> float | None:
@@ -158,54 +156,47 @@ def _integration_error(likelihood: RestrictedLikelihood) -> float | None:
     return math.sqrt(float(weight @ share**2 / weight.sum()))
 
 
-def add_instability(joint: JointModel, solver: JointSolver, iteration: IterationState) -> bool:
-    """Use a smooth drift, or a bias instability of accelerometers or gyros or both, if it explains the residuals.
+def add_instability(solver: JointSolver, iteration: IterationState) -> IterationState | None:
+    """Model a smooth drift, or a bias instability of accelerometers or gyros or both; None if none explains residuals.
 
     Where one sequence contradicts the others, the instability must be more likely than a fault of that sequence.
     """
-    if solver.weights() or any(joint.unmodelled_sigma.of_unit):
-        return False
-    solution = whole_solution(joint, solver, iteration)
-    fit = goodness_of_fit(joint, solver, solution, solution.system)
+    joint = iteration.joint
+    if solver.weights() or any(joint.choice.unmodelled_sigma.of_unit):
+        return None
+    solution = whole_solution(solver, iteration)
+    fit = goodness_of_fit(joint, solver, solution)
     misfit = is_misfit(*fit)
     shown = _instabilities(joint, iteration, solution, fit[1], misfit=misfit)
     if not shown:
-        return False
+        return None
     assert iteration.point is not None
-    state, found = iteration.point.state, search(joint, iteration, solution, fit[1])
+    state, found = iteration.point.state, search(iteration, solution, fit[1])
     smooth = tuple(term for term in found.terms if term.sensor == "accel" and term.form != WALK)
-    drift = joint.drift
     if smooth:
-        after = _with_drift(joint, iteration.state, smooth)[1]
-        joint.drift, before = _with_drift(joint, state, smooth)
-        if _explains(joint, solver, iteration, before):
-            iteration.state = after
-            return True
-        joint.drift = drift
+        model, before = joint.with_drift(smooth, state)
+        if _explains(model, solver, iteration, before):
+            return replace(iteration, joint=model, state=joint.with_drift(smooth, iteration.state)[1])
     if any(term.sensor == "gyro" for term in found.terms):
         shown = [sensors for sensors in shown if "gyro" not in sensors]
-    data, scatter = joint.data, joint.bias_scatter
     undeviated = replace(state, bias_deviation=np.zeros_like(state.bias_deviation))
     gyro_size = cache(lambda: _gyro_size(joint, solver, iteration, undeviated))  # of gyros alone, and of both triads
     for sensors in shown:
-        at, explained = state, 0.0
+        model, at, explained = joint, state, 0.0
         if "gyro" in sensors:
             at = undeviated
             size, likelihood = gyro_size()
             explained = 2.0 * (likelihood - solution.log_likelihood)
-            joint.with_data(replace(data, gyro_instability=size))
+            model = joint.with_data(replace(joint.data, gyro_instability=size))
         if "accel" in sensors:
-            now = solution if at is state else _solution(joint, solver, iteration, at)
-            explained += accel_component(joint, now, fit[1]).ratio
-            joint.with_data(replace(joint.data, accel_instability=accel_instability(joint, now)[0]))
+            now = solution if at is state else _solution(model, solver, iteration, at)
+            explained += accel_component(model, now, fit[1]).ratio
+            model = model.with_data(replace(model.data, accel_instability=accel_instability(model, now)[0]))
         gain = likelihood_gain(explained, len(sensors), *fit)
-        if not _one_is_faulty(joint, solution, fit, gain, wholly=True) and _explains(joint, solver, iteration, at):
-            if "gyro" in sensors:
-                iteration.state = replace(iteration.state, bias_deviation=at.bias_deviation)
-            return True
-        joint.with_data(data)
-        joint.bias_scatter = scatter
-    return False
+        if not _one_is_faulty(model, solution, fit, gain, wholly=True) and _explains(model, solver, iteration, at):
+            own = at if "gyro" in sensors else iteration.state
+            return replace(iteration, joint=model, state=replace(iteration.state, bias_deviation=own.bias_deviation))
+    return None
 
 
 def _instabilities(
@@ -226,10 +217,10 @@ def _instabilities(
         noise.accel_flicker.any() or accel_component(joint, solution, freedom).p_value < MISFIT_PROBABILITY
     )
     # The error of a g-sensitivity is in the rates at rest, too.
-    if gyro and joint.bias_walks and joint.drift.force_axes is None:
+    if gyro and joint.bias_walks and joint.choice.drift.force_axes is None:
         slope, rest = _rest_rates(joint, point)
-        owner, terms = joint.window_sequence, joint.drift.terms
-        gyro = gyro_instability(joint.data, slope, rest, joint.integrated, terms, owner) is not None
+        owner, terms = joint.window_sequence, joint.choice.drift.terms
+        gyro = gyro_instability(joint.data, slope, rest, joint.choice.integrated, terms, owner) is not None
     else:
         gyro = False
     return [("gyro",) * gyro + ("accel",) * accel] if gyro or accel else []
@@ -249,13 +240,12 @@ def _gyro_size(
     largest = math.log(_BEYOND_WINDOWS * _shown_at_rest(_rest_rates(joint, iteration.point)[1], window) / window)
 
     def cost(log_ratio: float) -> float:
-        joint.with_data(replace(data, gyro_instability=window * math.exp(log_ratio)))
-        changed = replace(compensated, drift=joint.instability(compensated.slopes, gyro))
-        return -BlockSolution(linearise(joint, state, changed, iteration.free, solver.prior)).log_likelihood
+        model = joint.with_data(replace(data, gyro_instability=window * math.exp(log_ratio)))
+        changed = replace(compensated, drift=model.instability(compensated.slopes, gyro))
+        return -BlockSolution(linearise(model, state, changed, iteration.free, solver.prior)).log_likelihood
 
     bounds = _SIZES[0], min(_SIZES[1], largest)
     best = minimize_scalar(cost, bounds=bounds, method="bounded", options={"xatol": _SIZE_TOLERANCE})
-    joint.with_data(data)
     return window * math.exp(float(best.x)), -float(best.fun)
 
 
@@ -267,44 +257,37 @@ def _shown_at_rest(rest: Array, window: float) -> float:
 
 
 def _solution(joint: JointModel, solver: JointSolver, iteration: IterationState, state: JointState) -> BlockSolution:
-    """Solution of the model as it is now, linearised at a state."""
+    """Solution of a model, linearised at a state."""
     return BlockSolution(linearise(joint, state, joint.compensate(state), iteration.free, solver.prior))
 
 
 def _rest_rates(joint: JointModel, point: Linearisation) -> tuple[Array, Array]:
     """Derivative of compensated rates by raw ones, and rates at rest with their bias and the drift that is modelled."""
     slope = np.asarray(np.linalg.inv(gyro_triad(point.state.errors).matrix), dtype=np.float64)
-    drift = joint.drift.raw("gyro", point.state.drift, "windows")
+    drift = joint.choice.drift.raw("gyro", point.state.drift, "windows")
     return slope, joint.rest_rate(point.state, point.compensated) + drift @ slope.T
 
 
 def _explains(joint: JointModel, solver: JointSolver, iteration: IterationState, state: JointState) -> bool:
-    """True if the model as it is now explains the residuals at a state, and no sequence contradicts the others."""
+    """True if a model explains the residuals at a state, and no sequence contradicts the others."""
     solution = _solution(joint, solver, iteration, state)
-    fit = goodness_of_fit(joint, solver, solution, solution.system)
+    fit = goodness_of_fit(joint, solver, solution)
     tests = [(test.chi_square, test.degrees_of_freedom) for test in contradictions(joint, solution)]
     return not is_misfit(*fit) and contradicting_group(tests, *fit, estimated_from=turns_estimated(joint.data)) is None
 
 
-def _with_drift(joint: JointModel, state: JointState, terms: tuple[DriftTerm, ...]) -> tuple[DriftTerms, JointState]:
-    """Terms of drift beside those of a model that lacks them, and a state with their coefficients, zero."""
-    drift = DriftTerms(joint.data, (*joint.drift.terms, *terms), joint.drift.force_axes)
-    return drift, replace(state, drift=np.append(state.drift, np.zeros(drift.size - len(state.drift))))
-
-
-def add_fixture_errors(joint: JointModel, solver: JointSolver, iteration: IterationState) -> bool:
-    """Estimate the errors of a fixture less accurate than stated, if that explains the residuals; True if so."""
-    if solver.weights() or any(joint.unmodelled_sigma):
-        return False
-    solution = whole_solution(joint, solver, iteration)
-    fit = goodness_of_fit(joint, solver, solution, solution.system)
+def add_fixture_errors(solver: JointSolver, iteration: IterationState) -> IterationState | None:
+    """Estimate the errors of a fixture less accurate than stated, if that explains the residuals; None if not."""
+    joint = iteration.joint
+    if solver.weights() or any(joint.choice.unmodelled_sigma):
+        return None
+    solution = whole_solution(solver, iteration)
+    fit = goodness_of_fit(joint, solver, solution)
     if not is_misfit(*fit) or _one_is_faulty(joint, solution, fit):
-        return False
+        return None
     found = unmodelled_noise(joint, solution.system).of_fixture()
-    if not any(found.of_fixture) or not _fixture_explains(joint, solver, iteration, found):
-        return False
-    joint.unmodelled_sigma = found
-    return True
+    model = _with_fixture_errors(solver, iteration, found) if any(found.of_fixture) else None
+    return None if model is None else replace(iteration, joint=model)
 
 
 def _one_is_faulty(
@@ -325,80 +308,78 @@ def _one_is_faulty(
     return faulty_group(tests, *fit, estimated_from=turns, against=against, wholly=wholly) is not None
 
 
-def _fixture_explains(
-    joint: JointModel, solver: JointSolver, iteration: IterationState, errors: UnmodelledErrors
-) -> bool:
-    """True if the model explains the residuals with these errors of the fixture, and they are those of a fixture.
+def _with_fixture_errors(solver: JointSolver, iteration: IterationState, errors: UnmodelledErrors) -> JointModel | None:
+    """Model with these errors of the fixture; None if it does not explain the residuals, or no fixture is so bad.
 
     Sequences and moves are then tested against each other with them.
     """
     assert iteration.point is not None
     if max(errors) > LARGEST_FIXTURE_RAD:
-        return False
-    before, joint.unmodelled_sigma = joint.unmodelled_sigma, errors
-    solution = _solution(joint, solver, iteration, iteration.point.state)
-    joint.unmodelled_sigma = before
-    return not is_misfit(*goodness_of_fit(joint, solver, solution, solution.system))
+        return None
+    model = iteration.joint.with_choice(unmodelled_sigma=errors)
+    solution = _solution(model, solver, iteration, iteration.point.state)
+    return None if is_misfit(*goodness_of_fit(model, solver, solution)) else model
 
 
-def add_unmodelled_noise(joint: JointModel, solver: JointSolver, iteration: IterationState) -> bool:
-    """Estimate unmodelled errors if the residuals of several sequences exceed their noise; True if the noise changed.
+def add_unmodelled_noise(solver: JointSolver, iteration: IterationState) -> IterationState | None:
+    """Estimate unmodelled errors if the residuals of several sequences exceed their noise; None if it is as before.
 
     If one sequence explains the misfit, that sequence is faulty: a warning names it, and no noise is added. A robust
     loss reduces the weight of such a sequence; this function then changes nothing.
     """
+    joint = iteration.joint
     if solver.weights():
-        return False
-    solution = whole_solution(joint, solver, iteration)
+        return None
+    solution = whole_solution(solver, iteration)
     system = solution.system
-    statistic, freedom = goodness_of_fit(joint, solver, solution, system)
+    statistic, freedom = goodness_of_fit(joint, solver, solution)
     # Unmodelled noise from an earlier round is always estimated again: it may be too large now.
-    if not any(joint.unmodelled_sigma):
+    if not any(joint.choice.unmodelled_sigma):
         if not is_misfit(statistic, freedom):
-            return False
+            return None
         if _one_is_faulty(joint, solution, (statistic, freedom)):
-            return False
+            return None
     noise = unmodelled_noise(joint, system)
-    new = noise.of_fixture()
-    if not _fixture_explains(joint, solver, iteration, new):
-        new = noise.of_all()
-    if np.allclose(new, joint.unmodelled_sigma, *_SAME_NOISE):
-        return False
-    joint.unmodelled_sigma = new
-    return True
+    model = _with_fixture_errors(solver, iteration, noise.of_fixture())
+    if model is None:
+        model = joint.with_choice(unmodelled_sigma=noise.of_all())
+    if np.allclose(model.choice.unmodelled_sigma, joint.choice.unmodelled_sigma, *_SAME_NOISE):
+        return None
+    return replace(iteration, joint=model)
 
 
-def add_drift(joint: JointModel, solver: JointSolver, iteration: IterationState) -> bool:
-    """Model the most likely form of drift that the residuals show; True if there is one.
+def add_drift(solver: JointSolver, iteration: IterationState) -> IterationState | None:
+    """Model the most likely form of drift that the residuals show; None if there is none.
 
     There is none if one faulty sequence or move explains the residuals with a larger likelihood. The unmodelled noise
     is then estimated again. A robust loss reduces the weight of sequences instead.
     """
-    if solver.weights() or len(joint.drift.terms) >= MOST_TERMS:
-        return False
-    solution = whole_solution(joint, solver, iteration)
-    fit = goodness_of_fit(joint, solver, solution, solution.system)
-    iteration.unmodelled_drift = found = search(joint, iteration, solution, fit[1])
+    joint = iteration.joint
+    if solver.weights() or len(joint.choice.drift.terms) >= MOST_TERMS:
+        return None
+    solution = whole_solution(solver, iteration)
+    fit = goodness_of_fit(joint, solver, solution)
+    iteration.unmodelled_drift = found = search(iteration, solution, fit[1])
     if not found.terms:
-        return False
-    if not any(joint.unmodelled_sigma) and _one_is_faulty(joint, solution, fit, found.gain):
+        return None
+    if not any(joint.choice.unmodelled_sigma) and _one_is_faulty(joint, solution, fit, found.gain):
         iteration.unmodelled_drift = DriftSearch()
-        return False
+        return None
     # The other triad is searched again in what this form leaves.
-    joint.drift, iteration.state = _with_drift(joint, iteration.state, found.terms[:1])
-    joint.unmodelled_sigma = NO_ERRORS
-    return True
+    joint, state = joint.with_choice(unmodelled_sigma=NO_ERRORS).with_drift(found.terms[:1], iteration.state)
+    return replace(iteration, joint=joint, state=state)
 
 
-def search(joint: JointModel, iteration: IterationState, solution: BlockSolution, freedom: int) -> DriftSearch:
+def search(iteration: IterationState, solution: BlockSolution, freedom: int) -> DriftSearch:
     """Search the residuals of a joint solution for bias drift that it does not model."""
+    joint = iteration.joint
     assert iteration.point is not None
     slope, data = iteration.point.compensated.slopes.force, joint.data
-    keys = candidates(data, joint.drift.terms)
+    keys = candidates(data, joint.choice.drift.terms)
     by_rate, rest = _rest_rates(joint, iteration.point)
 
     def of_gyro(courses: Mapping[str, Array]) -> dict[str, Statistics]:
-        return gyro_statistics(data, by_rate, rest, joint.integrated, joint.drift.terms, courses)
+        return gyro_statistics(data, by_rate, rest, joint.choice.integrated, joint.choice.drift.terms, courses)
 
     def by_window(sensor: Sensor) -> Statistics:
         each = np.eye(len(rest))
@@ -411,7 +392,7 @@ def search(joint: JointModel, iteration: IterationState, solution: BlockSolution
     effects = [by_drift(slope, data.drift_shapes[form].tested.windows) for _, form in forms]
     found = dict(zip(forms, force_statistics(solution, effects, freedom), strict=True))
     found |= {("gyro", form): statistics for form, statistics in of_gyro(gyro_courses(data, keys)).items()}
-    return most_likely(data, found, joint.drift.terms, joint.unmodelled_sigma.force, by_window)
+    return most_likely(data, found, joint.choice.drift.terms, joint.choice.unmodelled_sigma.force, by_window)
 
 
 def accel_component(joint: JointModel, solution: BlockSolution, freedom: int) -> VarianceComponent:

@@ -135,15 +135,14 @@ def _solved(recording: Recording, options: Options, suspects: Suspects, false: M
     requested = np.array([name in options.fixed_names for name in NAMES])
     try:
         joint, solver = open_joint_model(recording, options), BlockSolver(options.prior)
-        iteration = IterationState(joint.with_fixed_values(joint.start, requested), ~requested)
-        iteration = iterate(joint, solver, iteration, requested=requested)
+        iteration = iterate(solver, IterationState.at_start(joint, requested), requested=requested)
         if iteration.point is None or iteration.status == "outside_model":
             return None
-        moving = joint.moving_windows(iteration.point.state, iteration.point.compensated)
+        moving = iteration.joint.moving_windows(iteration.point.state, iteration.point.compensated)
         if moving.any():
-            joint.integrate_windows(moving)
-            iteration = iterate(joint, solver, iteration, requested=requested)
-        point = iteration.point
+            iteration.joint = iteration.joint.with_integrated(moving)
+            iteration = iterate(solver, iteration, requested=requested)
+        joint, point = iteration.joint, iteration.point
         if point is None or iteration.status == "outside_model":
             return None
         solution = BlockSolution(linearise(joint, point.state, point.compensated, iteration.free, solver.prior))

@@ -250,7 +250,7 @@ def _likelihood(
         known += effect @ effect.T
     roots = [[np.zeros((m, 0))] for _ in components]
     # A prior that follows the data does not show the accuracy of the mounting.
-    silent = ("mounting",) if joint.U_note else ()
+    silent = ("mounting",) if joint.choice.U_note else ()
     estimated = {*EXCESSES, *components}
     for rows in system.rows:
         if "_drift" in rows.kind:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from copy import copy
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING
@@ -21,12 +20,7 @@ from srt.estimation.solver_result import SolverResult
 from srt.joint.block_solution import BlockSolution, apply_weights, covariance_by_source
 from srt.joint.linear_system import N_ERRORS
 from srt.joint.linearisation import linearise, with_prior
-from srt.joint.residual_analysis import (
-    contradictions,
-    deletion_table,
-    residuals,
-    sequence_diagnostics,
-)
+from srt.joint.residual_analysis import contradictions, deletion_table, residuals, sequence_diagnostics
 from srt.model.rotations import rotation_matrix
 from srt.noise.drift_forms import LINEAR, Statistics
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES
@@ -61,20 +55,20 @@ class FixedParameters:
 
 
 def make_calibration(
-    joint: JointModel,
     solver: JointSolver,
     iteration: IterationState,
     fixed: FixedParameters,
     held: Diagnostics | None,
 ) -> Calibration:
     """Calibration from the final solution of an iteration."""
-    data, reasons = joint.data, dict(fixed.reasons)
-    warnings = [joint.U_note] if joint.U_note and joint.fixture_states else []
-    analysis = analyse_solution(joint, solver, iteration, fixed.sigma)
+    joint, data, reasons = iteration.joint, iteration.joint.data, dict(fixed.reasons)
+    warnings = [joint.choice.U_note] if joint.choice.U_note and joint.fixture_states else []
+    analysis = analyse_solution(solver, iteration, fixed.sigma)
     if iteration.point is not None and iteration.covariance is not None:
-        limit = observed_limit(joint.admission, finest_sigma(iteration.covariance))
+        admission = joint.choice.admission
+        limit = observed_limit(admission, finest_sigma(iteration.covariance))
         # Beside a fixture, the sigma by fixed values is that of its angles.
-        vague = np.sqrt(np.diag(analysis.total)) > (limit if data.nominal is None else observed_limit(joint.admission))
+        vague = np.sqrt(np.diag(analysis.total)) > (limit if data.nominal is None else observed_limit(admission))
         weak = ~iteration.free | (iteration.sigma > limit) | vague
         for i in np.flatnonzero(weak):
             value = value_of_fixed(NAMES[i], fixed.sigma, data, joint.options)
@@ -82,8 +76,8 @@ def make_calibration(
     # Parameters that are not observable have their fixed value, not the one from a wide prior and correlations.
     supported = joint.relies_on_fixture & determined_by_fixture(data)
     not_observed = np.array([name in reasons for name in NAMES]) & ~supported
-    drift = joint.drift.estimates(iteration.state.drift)
-    followed, notes = _g_sensitivity(joint, iteration, analysis.g_sensitivity_covariance)
+    drift = joint.choice.drift.estimates(iteration.state.drift)
+    followed, notes = _g_sensitivity(iteration, analysis.g_sensitivity_covariance)
     result = SolverResult(
         errors=joint.with_fixed_values(iteration.state, not_observed).errors,
         U=iteration.state.U,
@@ -96,11 +90,11 @@ def make_calibration(
         chi_square=analysis.chi_square,
         degrees_of_freedom=analysis.degrees_of_freedom,
         sensor_noise_fit=analysis.sensor_noise_fit,
-        unmodelled=joint.unmodelled_sigma,
-        integrated=tuple(np.flatnonzero(joint.integrated).tolist()),
-        wander=joint.bias_scatter,
+        unmodelled=joint.choice.unmodelled_sigma,
+        integrated=tuple(np.flatnonzero(joint.choice.integrated).tolist()),
+        wander=joint.choice.bias_scatter,
         bias_by_sequence=iteration.state.bias_deviation + analysis.instability,
-        end_attitude=_end_attitude(joint, iteration),
+        end_attitude=_end_attitude(iteration),
         total=analysis.total,
         diagnostics=replace(
             solver.diagnostics(joint),
@@ -118,8 +112,9 @@ def make_calibration(
     return build_calibration(solver.name, data, joint.options, result, reasons, warnings=tuple(warnings))
 
 
-def _end_attitude(joint: JointModel, iteration: IterationState) -> Array:
+def _end_attitude(iteration: IterationState) -> Array:
     """C_End of every sequence as the gyros measured it, relative to the Earth, shape (K, 3, 3)."""
+    joint = iteration.joint
     if iteration.point is None or iteration.point.state.attitude is None:
         return np.tile(np.eye(3), (joint.data.K, 1, 1))
     state, compensated, start = iteration.point.state, iteration.point.compensated, joint.data.start
@@ -167,15 +162,13 @@ class SolutionAnalysis:
     scale_change: ScaleChange | None = None
 
 
-def analyse_solution(
-    joint: JointModel, solver: JointSolver, iteration: IterationState, uncertain: Array
-) -> SolutionAnalysis:
+def analyse_solution(solver: JointSolver, iteration: IterationState, uncertain: Array) -> SolutionAnalysis:
     """Analyse the final solution of an iteration; ``uncertain`` is the sigma of the fixed values."""
-    nothing = np.zeros((N_PARAMETERS, N_PARAMETERS))
+    joint, nothing = iteration.joint, np.zeros((N_PARAMETERS, N_PARAMETERS))
     if iteration.point is None or iteration.covariance is None or iteration.status == "outside_model":
         return SolutionAnalysis({"none": nothing}, nothing)
     try:
-        solution = whole_solution(joint, solver, iteration)
+        solution = whole_solution(solver, iteration)
     except np.linalg.LinAlgError:
         return SolutionAnalysis({"none": nothing}, iteration.covariance)
     system = solution.system
@@ -201,11 +194,11 @@ def analyse_solution(
         at = np.arange(N_PARAMETERS)[GROUP_SLICES["gyro_bias"]]
         part = covariance.setdefault("gyro_bias_instability", nothing.copy())
         # The bias of this test is one sample of the bias of the unit, which is reported.
-        part[at, at] += joint.bias_scatter**2
-        total[at, at] += joint.bias_scatter**2
-    chi_square, freedom = goodness_of_fit(joint, solver, solution, system)
-    by_noise = _with_sensor_noise(joint, solver, iteration)
-    fit = (chi_square, freedom) if by_noise is None else goodness_of_fit(joint, solver, by_noise, by_noise.system)
+        part[at, at] += joint.choice.bias_scatter**2
+        total[at, at] += joint.choice.bias_scatter**2
+    chi_square, freedom = goodness_of_fit(joint, solver, solution)
+    by_noise = _with_sensor_noise(solver, iteration)
+    fit = (chi_square, freedom) if by_noise is None else goodness_of_fit(joint, solver, by_noise)
     tests = [(test.chi_square, test.degrees_of_freedom) for test in against]
     disagree = not solver.weights() and contradicting_group(tests, chi_square, freedom) is not None
     disagree |= is_misfit(*fit)
@@ -237,39 +230,36 @@ def _instability_by_sequence(joint: JointModel, system: LinearSystem, delta: Arr
 
 
 def _g_sensitivity_covariance(joint: JointModel, solution: BlockSolution) -> Array | None:
-    if joint.drift.force_axes is None:
+    if joint.choice.drift.force_axes is None:
         return None
-    columns = solution.system.columns["drift_form"].start + np.r_[joint.drift.of_force]
+    columns = solution.system.columns["drift_form"].start + np.r_[joint.choice.drift.of_force]
     combinations = np.zeros((len(solution.delta), 9))
-    combinations[columns] = joint.drift.g_sensitivity_map.T
+    combinations[columns] = joint.choice.drift.g_sensitivity_map.T
     return np.asarray(combinations.T @ solution.with_columns(combinations))
 
 
-def _g_sensitivity(
-    joint: JointModel, iteration: IterationState, covariance: Array | None
-) -> tuple[GSensitivity | None, tuple[str, ...]]:
+def _g_sensitivity(iteration: IterationState, covariance: Array | None) -> tuple[GSensitivity | None, tuple[str, ...]]:
     """Estimated g-sensitivity of the gyros, and warnings."""
+    joint = iteration.joint
     data, automatic = joint.data, joint.options.gyro_bias != G_SENSITIVE
     if iteration.point is None:
         return None, ()
     state, compensated = iteration.point.state, iteration.point.compensated
     rate = joint.rest_rate(state, compensated)
     if covariance is None:
-        size = g_sensitivity_report.significant_g_sensitivity(data, compensated.force, rate, joint.integrated)
+        size = g_sensitivity_report.significant_g_sensitivity(data, compensated.force, rate, joint.choice.integrated)
         return None, g_sensitivity_report.warnings(None, size, automatic=automatic)
     rest = joint.rest_rates(state, rate)
-    matrix = joint.drift.g_sensitivity(iteration.state.drift)
+    matrix = joint.choice.drift.g_sensitivity(iteration.state.drift)
     return (
-        g_sensitivity_report.estimated_g_sensitivity(data, rest, matrix, covariance, joint.bias_scatter),
+        g_sensitivity_report.estimated_g_sensitivity(data, rest, matrix, covariance, joint.choice.bias_scatter),
         g_sensitivity_report.warnings(rest.poses.unobserved, None, automatic=automatic),
     )
 
 
-def goodness_of_fit(
-    joint: JointModel, solver: JointSolver, solution: BlockSolution, system: LinearSystem
-) -> tuple[float, int]:
+def goodness_of_fit(joint: JointModel, solver: JointSolver, solution: BlockSolution) -> tuple[float, int]:
     """Chi-square of the residuals and its degrees of freedom."""
-    residual = solution.residual
+    residual, system = solution.residual, solution.system
     measured = np.ones(len(residual), dtype=np.bool_)
     prior_leverage = 0.0
     if solver.prior is not None:  # a prior takes a non-integer number of degrees of freedom
@@ -278,12 +268,13 @@ def goodness_of_fit(
         prior_leverage = float(np.sum(solution.rows_with_parameters[prior] * system.whitening["prior"][0]))
     chi_square = float(residual[measured] @ residual[measured])
     freedom = round(float(measured.sum()) - float(system.active.sum()) + prior_leverage)
-    return chi_square, freedom - joint.drift.freely_estimated
+    return chi_square, freedom - joint.choice.drift.freely_estimated
 
 
-def _with_sensor_noise(joint: JointModel, solver: JointSolver, iteration: IterationState) -> BlockSolution | None:
+def _with_sensor_noise(solver: JointSolver, iteration: IterationState) -> BlockSolution | None:
     """Solution without unmodelled errors of the unit; None if there are none, or the system is singular."""
-    if not any(joint.unmodelled_sigma.of_unit):
+    unmodelled = iteration.joint.choice.unmodelled_sigma
+    if not any(unmodelled.of_unit):
         return None
     assert iteration.point is not None
     whole = iteration.point.compensated
@@ -292,8 +283,7 @@ def _with_sensor_noise(joint: JointModel, solver: JointSolver, iteration: Iterat
         for noise in (whole.force_noise, whole.rate_noise, whole.rotation_noise)
     )
     compensated = replace(whole, force_noise=force, rate_noise=rate, rotation_noise=rotation)
-    own = copy(joint)
-    own.unmodelled_sigma = joint.unmodelled_sigma.of_fixture
+    own = iteration.joint.with_choice(unmodelled_sigma=unmodelled.of_fixture)
     system = linearise(own, iteration.point.state, compensated, iteration.free, solver.prior)
     try:
         return BlockSolution(system)
@@ -301,7 +291,7 @@ def _with_sensor_noise(joint: JointModel, solver: JointSolver, iteration: Iterat
         return None
 
 
-def whole_solution(joint: JointModel, solver: JointSolver, iteration: IterationState) -> BlockSolution:
+def whole_solution(solver: JointSolver, iteration: IterationState) -> BlockSolution:
     """Solution of all columns of the last linearised system, with the rows of the sensor errors' prior.
 
     Raises
@@ -313,7 +303,7 @@ def whole_solution(joint: JointModel, solver: JointSolver, iteration: IterationS
     assert point is not None
     if iteration.whole is not None and iteration.whole[0] is point and iteration.whole[1] is prior:
         return iteration.whole[2]
-    complete = with_prior(point.system, joint, point.state, prior)
+    complete = with_prior(point.system, point.joint, point.state, prior)
     iteration.whole = point, prior, BlockSolution(complete)
     return iteration.whole[2]
 

@@ -93,6 +93,8 @@ class IterationState:
 
     Attributes
     ----------
+    joint : JointModel
+        Model of the next linearisation: that of the last one, with what its solution changes.
     state : JointState
         Present estimate.
     free : ndarray of bool, shape (27,)
@@ -111,6 +113,7 @@ class IterationState:
         Drift that the residuals of the last search show.
     """
 
+    joint: JointModel
     state: JointState
     free: Mask
     point: Linearisation | None = None
@@ -121,6 +124,11 @@ class IterationState:
     message: str = ""
     whole: tuple[Linearisation, Prior | None, BlockSolution] | None = None
     unmodelled_drift: DriftSearch = field(default_factory=DriftSearch)
+
+    @classmethod
+    def at_start(cls, joint: JointModel, fixed: Mask) -> IterationState:
+        """Iteration of a model from its initial estimate, with fixed parameters at their values."""
+        return cls(joint, joint.with_fixed_values(joint.start, fixed), ~fixed)
 
     @property
     def sigma(self) -> Array:

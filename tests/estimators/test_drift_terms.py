@@ -61,9 +61,9 @@ def test_columns_against_differences():
     """At drifts of 40 mg and 1000 °/h."""
     recording, _ = noisy_recording(1, "tactical", sample_rate_hz=50.0)
     joint = open_joint_model(recording, Options())
-    joint.drift = DriftTerms(joint.data, TERMS)
-    sizes = ((0.4, 3), (1000.0 * DEG_PER_H, 3), (0.1, joint.drift.size - 6))
-    assert_columns(joint, lambda rng: [rng.normal(0.0, *size) for size in sizes], 1e-2 * joint.drift.sigma)
+    joint = joint.with_choice(drift=DriftTerms(joint.data, TERMS))
+    sizes = ((0.4, 3), (1000.0 * DEG_PER_H, 3), (0.1, joint.choice.drift.size - 6))
+    assert_columns(joint, lambda rng: [rng.normal(0.0, *size) for size in sizes], 1e-2 * joint.choice.drift.sigma)
 
 
 def ramp(recording, ug_per_h, deg_h_per_h=0.0):
@@ -126,8 +126,8 @@ def test_filter_is_the_block_solution_with_drift():
 
     recording = ramp(noisy_recording(3, "navigation", sample_rate_hz=50.0, instability=True)[0], 1000.0)
     joint = open_joint_model(recording, Options())
-    joint.drift = DriftTerms(joint.data, TERMS)
-    state, compensated = placed(joint, replace(joint.start, drift=np.zeros(joint.drift.size)))
+    joint = joint.with_choice(drift=DriftTerms(joint.data, TERMS))
+    state, compensated = placed(joint, replace(joint.start, drift=np.zeros(joint.choice.drift.size)))
     prior = default_prior()
     solution = BlockSolution(linearise(joint, state, compensated, ALL, prior))
     filtered = run_filter(joint, linearise(joint, state, compensated, ALL), state, prior)

@@ -18,6 +18,7 @@ from estimators.graph import GraphSolver
 from estimators.kalman_filter import KalmanSolver, run_filter
 from srt.estimation.observability import default_prior
 from srt.joint.iteration import iterate
+from srt.joint.joint_model import JointModel
 from srt.joint.recording_opening import open_joint_model
 from srt.joint.solver import IterationState
 
@@ -72,7 +73,7 @@ def test_full_model_where_the_bias_drifts():
     assert np.all(dense.sigma > jointly(still, SolveStep()).sigma)
 
 
-def test_filter_and_dense_solution_where_the_bias_walks():
+def test_filter_and_dense_solution_where_the_bias_walks(monkeypatch):
     """One pass of the filter at a point is the dense solution there; iterated, they differ in where they linearise.
 
     The filter's attitudes go with the last bias of its walk, and the headings of sequences whose own bias was another
@@ -82,23 +83,19 @@ def test_filter_and_dense_solution_where_the_bias_walks():
     # A scatter of the rest rates that no statement explains, as the windows' own would show it.
     quiet = replace(recording, noise=replace(recording.noise, gyro_bias_instability=None))
 
-    def make():
-        joint = open_joint_model(quiet, Options(max_playbacks=30))
-        joint.bias_scatter = np.full(3, recording.noise.gyro_bias_instability)
-        joint.update_bias_scatter = lambda *_: None
-        return joint
-
-    joint = make()
+    monkeypatch.setattr(JointModel, "with_bias_scatter", lambda self, *_: self)
+    joint = open_joint_model(quiet, Options(max_playbacks=30))
+    joint = joint.with_choice(bias_scatter=np.full(3, recording.noise.gyro_bias_instability))
     assert joint.bias_walks
-    iteration = IterationState(joint.start, ALL.copy())
-    iteration = iterate(joint, KalmanSolver(default_prior()), iteration, requested=~ALL, converged=RESOLVED)
+    iteration = IterationState(joint, joint.start, ALL.copy())
+    iteration = iterate(KalmanSolver(default_prior()), iteration, requested=~ALL, converged=RESOLVED)
     once = run_filter(joint, iteration.point.system, iteration.point.state, default_prior())
     dense = SolveStep(default_prior()).solve(iteration.point)
     a, b = (Found(r.correction, r.covariance) for r in (once, dense))
     assert max(difference(a, b)) <= AGREE + rounding(b)
     ekf = Found(iteration.state.errors.vector, iteration.covariance)
-    smooth = IterationState(joint.start, ALL.copy())
-    smooth = iterate(make(), SolveStep(default_prior()), smooth, requested=~ALL, converged=RESOLVED)
+    smooth = IterationState(joint, joint.start, ALL.copy())
+    smooth = iterate(SolveStep(default_prior()), smooth, requested=~ALL, converged=RESOLVED)
     found = Found(smooth.state.errors.vector, smooth.covariance)
     spread = np.ptp(smooth.state.bias_deviation, axis=0).max()
     assert spread > 0.0

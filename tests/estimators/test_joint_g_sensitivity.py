@@ -25,7 +25,6 @@ from estimators.unscented_filter import SequenceModel
 from srt.estimation.convergence import PARAMETER_UNITS
 from srt.estimation.observability import default_prior
 from srt.joint.block_solution import BlockSolution
-from srt.joint.drift import DriftTerms
 from srt.joint.initial_attitudes import placed
 from srt.joint.linearisation import linearise
 from srt.joint.recording_opening import open_joint_model
@@ -38,8 +37,7 @@ UNIT = {"sample_rate_hz": 50.0, "g_sensitivity": SIZE}
 def opened(recording):
     """Joint model with g-sensitivity and a drift, so that the coefficients of both have their places."""
     joint = open_joint_model(recording, Options(gyro_bias="g-sensitive"))
-    joint.drift = DriftTerms(joint.data, (DriftTerm("gyro", "linear", 1e-3),), joint.drift.force_axes)
-    return joint
+    return joint.with_drift((DriftTerm("gyro", "linear", 1e-3),), joint.start)[0]
 
 
 def test_columns_against_differences():
@@ -52,7 +50,7 @@ def test_columns_against_differences():
 def test_filter_and_blocks_are_the_dense_solution():
     """At one point of linearisation, to 1e-7 sigma, Γ and its covariance included."""
     joint = opened(noisy_recording(3, "industrial", **UNIT)[0])
-    state, compensated = placed(joint, replace(joint.start, drift=np.zeros(joint.drift.size)))
+    state, compensated = placed(joint, replace(joint.start, drift=np.zeros(joint.choice.drift.size)))
     prior = default_prior()
     system = linearise(joint, state, compensated, ALL, prior)
     dense, blocks = solve(system), BlockSolution(system)
@@ -100,7 +98,7 @@ def test_unscented_filter_has_the_axes_of_all_poses(industrial):
     """Two windows of a sequence show one axis of Γ alone; its model of a sequence has the three of the recording."""
     joint = open_joint_model(industrial[0], Options(gyro_bias="g-sensitive"))
     single = SequenceModel(joint, placed(joint, joint.start)[0], 0, ALL)
-    np.testing.assert_array_equal(single.joint.drift.force_axes, joint.drift.force_axes)
+    np.testing.assert_array_equal(single.joint.choice.drift.force_axes, joint.choice.drift.force_axes)
 
 
 @pytest.mark.parametrize("estimator", ["ekf", "graph"])

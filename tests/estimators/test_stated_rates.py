@@ -21,7 +21,6 @@ pytest.importorskip("gtsam")
 from jacobian_cases import RATE, VARIANTS, G, make, simulated_motions
 from test_joint_jacobians import unwhitened, unwhitened_residuals
 
-from srt.joint.drift import DriftTerms
 from srt.joint.linearisation import linearise
 
 HZ = 20.0
@@ -117,17 +116,15 @@ def one_unit(seed):
 def test_drift_and_g_sensitivity_act_on_the_mean_rates():
     """Every coefficient, by differences of recordings that are compensated again."""
     case = make(simulated_motions(), VARIANTS["rates"], "large")
-    joint = case.joint
-    joint.follow_force(np.eye(3))
-    joint.drift = DriftTerms(joint.data, (DriftTerm("gyro", LINEAR, 1.0),), np.eye(3))
+    joint = case.joint.with_force_axes(np.eye(3)).with_drift((DriftTerm("gyro", LINEAR, 1.0),), case.state)[0]
     step = 1e-6
-    state = replace(case.state, drift=np.full(joint.drift.size, 2.0 * step))
+    state = replace(case.state, drift=np.full(joint.choice.drift.size, 2.0 * step))
     system = linearise(joint, state, joint.compensate(state), case.system.free)
     J = unwhitened(system)["stated_rate"][1][..., system.columns["drift_form"]]
-    for i in range(joint.drift.size):
+    for i in range(joint.choice.drift.size):
         residuals = []
         for sign in (1.0, -1.0):
-            moved = replace(state, drift=state.drift + sign * step * np.eye(joint.drift.size)[i])
+            moved = replace(state, drift=state.drift + sign * step * np.eye(joint.choice.drift.size)[i])
             again = linearise(joint, moved, joint.compensate(moved), case.system.free)
             residuals.append(unwhitened_residuals(again)["stated_rate"])
         expected = (residuals[0] - residuals[1]) / (2.0 * step)

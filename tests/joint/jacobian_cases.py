@@ -169,8 +169,7 @@ def make(motions, variant, size, noise=NOISE, off=True):
     # Of one bias per sequence, of one with the drift that is stated, and of one alone.
     mode = "per-sequence" if variant.walk else "auto" if variant.instability else "pooled"
     options = Options(gyro_bias=mode, fixture_states=variant.fixture_states, start=errors)
-    joint = open_joint_model(recording, options)
-    joint.ends_tied = True
+    joint = open_joint_model(recording, options).with_choice(ends_tied=True)
     rng = np.random.default_rng(11)
     state = replace(joint.start, U=motion.U)
     state = initial_attitudes(joint, state, joint.compensate(state))

@@ -72,8 +72,8 @@ def difference(a, b):
 
 
 def jointly(joint, step, converged=RESOLVED):
-    iteration = IterationState(joint.start, ALL.copy())
-    iteration = iterate(joint, step, iteration, requested=~ALL, converged=converged)
+    iteration = IterationState(joint, joint.start, ALL.copy())
+    iteration = iterate(step, iteration, requested=~ALL, converged=converged)
     assert iteration.status == "converged"
     assert iteration.free.all()
     return Found(iteration.state.errors.vector, iteration.covariance)

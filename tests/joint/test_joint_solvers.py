@@ -12,7 +12,10 @@ from scipy.stats import chi2
 
 import sims
 import srt
+from srt.estimation.drift_model import DriftTerm
+from srt.estimation.options import Options
 from srt.exceptions import InputError
+from srt.joint.recording_opening import open_joint_model
 
 HALF = ("1", "2", "3", "1a", "4", "5", "6", "7", "8", "9", "13")
 SCENARIOS = {
@@ -82,3 +85,20 @@ def test_a_rest_in_which_the_unit_turns_slowly_accuses_no_turn():
     z, sigma = ((found.errors.vector - truth) / found.sigma)[seen], found.sigma[seen]
     nees = z @ np.linalg.solve(found.covariance[np.ix_(seen, seen)] / np.outer(sigma, sigma), z)
     assert nees < chi2.isf(1e-3, seen.sum())
+
+
+def test_a_model_does_not_change():
+    """Another choice makes another model, which shares what does not depend on it, and leaves the first as it was."""
+    joint = open_joint_model(simulated("six faces"), Options())
+    before = vars(joint).copy()
+    other, state = joint.with_g_sensitivity(joint.start)
+    moved = other.with_integrated(np.arange(len(joint.window_sequence)) == 1).with_choice(ends_tied=True)
+    moved, state = moved.with_drift((DriftTerm("gyro", "linear", 1e-3),), state)
+    moved.compensate(state)
+    assert moved.choice.integrated.tolist() != joint.choice.integrated.tolist()
+    assert moved.choice.drift.size == other.choice.drift.size + 3 == len(state.drift)
+    assert all(vars(joint)[name] is value for name, value in before.items())
+    assert moved.order is joint.order
+    for name in ("choice", "start", "drift"):
+        with pytest.raises(AttributeError, match=f"{name} of a joint model does not change"):
+            setattr(moved, name, None)
