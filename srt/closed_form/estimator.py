@@ -23,16 +23,10 @@ from srt.estimation.error_sources import NO_ERRORS, as_found
 from srt.estimation.fixed_parameters import fixed_sigma, fixed_values, reason_on_request, value_of_fixed
 from srt.estimation.g_sensitivity import MODE as G_SENSITIVE
 from srt.estimation.g_sensitivity import RestRates
-from srt.estimation.goodness_of_fit import (
-    chi_square,
-    contradicting_group,
-    faulty_group,
-    is_misfit,
-)
+from srt.estimation.goodness_of_fit import chi_square, contradicting_group, faulty_group, is_misfit
 from srt.estimation.initial_estimates import initial_estimate, initial_estimates
 from srt.estimation.options import Options
 from srt.estimation.rest_rate_scatter import gyro_instability
-from srt.estimation.scale_changes import most_likely_change, scale_effects
 from srt.estimation.solver_result import SolverResult
 from srt.exceptions import DataError
 from srt.model import closed_form
@@ -53,7 +47,6 @@ if TYPE_CHECKING:
     from srt.estimation.drift_model import DriftTerm, Sensor
     from srt.estimation.error_sources import UnmodelledErrors
     from srt.estimation.registry import Progress
-    from srt.estimation.scale_changes import ScaleChange
     from srt.noise.drift_forms import Statistics
     from srt.recording.recording import Recording, SequenceLabel
     from srt.result.calibration import Calibration
@@ -393,7 +386,7 @@ def _result(
     if solution.status == "converged" and not fixed.all():
         drift = _drift(data, solution)
         if is_misfit(statistic, freedom) or contradicting_group(solution.sequence_tests, statistic, freedom):
-            changed = _scale_change(data, solution)
+            changed = solution.scale_change(data)
         possible, by_unseen = _unseen(data, solution)
         by_source["accel_bias_instability"] += by_unseen
     return SolverResult(
@@ -423,15 +416,6 @@ def _result(
         sequences=() if solution.status == "outside_model" else sequence_diagnostics(data, formulas, solution, fixed),
         notes=notes,
     )
-
-
-def _scale_change(data: PreparedRecording, solution: Solution) -> ScaleChange | None:
-    """Change of scale factors within the recording that explains the residuals best."""
-    m, white, order = solution.measurements, solution.white_with_squares, np.argsort(data.rotation[:, 0], kind="stable")
-    owner = np.concatenate([np.repeat(np.arange(data.K), 2), m.window_sequence, [-1, -1, -1]])
-    found = {sensor: white.statistics(own) for sensor, own in scale_effects(m.H, owner, order).items()}
-    middle = data.rotation.mean(axis=1)[order]
-    return most_likely_change(found, middle, [data.ids[k] for k in order.tolist()])
 
 
 def _drift(data: PreparedRecording, solution: Solution) -> tuple[DriftEstimate, ...]:

@@ -14,12 +14,14 @@ from srt.estimation.error_sources import by_drift
 from srt.estimation.iterations import Iterations
 from srt.estimation.leave_one_out import by_size
 from srt.estimation.rest_rate_scatter import may_be_unstable
+from srt.estimation.scale_changes import most_likely_change, scale_effects
 from srt.estimation.white_residuals import PredictedGroups, WhiteResiduals
 from srt.noise.drift_forms import LINEAR
 
 if TYPE_CHECKING:
     from srt.closed_form.measurement_covariance import Draws
     from srt.estimation.registry import Progress
+    from srt.estimation.scale_changes import ScaleChange
     from srt.estimation.srt_measurements import SrtMeasurements
     from srt.noise.drift_forms import Statistics
     from srt.sensor_errors import SensorErrors
@@ -256,3 +258,11 @@ class Solution:
         """Chi-square of each sequence as predicted from the others, and its degrees of freedom; as :attr:`white`."""
         chi_square, freedom = self.of_units.sequence_tests
         return list(zip(chi_square[self.row].tolist(), freedom[self.row].tolist(), strict=True))
+
+    def scale_change(self, data: PreparedRecording) -> ScaleChange | None:
+        """Change of scale factors within the recording that explains the residuals best."""
+        m, white, order = self.measurements, self.white_with_squares, np.argsort(data.rotation[:, 0], kind="stable")
+        owner = np.concatenate([np.repeat(np.arange(data.K), 2), m.window_sequence, [-1, -1, -1]])
+        found = {sensor: white.statistics(own) for sensor, own in scale_effects(m.H, owner, order).items()}
+        middle = data.rotation.mean(axis=1)[order]
+        return most_likely_change(found, middle, [data.ids[k] for k in order.tolist()])
