@@ -59,7 +59,7 @@ def supply_sag(rate: Table, force: Table, share: Table, rng: np.random.Generator
     return sag * (1e-4 * rate + bias[0]), sag * (1e-4 * force + bias[1])
 
 
-def hysteresis(rate: Table, force: Table, share: Table, rng: np.random.Generator) -> tuple[Table, Table]:  # noqa: ARG001
+def hysteresis(rate: Table, force: Table, _share: Table, _rng: np.random.Generator) -> tuple[Table, Table]:
     """Accelerometers that keep 50 µg of the sign of the last g that they felt."""
     felt = np.sign(force) * (np.abs(force) > 0.5 * G)
     for column in felt.T:
@@ -68,7 +68,7 @@ def hysteresis(rate: Table, force: Table, share: Table, rng: np.random.Generator
     return 0.0 * rate, 50e-6 * G * felt
 
 
-def unchanged(rate: Table, force: Table, share: Table, rng: np.random.Generator) -> tuple[Table, Table]:  # noqa: ARG001
+def unchanged(rate: Table, force: Table, _share: Table, _rng: np.random.Generator) -> tuple[Table, Table]:
     """No change of the readings."""
     return 0.0 * rate, 0.0 * force
 

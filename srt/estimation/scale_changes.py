@@ -46,7 +46,7 @@ class ScaleChange(NamedTuple):
     change : ndarray, shape (3,)
         Over the recording.
     p_value : float
-        Of the residuals if there is no change, for all forms and places together.
+        Probability of such residuals without a change, for all forms and places together.
     explained : float
         Share of chi-square beyond its degrees of freedom that it explains.
     gain : float

@@ -192,7 +192,7 @@ def _coning(theta: Array, sequence_of: Indices) -> Array:
     size = np.abs(step)
     pair = size[:, :-1] + size[:, 1:]
     before, after = pair[:, :-2], pair[:, 2:]
-    # What is not in two neighbouring differences: all of a kink is.
+    # A kink is in two neighbouring differences alone, a course in all four.
     smooth = np.minimum(np.minimum(before, after), size[:, :-3] + size[:, 3:])
     smooth /= KINK * (before + after) + TINY
     np.minimum(smooth, 1.0, out=smooth)

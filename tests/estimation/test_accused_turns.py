@@ -23,7 +23,7 @@ def without_some_rates(recording, turns):
 
 @pytest.mark.parametrize(("place", "number"), [("hand", 1), ("hand", 2), ("fixture", 0)])
 def test_the_turn_that_lost_samples_is_accused(place, number):
-    """Of the first, a neighbour about the same axis is predicted worse: only a fit without either tells them apart."""
+    """A neighbour about the same axis is predicted worse than the first: only fits without either tell them apart."""
     recording = drawn("none", place, number, SEED)[0]
     found = srt.calibrate(without_some_rates(recording, [6]), estimator="least-squares", force=True)
     assert found.judgement.word == "failed"
