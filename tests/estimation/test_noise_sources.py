@@ -474,7 +474,7 @@ def test_a_rounding_that_noise_does_not_dither_shifts_the_whole_window(shared):
         effect = getattr(by, kind) * step
         added = after[name].own[kind] - before[name].own[kind]
         np.testing.assert_allclose(added, effect @ np.swapaxes(effect, -1, -2), rtol=1e-6, atol=1e-12)
-    # Of the errors at its two edges, a window shares with the rotations those next to them.
+    # The errors at its two edges are shared with the rotations next to them.
     alone = np.sum(shared_edges(data) < 0, axis=1) if shared else np.full(len(by.rate), 2)
     edge = by.rate * plain.gyro_edge / data.windows.duration_s[:, None, None]
     expected = alone[:, None, None] * edge @ np.swapaxes(edge, -1, -2)
