@@ -112,6 +112,7 @@ STAGES: Final = {
         (
             window_disturbances.UNSETTLED,
             window_disturbances.VIBRATION,
+            window_disturbances.SPECTRAL_LINE,
             window_disturbances.BUMP,
             window_disturbances.CREEP,
             window_disturbances.NOISY_WINDOW,

@@ -124,7 +124,7 @@ def scores(causes: Sequence[ScaleCause], gyro: ScaleRatios, accel: ScaleRatios, 
             continue
         shift = np.array([np.broadcast_to(getattr(cause, sensor), 3) for cause in causes])
         unknown = np.array([cause.unknown.get(sensor, math.nan) for cause in causes])[:, None]
-        own, mean, variance = _terms(scales, shift, common, np.isfinite(unknown))
+        own, mean, variance = _terms(scales, shift, math.hypot(common, scales.common_sigma), np.isfinite(unknown))
         on_clock = np.nan_to_num(unknown)
         total = total + np.expand_dims(own, 2 - axis)
         clock = clock + np.expand_dims(on_clock * mean, 2 - axis)

@@ -32,6 +32,9 @@ OUTLIER: Final = 8.0
 """Ratio of a residual to the median residual, above which a rotation or a window is an outlier, as after a bump."""
 MOST_OUTLIERS: Final = 0.2
 """Share of outliers from which none is excluded: so many are no outliers."""
+_BY_HAND: Final = 0.1
+"""Common error of the rotation of gravity in turns by hand: the hand accelerates the unit alike in all of them, and an
+acceleration of 1 m/s² is a tenth of gravity."""
 LEAST_FREEDOM: Final = 8
 """Fewest degrees of freedom for an estimate of the scatter."""
 
@@ -137,11 +140,13 @@ class ScaleRatios:
 
     ``typical`` is the median of the triad; ``axes``, shape (3,), are those of the sensor axes. ``axis_scatter`` is the
     scatter of single rotations or poses: standard deviation of the logarithm of their ratio to that of their axis.
+    ``common_sigma`` is the standard deviation of an error that the logarithms of all axes have.
     """
 
     typical: float
     axes: Array
     axis_scatter: float
+    common_sigma: float = 0.0
 
     @property
     def known(self) -> bool:
@@ -188,7 +193,7 @@ def gyro_ratios_to_gravity(by_labels: ScaleRatios, blocks: TurningBlocks | None,
     axes = 1.0 / np.linalg.norm(relation, axis=0)
     of_turns = np.log(relation_by_turn(blocks, relation))
     scatter = float(robust_sigma(of_turns - np.median(of_turns))) if of_turns.size else math.inf
-    by_gravity = ScaleRatios(float(np.median(axes)), axes, math.hypot(RAW_SCALE, scatter))
+    by_gravity = ScaleRatios(float(np.median(axes)), axes, math.hypot(RAW_SCALE, scatter), _BY_HAND)
     # Without labels, angles are recognised as multiples of 90° and may be wrong by a factor of two.
     nearer = by_labels.known and abs(math.log(by_labels.typical / by_gravity.typical)) < 0.5 * math.log(2.0)
     return by_labels if nearer else by_gravity

@@ -49,6 +49,7 @@ class WindowAverages:
     late_variance: Array  # variance of the second half of the window about its own mean, (V, 6)
     heads: Indices  # numbers of samples of the H start parts, ascending
     head_power: Array  # variance of each start part about its own mean, not to count a later tilt, (V, H, 6)
+    head_sign: Array  # share of the excess of the gyros' power in each start part that has one sign per axis, (V, H)
     head_freedom: Array  # its degrees of freedom, averaged over the axes of gyros and of accelerometers, (H, 2)
     step: Array  # quantization step of the readings, (6,)
     pulses: Mask  # True for pulse counts, whose errors do not add up, (6,)
@@ -89,9 +90,9 @@ def window_averages(data: PreparedRecording, columns: Array, quantum: Array) -> 
     V = len(chosen)
     means: list[Array] = []
     sample, block, late, sigma = np.empty((4, V, 6))
-    power = np.empty((V, len(heads), 6))
+    power, sign = np.empty((V, len(heads), 6)), np.empty((V, len(heads)))
     for v, (a, b) in enumerate(samples[chosen].tolist()):
-        blocks, sample[v], late[v], power[v] = _one_window(columns[:, a:b] * per_rate, size, heads)
+        blocks, sample[v], late[v], power[v], sign[v] = _one_window(columns[:, a:b] * per_rate, size, heads)
         means.append(blocks)
     number = np.array([len(m) for m in means])
     groups = tuple(
@@ -120,6 +121,7 @@ def window_averages(data: PreparedRecording, columns: Array, quantum: Array) -> 
         late_variance=late,
         heads=heads,
         head_power=power,
+        head_sign=sign,
         head_freedom=_freedom(recording, some, heads),
         step=step,
         pulses=pulses,
@@ -130,14 +132,23 @@ def window_averages(data: PreparedRecording, columns: Array, quantum: Array) -> 
     )
 
 
-def _one_window(x: Array, size: int, heads: Indices) -> tuple[Array, Array, Array, Array]:
-    """Block means of readings (6, n), variance of samples, of the second half, and of the start parts (H, 6)."""
+def _one_window(x: Array, size: int, heads: Indices) -> tuple[Array, Array, Array, Array, Array]:
+    """Block means of readings (6, n), variance of samples, of the second half and of the start parts, and their sign.
+
+    The variance of the start parts has shape (H, 6). The sign is the share of their excess power in the gyros that has
+    one sign per axis, (H,).
+    """
     n = x.shape[1]
     means = x[:, : n // size * size].reshape(6, -1, size).mean(axis=2).T
     change, second = np.diff(x), x[:, n // 2 :]
     # A start part is at most half a window.
-    power = np.array([x[:, :length].var(axis=1) for length in np.minimum(heads, n // 2).tolist()])
-    return means, 0.5 * np.einsum("cn,cn->c", change, change) / (n - 1), second.var(axis=1), power
+    parts = [x[:, :length] for length in np.minimum(heads, n // 2).tolist()]
+    power, late = np.array([part.var(axis=1) for part in parts]), second.var(axis=1)
+    left = [part[GYRO] - second[GYRO].mean(axis=1, keepdims=True) for part in parts]
+    signed = np.array([np.abs(np.mean(part * np.abs(part), axis=1)).sum() for part in left])
+    excess = np.array([np.mean(part**2, axis=1).sum() for part in left]) - late[GYRO].sum()
+    sign = np.divide(signed, excess, out=np.zeros_like(signed), where=excess > 0.0)
+    return means, 0.5 * np.einsum("cn,cn->c", change, change) / (n - 1), late, power, sign
 
 
 def _freedom(recording: Recording, samples: Indices, heads: Indices) -> Array:

@@ -15,6 +15,7 @@ from srt.diagnosis.findings import Fault
 from srt.diagnosis.rotation_readings import AGREE, cross, invert_readings
 from srt.diagnosis.window_averages import ACCEL, GYRO, NOISY
 from srt.model.sensor_model import Triad
+from srt.model.table1 import AXES
 from srt.ranking import rounded
 
 if TYPE_CHECKING:
@@ -27,6 +28,16 @@ if TYPE_CHECKING:
 
 _BUMP: Final = 3
 """Number of blocks over which a bump rotates the unit; a longer motion is not a bump."""
+_ONE_SIGN: Final = 0.9
+"""Share of the power at the start of a window that has one sign, from which it fades, as behind a filter of the unit,
+and does not oscillate: that of an oscillation is 0.55 if its amplitude halves with each half period."""
+_SHOWN: Final = 0.1
+"""Share of the power of a line from which a channel is named."""
+_IN_WORDS: Final = {
+    "gyro": ("gyro", "accelerometers", "°/s", 180.0 / np.pi),
+    "accel": ("accelerometer", "gyros", "mg", 1e-3 / MICRO_G),
+}
+"""Name of a triad, the other triad, and its unit in reports with the factor to it."""
 _DOUBTED: Final = 1e-4
 """p-value below which the tilt by accelerometers alone shows a creep, or differs from that by gyros."""
 
@@ -56,7 +67,9 @@ def disturbed_windows(evidence: Evidence) -> Iterator[Finding]:
         size = np.sqrt(2.0 * excess.reshape(2, 3)[sensor].sum())
         text = (f"{1e3 * size:.2g} mrad/s", f"{size:.2g} m/s²")[sensor]
         place = evidence.window_place(averages.window[worst])
-        yield UNSETTLED.found(count=int(rings.sum()), amplitude=text, **place)
+        fades = sensor == 0 and averages.head_sign[worst, 0] > _ONE_SIGN
+        what = "rates of the turn still fade" if fades else "fixture still oscillates"
+        yield UNSETTLED.found(what=what, count=int(rings.sum()), amplitude=text, **place)
     if steps:
         v = max(steps, key=lambda v: steps[v][1])
         block, angle = steps[v]
@@ -83,10 +96,10 @@ def disturbed_windows(evidence: Evidence) -> Iterator[Finding]:
 
 UNSETTLED: Final = Fault(
     "unsettled",
-    "The fixture had not settled",
-    "oscillation at the start of windows, compared with their second half",
-    "The fixture still oscillates at the start of the stationary window from {time:.6g} s ({sequence}; amplitude "
-    "{amplitude}; {count} such windows in the recording): wait longer after a rotation, or start the windows later.",
+    "The fixture, or a filter of the unit, had not settled",
+    "oscillation or fading readings at the start of windows, compared with their second half",
+    "The {what} at the start of the stationary window from {time:.6g} s ({sequence}; amplitude {amplitude}; {count} "
+    "such windows in the recording): wait longer after a rotation, or start the windows later.",
     "warning",
     disturbed_windows,
 )
@@ -120,9 +133,19 @@ NOISY_WINDOW: Final = Fault(
 
 
 def vibration(evidence: Evidence) -> Iterator[Finding]:
-    """Report the strongest line in the spectrum of the windows."""
+    """Report the strongest line in the spectrum of the windows: vibration, or a line that is the unit's own."""
     data = evidence.data
     if data is None or data.vibration is None:
+        return
+    for sensor, share in data.vibration.shares().items():
+        name, other, unit, per_si = _IN_WORDS[sensor]
+        size = float(np.quantile(np.linalg.norm(getattr(data.vibration, sensor), axis=1), 0.75))
+        yield SPECTRAL_LINE.found(
+            channels=f"{name} {' and '.join(AXES[axis] for axis in np.flatnonzero(share > _SHOWN).tolist())}",
+            frequency_hz=data.vibration.frequency_hz,
+            amplitude=f"{size * per_si:.3g} {unit}",
+            others=other,
+        )
         return
     gyro, accel, bias = evidence.raw_triads
     # The mean of the stationary rates is the bias, because the Earth rate averages out over the poses.
@@ -151,6 +174,18 @@ VIBRATION: Final = Fault(
     "and {force_mg:.3g} mg. With a scale-factor asymmetry of 100 ppm, this causes biases of up to {gyro_deg_h:.2g} °/h"
     " and {accel_ug:.2g} µg. The calibration corrects these biases; isolate the table, or stop the source of the "
     "vibration.",
+    "warning",
+    vibration,
+)
+
+SPECTRAL_LINE: Final = Fault(
+    "spectral_line",
+    "One sensor has a line in its spectrum at rest",
+    "a spectral line as of a vibration, which one triad alone shows and whose direction in the unit is the same in all "
+    "attitudes",
+    "In the stationary windows the readings of {channels} have a line at {frequency_hz:.4g} Hz with an amplitude of "
+    "{amplitude}. The {others} do not show it, and it keeps its direction in the unit in all attitudes: its source is "
+    "in the unit (clocks, converter, supply), and it is no motion of the table. The calibration removes it.",
     "warning",
     vibration,
 )

@@ -46,7 +46,7 @@ LEFT_TO_RESIDUALS: Final = frozenset({
     "sequence_missing", "window_short",  # the sigmas are larger, or parameters are not observed
     "bump", "creep",  # such a window is integrated
     "noisy_window",  # its noise is in the covariance
-    "wrong_angle", "vibration", "gyro_noise", "accel_noise",  # the estimate uses what was measured, and corrects it
+    "wrong_angle", "vibration", "spectral_line", "gyro_noise", "accel_noise",  # what was measured is used and corrected
     "temperature_unit", "temperature_drift",  # no reading is wrong
 })  # fmt: skip
 """Warnings that leave the verdict to the residuals. Every other warning makes it doubtful: the readings or statements

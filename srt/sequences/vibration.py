@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from scipy.special import betaincinv
+from scipy.special import betaincinv, fdtri
 
 from srt.noise.quantization import smallest_step, thinned
 from srt.recording.readings import six_channels
@@ -57,6 +57,13 @@ a quieter unit at rest are periodic, with an amplitude of less than one step."""
 _PERIODS: Final = 3.0
 """Periods next to an edge that give the amplitude there, and its growth. Their noise is 0.3 / √(f T) of that of a
 rotation by angle random walk."""
+_BESIDE: Final = np.array([-6, -5, -4, -3, 3, 4, 5, 6])
+"""Bins beside the line whose mean power is that of the noise: those next to it have a part of the line."""
+_SEEN: Final = 1e-3
+"""Probability that the noise of a triad passes for a line at the frequency of one that was found."""
+_ONE: Final = 0.9
+"""Share of the power from which a line has one direction in the unit: over the poses of a test, a direction in the room
+has two thirds at most."""
 _PIECE: Final = 1 << 13
 """Samples of windows whose spectra are computed together: they fit into a processor's cache."""
 
@@ -71,6 +78,8 @@ class Vibration:
         Amplitude of the raw channels in every window, with the phase at the first sample.
     edges : ndarray of complex, shape (W, 2, 3), rad/s
         That of the gyros at the first and at the last edge of every window: a line may grow, decay or pause.
+    beside : ndarray, shape (6,)
+        Mean power of the six channels at the neighbouring frequencies, as squared amplitude: their noise.
     interval_s : float
         Sampling interval. Readings are means over it, which attenuates the amplitude.
     """
@@ -79,6 +88,7 @@ class Vibration:
     gyro: Any
     accel: Any
     edges: Any
+    beside: Array
     interval_s: float
 
     @property
@@ -91,6 +101,26 @@ class Vibration:
         raw = self.gyro if sensor == "gyro" else self.accel
         attenuation = np.sinc(self._half_step / np.pi)
         return np.asarray(np.abs(raw @ triad.inverse.T) / attenuation)
+
+    def shares(self) -> dict[str, Array]:
+        """Share of each channel in the power of the line, (3,), by the sensor that alone shows it in one direction.
+
+        Motion of what carries the unit keeps its direction in the room, not in the unit, and tilts the accelerometers
+        against gravity. Statistic: power of the three channels of a triad over that beside the line. Distribution: F.
+        Its direction is one if the largest eigenvalue of the covariance of the amplitudes, less the noise, has nearly
+        all of the power.
+        """
+        count, of_noise = len(self.gyro), np.split(self.beside, 2)
+        limit = fdtri(6 * count, 6 * count * len(_BESIDE), 1.0 - _SEEN)
+        lines, out = {"gyro": self.gyro, "accel": self.accel}, {}
+        for (sensor, line), noise in zip(lines.items(), of_noise, strict=True):
+            if np.mean(np.mean(np.abs(line) ** 2, axis=0) / np.maximum(noise, np.finfo(float).tiny)) <= limit:
+                continue
+            power = line.conj().T @ line / count - np.diag(noise)
+            size = np.maximum(np.linalg.eigvalsh(power), 0.0)
+            own = np.maximum(power.diagonal().real, 0.0)
+            out[sensor] = own / max(own.sum(), np.finfo(float).tiny) if size[-1] > _ONE * size.sum() else np.zeros(3)
+        return out if len(out) == 1 and all(share.any() for share in out.values()) else {}
 
     def angles(self, samples: Indices) -> Array:
         """Raw angle at the first and last edge of every window less its mean over the window, shape (W, 2, 3), rad."""
@@ -241,21 +271,26 @@ def _refined(recording: Recording, windows: Indices, n: int, k: int) -> float:
     return float((f[top] + beside * (f[1] - f[0])) / recording.nominal_interval_s)
 
 
-def _fitted(recording: Recording, samples: Indices, frequency_hz: float) -> tuple[Any, Any, Any]:
-    """Complex amplitude of the raw channels in every window, (W, 3), and of the gyros at its edges, (W, 2, 3)."""
+def _fitted(recording: Recording, samples: Indices, frequency_hz: float) -> tuple[Any, Any, Any, Array]:
+    """Complex amplitude of the raw channels in every window, (W, 3), of the gyros at its edges, (W, 2, 3), and noise.
+
+    The noise is the mean power of the six channels beside the line, (6,).
+    """
     step = 2.0 * np.pi * frequency_hz * recording.nominal_interval_s
     out, edges = np.empty((len(samples), 6), dtype=np.complex128), np.empty((len(samples), 2, 3), dtype=np.complex128)
-    beside = int(np.ceil(_PERIODS * 2.0 * np.pi / step))
+    near, power = int(np.ceil(_PERIODS * 2.0 * np.pi / step)), np.zeros(6)
     for w, (a, b) in enumerate(samples.tolist()):
         x, phase = six_channels(recording, slice(a, b)), step * np.arange(b - a)
         out[w] = _amplitude(x, phase)
-        if 2 * beside > b - a:
+        others = phase + np.multiply.outer(2.0 * np.pi * _BESIDE, np.arange(b - a) / (b - a))
+        power += np.mean([np.abs(_amplitude(x, other)) ** 2 for other in others], axis=0) / len(samples)
+        if 2 * near > b - a:
             edges[w] = out[w, :3]
             continue
-        away = np.arange(beside) / beside
-        edges[w, 0] = _amplitude(x[:beside, :3], phase[:beside], away)
-        edges[w, 1] = _amplitude(x[-beside:, :3], phase[-beside:], away[::-1])
-    return out[:, :3], out[:, 3:], edges
+        away = np.arange(near) / near
+        edges[w, 0] = _amplitude(x[:near, :3], phase[:near], away)
+        edges[w, 1] = _amplitude(x[-near:, :3], phase[-near:], away[::-1])
+    return out[:, :3], out[:, 3:], edges, power
 
 
 def _amplitude(x: Array, phase: Array, growth: Array | None = None) -> Any:

@@ -45,7 +45,8 @@ GROUPS = {
         320_000,
         (
             *("labels_shifted", "labels_exchanged", "wrong_direction", "wrong_angle", "sequence_missing"),
-            *("sequence_repeated", "window_short", "vibration", "unsettled", "bump", "creep", "noisy_window"),
+            *("sequence_repeated", "window_short", "vibration", "spectral_line", "unsettled", "bump", "creep"),
+            "noisy_window",
             *("sensor_time_offset", "samples_lost"),
         ),
     ),

@@ -77,6 +77,15 @@ _truncated("gyro_truncated", "gyro")
 _truncated("accel_truncated", "accel")
 
 
+@injection("spectral_line", dict(zip(GRADES, (8.0, 0.5, 0.5, 0.5), strict=True)), "of the noise")
+def spectral_line(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+    """One gyro reads a beat of its drive with that of another, an eighth to three eighths of the sample rate."""
+    recording, axis = case.recording, int(rng.integers(3))
+    phase = 2.0 * math.pi * (rng.uniform(0.125, 0.375) * np.arange(len(recording.time)) + rng.uniform())
+    _, sigma = _at_rest(recording, "gyro")
+    return with_sensor(recording, "gyro", recording.gyro + severity * sigma * np.sin(phase)[:, None] * np.eye(3)[axis])
+
+
 @injection("bit_stuck", 6.0, "bit")
 def bit_stuck(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """One bit of one axis is always set, as when a line of a 16-bit bus is stuck at high."""

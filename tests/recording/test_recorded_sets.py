@@ -104,3 +104,13 @@ def test_ferraris_session_is_calibrated():
     found = 1.0 + calibration.errors.group("accel_scale")
     np.testing.assert_allclose(found, (0.996746, 1.002438, 1.023395), atol=5e-3)
     np.testing.assert_allclose(calibration.errors.group("accel_bias"), (0.537117, -0.616203, 0.398867), atol=0.1)
+
+
+@pytest.mark.parametrize(("repeat", "chip"), [(1, 1), (4, 3), (6, 2), (6, 6)])
+def test_inspection_of_a_chip_of_the_array_names_what_is_its_own(repeat, chip):
+    """Eight chips on one rigid board: lines at other frequencies in each are no motion, nor is its hand a clock.
+
+    The acceleration by the hand makes the rotation of gravity 10 % smaller than that of the gyros in all turns.
+    """
+    found = srt.diagnose(recorded_sets.array_chip(FOLDER, repeat, chip), calibrating=False).findings
+    assert "spectral_line" in {finding.fault for finding in found} <= {"spectral_line", "gyro_bias_drift"}
