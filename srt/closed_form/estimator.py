@@ -385,8 +385,7 @@ def _result(
     possible, changed = 0.0, None
     if solution.status == "converged" and not fixed.all():
         drift = _drift(data, solution)
-        if is_misfit(statistic, freedom) or contradicting_group(solution.sequence_tests, statistic, freedom):
-            changed = solution.scale_change(data)
+        changed = solution.scale_change(data)
         possible, by_unseen = _unseen(data, solution)
         by_source["accel_bias_instability"] += by_unseen
     return SolverResult(

@@ -76,6 +76,8 @@ def build_calibration(
         evidence = _with_sensor_noise(evidence, data, result, covariance, observed, inflation, turned)
     contradicted = tuple(contradicted_statements(data.recording))
     status, message = _status(result, fixed, evidence, free=free, advice=_advice(data))
+    # A change that moves the scale factors by several sigmas may leave residuals that agree.
+    changes = _scale_change(result) if status in USABLE else ()
     return Calibration(
         estimator=estimator,
         status=status,
@@ -98,7 +100,7 @@ def build_calibration(
             # Far from a solution the covariance may be singular.
             asymmetry=asymmetry_choice(result.errors, covariance, observed) if result.status == "converged" else {},
             unseen_errors=unseen_errors(as_found(data, result.unmodelled), observed),
-            contradicted=contradicted or None,
+            contradicted=(*contradicted, *changes) or None,
             not_shown=_not_shown(data, options, fixed),
             refits=result.refits or None,
             undersampling=_undersampling(data),
@@ -237,10 +239,15 @@ def _status(
             f"{'a parameter fixed at a wrong value, ' if fixed else ''}noise stated far too small, or a unit that the "
             "sensor model does not describe."
         )
-        if result.scale_change is not None and result.scale_change.named:
-            causes = f"{result.scale_change.sentence}."
+        causes = next(iter(_scale_change(result)), causes)
         return "inconsistent", f"{size} (chi-square {statistic:.4g} for {freedom} degrees of freedom): {causes}"
     return partial_or_converged(result.message, fixed)
+
+
+def _scale_change(result: SolverResult) -> tuple[str, ...]:
+    """Sentence on a change of scale factors; empty without one."""
+    changed = result.scale_change
+    return () if changed is None or not changed.named else (f"{changed.sentence}.",)
 
 
 def _unmodelled_drift(result: SolverResult) -> str:
@@ -415,8 +422,7 @@ def _warnings(
             f"The unit moved in the stationary windows from {times}; their attitude was integrated, not kept fixed."
         )
     messages += [term.sentence for term in result.drift]
-    if result.scale_change is not None and result.scale_change.named:
-        messages.append(f"{result.scale_change.sentence}.")
+    messages += _scale_change(result)
     if (slow := _undersampling(data)) is not None and not slow.noise_free:
         rate = 1.0 / data.recording.nominal_interval_s
         messages.append(

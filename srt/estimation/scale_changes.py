@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from srt.noise.drift_forms import FALSE_ALARM, Statistics, drift_test, of_courses
-from srt.ranking import significant
+from srt.ranking import rounded
 from srt.sensor_errors import GROUP_SLICES
 
 if TYPE_CHECKING:
@@ -107,22 +107,30 @@ def most_likely_change(found: Mapping[str, Statistics], times: Array, titles: Se
     """
     if len(times) < _LEAST_PLACES:
         return None
-    courses = dict(_courses(times, titles))
-    number, best = len(found) * len(courses), None
-    for sensor, each in found.items():
-        for when, course in courses.items():
-            own = of_courses(each, course[:, None])
-            test = drift_test(replace(own, information=own.information + np.eye(3) / _USUAL**2))
-            if test is not None and (best is None or significant(test.gain) > significant(best[2].gain)):
-                best = sensor, when, test
-    if best is None:
+    courses = _courses(times, titles)
+    forms = np.stack([course for _, course in courses])
+    # The gain of a test rises with what it explains: the largest of all is that of the most likely change.
+    explained = np.stack([_explained(each, forms) for each in found.values()])
+    triad, form = np.unravel_index(int(np.argmax(rounded(explained, axis=None))), explained.shape)
+    sensor, (when, course) = list(found)[triad], courses[form]
+    own = of_courses(found[sensor], course[:, None])
+    test = drift_test(replace(own, information=own.information + np.eye(3) / _USUAL**2))
+    if test is None:
         return None
-    sensor, when, test = best
-    chi_square, freedom = found[sensor].chi_square, found[sensor].freedom
-    explained = float(test.amplitude @ of_courses(found[sensor], courses[when][:, None]).gradient)
-    share = explained / max(chi_square - freedom, explained)
+    decrease = float(test.amplitude @ own.gradient)
+    share = decrease / max(own.chi_square - own.freedom, decrease)
+    number = explained.size
     penalty = 2.0 * math.log(number)
     return ScaleChange(sensor, when, test.amplitude, min(number * test.p_value, 1.0), share, test.gain - penalty)
+
+
+def _explained(found: Statistics, courses: Array) -> Array:
+    """Decrease of chi-square by the change along each of n courses (n, K), with the prior of its size, shape (n,)."""
+    K = courses.shape[1]
+    gradient = courses @ found.gradient.reshape(K, 3)
+    half = np.tensordot(courses, found.information.reshape(K, 3, K, 3), axes=1)
+    information = np.einsum("cakb,ck->cab", half, courses) + np.eye(3) / _USUAL**2
+    return np.einsum("ca,ca->c", gradient, np.linalg.solve(information, gradient[:, :, None])[:, :, 0])
 
 
 def _courses(times: Array, titles: Sequence[str]) -> list[tuple[str, Array]]:

@@ -79,3 +79,12 @@ def test_noise_shows_no_change():
         assert not change.named
         small += change.p_value < 0.05
     assert small <= 15 + 3.5 * np.sqrt(15)
+
+
+@pytest.mark.parametrize(("place", "number"), [("fixture", 18), ("hand", 5)])
+def test_a_change_that_the_residuals_hide_is_named(place, number):
+    """The residuals agree (p = 0.1 and 0.03), and a scale factor is off by 5.4 and 4.4 sigma."""
+    found = srt.calibrate(drawn("scale drift", place, number, 20261206)[0], estimator="least-squares")
+    assert found.judgement.word == "doubtful"
+    assert "scale factors of the gyros seem to change" in found.judgement.reason
+    assert found.diagnostics.contradicted is not None
