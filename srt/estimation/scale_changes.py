@@ -130,7 +130,7 @@ def _explained(found: Statistics, courses: Array) -> Array:
     gradient = courses @ found.gradient.reshape(K, 3)
     half = np.tensordot(courses, found.information.reshape(K, 3, K, 3), axes=1)
     information = np.einsum("cakb,ck->cab", half, courses) + np.eye(3) / _USUAL**2
-    return np.einsum("ca,ca->c", gradient, np.linalg.solve(information, gradient[:, :, None])[:, :, 0])
+    return np.asarray(np.einsum("ca,ca->c", gradient, np.linalg.solve(information, gradient[:, :, None])[:, :, 0]))
 
 
 def _courses(times: Array, titles: Sequence[str]) -> list[tuple[str, Array]]:
