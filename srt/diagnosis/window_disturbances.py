@@ -50,6 +50,8 @@ def disturbed_windows(evidence: Evidence) -> Iterator[Finding]:
     # If gyros lag or lead, their readings of a rotation reach into the windows, in which the unit is at rest.
     lagging = evidence.lag is not None
     ringing, amplitude = _oscillation(averages, by_gyros=not lagging)
+    # Behind a filter a turn fades into the window after it, which is no noise.
+    fading = np.any(ringing & (averages.head_sign > _ONE_SIGN), axis=1)
     if evidence.recording.fixture is None:
         ringing[:] = False  # a unit held by hand is never quite at rest
     # A step during an oscillation is a part of it, and no bump. An oscillation after a step is due to the bump.
@@ -86,7 +88,7 @@ def disturbed_windows(evidence: Evidence) -> Iterator[Finding]:
     power, largest = averages.relative_noise()
     log = np.log(np.maximum(power, 1e-12))
     scatter = limit("normal", tests=power.size) * robust_sigma(log, axis=2)[:, :, None]
-    loud = (log > np.maximum(np.log(largest), scatter)) & ~done
+    loud = (log > np.maximum(np.log(largest), scatter)) & ~(done | fading)
     if loud.any():  # single samples first, then blocks
         kind = int(np.argmax(loud.any(axis=(1, 2))))
         sensor, v = divmod(int(np.argmax(np.where(loud[kind], power[kind], 0.0))), len(done))

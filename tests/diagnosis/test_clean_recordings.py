@@ -99,11 +99,12 @@ def test_a_tremor_of_12_hz_is_integrated_at_50_hz(number):
     assert error @ np.linalg.solve(found.covariance, error) < chdtri(len(error), 1e-4)
 
 
-def test_a_turn_that_fades_behind_a_filter_is_no_oscillation():
+def test_a_turn_that_fades_behind_a_filter_is_no_oscillation_and_no_noise():
     """At 25 Hz a low pass of the unit carries 1 % of the last rate of a turn into the window 0.1 s after it."""
     (found,) = diagnose(drawn(50, 20261207, handled=False).recording, calibrating=False).findings
     assert found.fault == "unsettled"
     assert "rates of the turn still fade" in found.sentence
+    assert diagnose(drawn(378, 20261207, handled=False).recording, calibrating=False).findings == ()
 
 
 def test_knocks_in_turns_are_no_dead_gyro():
