@@ -76,8 +76,6 @@ def build_calibration(
         evidence = _with_sensor_noise(evidence, data, result, covariance, observed, inflation, turned)
     contradicted = tuple(contradicted_statements(data.recording))
     status, message = _status(result, fixed, evidence, free=free, advice=_advice(data))
-    # A change that moves the scale factors by several sigmas may leave residuals that agree.
-    changes = _scale_change(result) if status in USABLE else ()
     return Calibration(
         estimator=estimator,
         status=status,
@@ -100,7 +98,7 @@ def build_calibration(
             # Far from a solution the covariance may be singular.
             asymmetry=asymmetry_choice(result.errors, covariance, observed) if result.status == "converged" else {},
             unseen_errors=unseen_errors(as_found(data, result.unmodelled), observed),
-            contradicted=(*contradicted, *changes) or None,
+            contradicted=(*contradicted, *_scale_change(result)) or None,
             not_shown=_not_shown(data, options, fixed),
             refits=result.refits or None,
             undersampling=_undersampling(data),
@@ -245,7 +243,7 @@ def _status(
 
 
 def _scale_change(result: SolverResult) -> tuple[str, ...]:
-    """Sentence on a change of scale factors; empty without one."""
+    """Sentence on a change of scale factors, which may leave residuals that agree; empty without one."""
     changed = result.scale_change
     return () if changed is None or not changed.named else (f"{changed.sentence}.",)
 
