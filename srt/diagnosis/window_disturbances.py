@@ -139,7 +139,8 @@ def vibration(evidence: Evidence) -> Iterator[Finding]:
     data = evidence.data
     if data is None or data.vibration is None:
         return
-    for sensor, share in data.vibration.shares().items():
+    if (own := data.vibration.of_unit(data.windows.accel_mean)) is not None:
+        sensor, share = own
         name, other, unit, per_si = _IN_WORDS[sensor]
         size = float(np.quantile(np.linalg.norm(getattr(data.vibration, sensor), axis=1), 0.75))
         yield SPECTRAL_LINE.found(
@@ -186,8 +187,9 @@ SPECTRAL_LINE: Final = Fault(
     "a spectral line as of a vibration, which one triad alone shows and whose direction in the unit is the same in all "
     "attitudes",
     "In the stationary windows the readings of {channels} have a line at {frequency_hz:.4g} Hz with an amplitude of "
-    "{amplitude}. The {others} do not show it, and it keeps its direction in the unit in all attitudes: its source is "
-    "in the unit (clocks, converter, supply), and it is no motion of the table. The calibration removes it.",
+    "{amplitude}. The {others} do not show it, and it keeps its direction in the unit in all attitudes: its source "
+    "turns with the unit (clocks, converter, supply, or the drive of a fixture's inner axis). The calibration removes "
+    "it.",
     "warning",
     vibration,
 )

@@ -13,7 +13,6 @@ from srt.estimation.calibration_builder import build_calibration
 from srt.estimation.error_sources import accel_drift, by_drift, latitude_error
 from srt.estimation.fixed_parameters import determined_by_fixture, reason_not_observed, value_of_fixed
 from srt.estimation.g_sensitivity import MODE as G_SENSITIVE
-from srt.estimation.goodness_of_fit import is_misfit
 from srt.estimation.observability import finest_sigma, observed_limit
 from srt.estimation.scale_changes import most_likely_change, scale_effects
 from srt.estimation.solver_result import SolverResult
@@ -199,7 +198,6 @@ def analyse_solution(solver: JointSolver, iteration: IterationState, uncertain: 
     chi_square, freedom = goodness_of_fit(joint, solver, solution)
     by_noise = _with_sensor_noise(solver, iteration)
     fit = (chi_square, freedom) if by_noise is None else goodness_of_fit(joint, solver, by_noise)
-    of_sensors = solution if by_noise is None or not is_misfit(*fit) else by_noise
     return SolutionAnalysis(
         covariance,
         total,
@@ -211,7 +209,7 @@ def analyse_solution(solver: JointSolver, iteration: IterationState, uncertain: 
         sequences=sequence_diagnostics(joint, solution, against),
         instability=_instability_by_sequence(joint, system, solution.delta),
         g_sensitivity_covariance=_g_sensitivity_covariance(joint, solution),
-        scale_change=None if solver.weights() else scale_change(joint, of_sensors, fit[1]),
+        scale_change=None if solver.weights() else scale_change(joint, by_noise or solution, fit[1]),
     )
 
 

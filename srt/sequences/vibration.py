@@ -102,25 +102,30 @@ class Vibration:
         attenuation = np.sinc(self._half_step / np.pi)
         return np.asarray(np.abs(raw @ triad.inverse.T) / attenuation)
 
-    def shares(self) -> dict[str, Array]:
-        """Share of each channel in the power of the line, (3,), by the sensor that alone shows it in one direction.
+    def of_unit(self, force: Array) -> tuple[str, Array] | None:
+        """Sensor that alone shows the line, and in one direction of the unit, with the share of each channel, (3,).
 
-        Motion of what carries the unit keeps its direction in the room, not in the unit, and tilts the accelerometers
-        against gravity. Statistic: power of the three channels of a triad over that beside the line. Distribution: F.
-        Its direction is one if the largest eigenvalue of the covariance of the amplitudes, less the noise, has nearly
-        all of the power.
+        None if both sensors show it, or if its direction in the unit changes. Motion of what carries the unit keeps its
+        direction in the room, and tilts the accelerometers against gravity. Statistic: power of a triad over that
+        beside the line. Distribution: F.
+
+        Parameters
+        ----------
+        force : ndarray, shape (W, 3), m/s²
+            Mean specific force: where gravity has one direction in the unit, too, all windows have one attitude.
         """
-        count, of_noise = len(self.gyro), np.split(self.beside, 2)
+        count = len(force)
         limit = fdtri(6 * count, 6 * count * len(_BESIDE), 1.0 - _SEEN)
-        lines, out = {"gyro": self.gyro, "accel": self.accel}, {}
-        for (sensor, line), noise in zip(lines.items(), of_noise, strict=True):
-            if np.mean(np.mean(np.abs(line) ** 2, axis=0) / np.maximum(noise, np.finfo(float).tiny)) <= limit:
-                continue
-            power = line.conj().T @ line / count - np.diag(noise)
-            size = np.maximum(np.linalg.eigvalsh(power), 0.0)
-            own = np.maximum(power.diagonal().real, 0.0)
-            out[sensor] = own / max(own.sum(), np.finfo(float).tiny) if size[-1] > _ONE * size.sum() else np.zeros(3)
-        return out if len(out) == 1 and all(share.any() for share in out.values()) else {}
+        noise = np.maximum(self.beside, np.finfo(float).tiny)
+        power = np.mean(np.abs(np.hstack([self.gyro, self.accel])) ** 2, axis=0)
+        by_gyros, by_accels = (power / noise).reshape(2, 3).mean(axis=1) > limit
+        if by_gyros == by_accels or _has_one_direction(force.T @ force):
+            return None
+        sensor, line, at = ("gyro", self.gyro, slice(3)) if by_gyros else ("accel", self.accel, slice(3, 6))
+        if not _has_one_direction(line.conj().T @ line / count - np.diag(noise[at])):
+            return None
+        own = np.maximum(power[at] - noise[at], 0.0)
+        return sensor, own / own.sum()
 
     def angles(self, samples: Indices) -> Array:
         """Raw angle at the first and last edge of every window less its mean over the window, shape (W, 2, 3), rad."""
@@ -153,6 +158,12 @@ class Vibration:
             turns = np.exp(1j * step * np.arange(n))
             out[:, w] = turns.mean(), averaging_weights(n, average) @ turns
         return (out[0][:, None] * self.gyro).real, (out[1][:, None] * self.accel).real
+
+
+def _has_one_direction(power: Any) -> bool:
+    """True if the largest eigenvalue of the power of three channels, (3, 3), has nearly all of it."""
+    size = np.maximum(np.linalg.eigvalsh(power), 0.0)
+    return bool(size[-1] > _ONE * size.sum())
 
 
 def rectified(mean: Array, amplitude: Array) -> Array:

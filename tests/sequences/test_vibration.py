@@ -173,3 +173,16 @@ def test_vibration_is_no_noise(kind):
     chance = 3.5 * 1.5 / 3.0 * np.sqrt(6.0 / n) * recording.nominal_interval_s
     assert np.all(data.noise.gyro_edge**2 < chance * unit.gyro_noise**2)
     assert np.all(data.noise.accel_edge**2 < chance * unit.accel_noise**2)
+
+
+def test_a_line_of_one_gyro_is_of_the_unit_where_the_attitudes_tell():
+    """A table that turns in the room moves all channels; in one attitude, either would look like the other."""
+    still = read_out(motion(), PERFECT, FINE, np.random.default_rng(5))
+    beat = ANGLE_RAD * np.sin(2.0 * np.pi * HZ * still.time)[:, None] * np.array([0.0, 1.0, 0.0])
+    data = prepared(replace(still, gyro=still.gyro + beat))
+    force = data.windows.accel_mean
+    sensor, share = data.vibration.of_unit(force)
+    assert sensor == "gyro"
+    np.testing.assert_allclose(share, [0.0, 1.0, 0.0], atol=0.01)
+    assert data.vibration.of_unit(np.broadcast_to(force[0], force.shape)) is None
+    assert vibrating_unit(PERFECT, "rate")[0].vibration.of_unit(force) is None
