@@ -16,6 +16,7 @@ from scipy.linalg import solve_triangular
 from scipy.special import chdtri
 
 from estimators.factor_graph import FactorGraph
+from srt.estimation.observability import default_prior
 from srt.joint.calibration_run import run
 from srt.joint.recording_opening import open_joint_model
 from srt.joint.solver import JointSolver, LinearSolution
@@ -123,7 +124,7 @@ class GraphSolver(JointSolver):
         """Solve once; with a robust loss, relinearise and update the weights until both converge."""
         loss = self.stages[min(self.calls, len(self.stages) - 1)]
         self.calls += 1
-        prior, columns = self.prior_in_use, point.columns
+        prior, columns = self.prior, point.columns
         weights = np.ones(point.joint.data.K)
         built = FactorGraph(point, prior=prior)
         values, solution = built.values, None
@@ -206,4 +207,6 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
         As :func:`srt.sequences.checked_preparation.prepare_checked`.
     """
     options.refuse(("live", "targets", "filter"), "The factor graph")
-    return run(open_joint_model(recording, options), GraphSolver(options.loss, options.prior), progress)
+    return run(
+        open_joint_model(recording, options), GraphSolver(options.loss, options.prior or default_prior()), progress
+    )

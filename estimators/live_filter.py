@@ -165,7 +165,7 @@ class LiveFilter:
         requested = np.array([name in self.options.fixed_names for name in NAMES])
         iteration = IterationState(joint, joint.start, ~requested)
         with threadpool_limits(limits=1, user_api="blas"):
-            return solver, iterate(solver, iteration, requested=requested, max_step=_MAX_STEP)
+            return solver, iterate(solver, iteration, max_step=_MAX_STEP)
 
     def _report(self, data: PreparedRecording) -> LiveReport:
         assert self.iteration is not None

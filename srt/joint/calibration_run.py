@@ -71,8 +71,8 @@ def run(joint: JointModel, solver: JointSolver, progress: Progress | None) -> Ca
         iteration = IterationState.at_start(iteration.joint, requested)
     held: Diagnostics | None = None
     for _ in range(_ROUNDS * (1 + MOST_TERMS)):
-        iteration = iterate(solver, iteration, requested=requested, count=count)
-        iteration = _with_still_windows(solver, iteration, requested, count)
+        iteration = iterate(solver, iteration, count=count)
+        iteration = _with_still_windows(solver, iteration, count)
         uncertain = _fixed_sigma(iteration.joint)
         if (found_held := _integrate_moving_windows(solver, iteration, uncertain)) is not None:
             held = found_held
@@ -103,11 +103,7 @@ def run(joint: JointModel, solver: JointSolver, progress: Progress | None) -> Ca
             held = found_held
             iteration.joint = iteration.joint.with_choice(unmodelled_sigma=NO_ERRORS)
             continue
-        weak = iteration.free & (iteration.sigma > observed_limit(iteration.joint.choice.admission))
-        if not weak.any() or solver.prior is not None:
-            break
-        iteration.free = iteration.free & ~weak
-        iteration.state = iteration.joint.with_fixed_values(iteration.state, weak)
+        break
     iteration.corrections, iteration.refits = count.corrections, count.refits
     if iteration.status == "converged":
         iteration.message = count.converged
@@ -124,7 +120,6 @@ def _fixed_sigma(joint: JointModel) -> Array:
 def _with_drift(
     solver: JointSolver,
     iteration: IterationState,
-    requested: Mask,
     count: Iterations,
     accused: Callable[[IterationState], int],
 ) -> IterationState | None:
@@ -133,7 +128,7 @@ def _with_drift(
     before = left = accused(iteration)
     while left and (changed := add_drift(solver, found)) is not None:
         solver.restart()
-        found = iterate(solver, changed, requested=requested, count=count)
+        found = iterate(solver, changed, count=count)
         if found.status != "converged":
             left = before
             break
@@ -144,9 +139,7 @@ def _with_drift(
     return None
 
 
-def _with_still_windows(
-    solver: JointSolver, iteration: IterationState, requested: Mask, count: Iterations
-) -> IterationState:
+def _with_still_windows(solver: JointSolver, iteration: IterationState, count: Iterations) -> IterationState:
     """Solution with a bias drift, if that explains why windows seem to move."""
 
     def moving(at: IterationState) -> int:
@@ -155,7 +148,7 @@ def _with_still_windows(
 
     if iteration.status != "converged":
         return iteration
-    return _with_drift(solver, iteration, requested, count, moving) or iteration
+    return _with_drift(solver, iteration, count, moving) or iteration
 
 
 def _integrate_moving_windows(
@@ -234,7 +227,7 @@ def _with_sound_moves(joint: JointModel, solver: JointSolver, count: Iterations)
     """
     requested = np.array([name in joint.options.fixed_names for name in NAMES])
     while joint.data.moves:
-        iteration = iterate(solver, IterationState.at_start(joint, requested), requested=requested, count=count)
+        iteration = iterate(solver, IterationState.at_start(joint, requested), count=count)
         joint = iteration.joint
         if iteration.status != "converged":
             solver.restart()
@@ -246,7 +239,7 @@ def _with_sound_moves(joint: JointModel, solver: JointSolver, count: Iterations)
         reasons = _contradicting_move(solver, iteration)
         if not reasons:
             return iteration
-        found = _with_drift(solver, iteration, requested, count, lambda at: len(_contradicting_move(solver, at)))
+        found = _with_drift(solver, iteration, count, lambda at: len(_contradicting_move(solver, at)))
         if found is not None:
             return found
         joint = joint.without_moves(reasons)

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.sparse import hstack
 
 from srt.estimation.convergence import CONVERGED_CORRECTION, CONVERGED_SIGMAS, MAX_STEP, PARAMETER_UNITS
-from srt.estimation.observability import admission_sigma, admit, default_prior
+from srt.estimation.observability import admission_sigma, admit
 from srt.joint.block_solution import eliminate
 from srt.joint.initial_attitudes import initial_attitudes
 from srt.joint.linear_system import N_ERRORS, global_columns, total
@@ -87,7 +87,6 @@ def iterate(
     solver: JointSolver,
     iteration: IterationState,
     *,
-    requested: Mask,
     count: Iterations | None = None,
     converged: tuple[float, float] = (CONVERGED_CORRECTION, CONVERGED_SIGMAS),
     max_step: float = MAX_STEP,
@@ -99,8 +98,6 @@ def iterate(
     solver : JointSolver
     iteration : IterationState
         Model, initial state and free parameters.
-    requested : ndarray of bool, shape (27,)
-        Parameters fixed on request.
     count : Iterations, optional
         Count over all models.
     converged : (float, float)
@@ -114,19 +111,12 @@ def iterate(
         count.begin()
     scatter_updates = 0
     damping = _Damping()
-    observability_known = not np.array_equal(iteration.free, ~requested)
     for _ in range(iteration.joint.options.max_playbacks):
         near = bool(corrections) and corrections[-1] < _NEAR
         last = corrections[-1] if near else None
         joint, state, compensated = _compensate(iteration.joint, iteration.state, scatter_updates, last)
         iteration.joint, scatter_updates = joint, scatter_updates + near
         point = Linearisation(joint, state, compensated, iteration.free)
-        if near and not observability_known and solver.prior is None:
-            observability_known = True
-            if not np.array_equal(observable_parameters(point.system, requested), iteration.free):
-                # A wide prior is added. Parameters whose sigma remains near that of the prior are fixed at the end.
-                solver.prior = default_prior()
-        solver.observability_pending = not observability_known
         correction = _correct(solver, iteration, point, max_step, damping, count)
         if correction is None:
             break
@@ -139,7 +129,6 @@ def iterate(
             np.all(np.abs(correction) <= negligible)
             and _neglected_tilt(state, iteration.state) <= converged[1] * _least_tilt_sigma(joint, compensated)
             and solver.settled
-            and (observability_known or solver.prior is not None)
         ):
             iteration.status, iteration.message = "converged", f"Converged after {len(corrections)} iterations."
             break
@@ -255,7 +244,7 @@ def _correct(
     iteration.state = apply_correction(point.state, point.columns, delta)
     iteration.point, iteration.covariance = point, solved.covariance
     if solved.whole is not None:
-        iteration.whole = point, solver.prior_in_use, solved.whole
+        iteration.whole = point, solver.prior, solved.whole
     reason = outside_model(iteration.state.errors)
     if reason is not None:
         iteration.message = f"After iteration {len(iteration.corrections)} {reason}."

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from srt.estimation.observability import default_prior
 from srt.joint.block_solution import BlockSolution
 from srt.joint.calibration_run import run
 from srt.joint.linearisation import with_prior
@@ -34,7 +35,7 @@ class BlockSolver(JointSolver):
 
     def solve(self, point: Linearisation) -> LinearSolution:
         """Solve for all columns."""
-        whole = BlockSolution(with_prior(point.system, point.joint, point.state, self.prior_in_use))
+        whole = BlockSolution(with_prior(point.system, point.joint, point.state, self.prior))
         correction = point.columns.parameter_map() @ whole.delta
         return LinearSolution(whole.delta, correction, whole.covariance, whole)
 
@@ -50,4 +51,4 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
         As :func:`srt.sequences.checked_preparation.prepare_checked`.
     """
     options.refuse(("loss", "filter", "live", "targets"), "Least squares")
-    return run(open_joint_model(recording, options), BlockSolver(options.prior), progress)
+    return run(open_joint_model(recording, options), BlockSolver(options.prior or default_prior()), progress)

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 from scipy.special import chdtri, ndtri
 
+from srt.estimation.observability import default_prior
 from srt.estimation.white_residuals import LEAST_PREDICTED_SHARE
 from srt.exceptions import DataError
 from srt.joint.block_solution import BlockSolution
@@ -134,14 +135,14 @@ def _solved(recording: Recording, options: Options, suspects: Suspects, false: M
         recording = replace(recording, gyro=gyro)
     requested = np.array([name in options.fixed_names for name in NAMES])
     try:
-        joint, solver = open_joint_model(recording, options), BlockSolver(options.prior)
-        iteration = iterate(solver, IterationState.at_start(joint, requested), requested=requested)
+        joint, solver = open_joint_model(recording, options), BlockSolver(options.prior or default_prior())
+        iteration = iterate(solver, IterationState.at_start(joint, requested))
         if iteration.point is None or iteration.status == "outside_model":
             return None
         moving = iteration.joint.moving_windows(iteration.point.state, iteration.point.compensated)
         if moving.any():
             iteration.joint = iteration.joint.with_integrated(moving)
-            iteration = iterate(solver, iteration, requested=requested)
+            iteration = iterate(solver, iteration)
         joint, point = iteration.joint, iteration.point
         if point is None or iteration.status == "outside_model":
             return None

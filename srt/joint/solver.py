@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from srt.estimation.drift_model import DriftSearch
-from srt.estimation.observability import default_prior
 from srt.result.diagnostics import Diagnostics
 from srt.sensor_errors import N_PARAMETERS
 
@@ -52,19 +51,12 @@ class JointSolver(ABC):
     name : str
         Name of the estimator.
     prior : Prior or None
-        Prior of the sensor errors; if given, every parameter can be estimated.
-    observability_pending : bool
-        True while the observable parameters are not determined.
+        Prior of the sensor errors. With one, every parameter can be estimated; without one, the measurements must
+        determine all that are free.
     """
 
     name: str
     prior: Prior | None = None
-    observability_pending = True
-
-    @property
-    def prior_in_use(self) -> Prior | None:
-        """Prior of the sensor errors; while the observable parameters are not determined, at least the wide one."""
-        return default_prior() if self.prior is None and self.observability_pending else self.prior
 
     @property
     def settled(self) -> bool:

@@ -88,14 +88,14 @@ def test_filter_and_dense_solution_where_the_bias_walks(monkeypatch):
     joint = joint.with_choice(bias_scatter=np.full(3, recording.noise.gyro_bias_instability))
     assert joint.bias_walks
     iteration = IterationState(joint, joint.start, ALL.copy())
-    iteration = iterate(KalmanSolver(default_prior()), iteration, requested=~ALL, converged=RESOLVED)
+    iteration = iterate(KalmanSolver(default_prior()), iteration, converged=RESOLVED)
     once = run_filter(joint, iteration.point.system, iteration.point.state, default_prior())
     dense = SolveStep(default_prior()).solve(iteration.point)
     a, b = (Found(r.correction, r.covariance) for r in (once, dense))
     assert max(difference(a, b)) <= AGREE + rounding(b)
     ekf = Found(iteration.state.errors.vector, iteration.covariance)
     smooth = IterationState(joint, joint.start, ALL.copy())
-    smooth = iterate(SolveStep(default_prior()), smooth, requested=~ALL, converged=RESOLVED)
+    smooth = iterate(SolveStep(default_prior()), smooth, converged=RESOLVED)
     found = Found(smooth.state.errors.vector, smooth.covariance)
     spread = np.ptp(smooth.state.bias_deviation, axis=0).max()
     assert spread > 0.0

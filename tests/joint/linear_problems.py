@@ -73,7 +73,7 @@ def difference(a, b):
 
 def jointly(joint, step, converged=RESOLVED):
     iteration = IterationState(joint, joint.start, ALL.copy())
-    iteration = iterate(step, iteration, requested=~ALL, converged=converged)
+    iteration = iterate(step, iteration, converged=converged)
     assert iteration.status == "converged"
     assert iteration.free.all()
     return Found(iteration.state.errors.vector, iteration.covariance)
