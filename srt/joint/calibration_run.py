@@ -25,14 +25,7 @@ from srt.joint.block_solution import BlockSolution
 from srt.joint.initial_attitudes import placed
 from srt.joint.iteration import iterate, observable_parameters
 from srt.joint.linearisation import linearise
-from srt.joint.model_selection import (
-    add_drift,
-    add_fixture_errors,
-    add_g_sensitivity,
-    add_instability,
-    add_undersampling,
-    add_unmodelled_noise,
-)
+from srt.joint.model_selection import DRIFT, EXPLANATIONS, FIXTURE, G_SENSITIVITY, explained
 from srt.joint.recording_opening import contradicting_move
 from srt.joint.residual_analysis import contradicting_rests, contradictions
 from srt.joint.solution_analysis import FixedParameters, analyse_solution, make_calibration, whole_solution
@@ -86,9 +79,7 @@ def run(joint: JointModel, solver: JointSolver, progress: Progress | None) -> Ca
             continue
         if iteration.status != "converged":
             break
-        changes = (add_g_sensitivity, add_undersampling, add_instability, add_unmodelled_noise, add_drift)
-        changed = next(filter(None, (change(solver, iteration) for change in changes)), None)
-        if changed is not None:
+        if (changed := explained(solver, iteration, EXPLANATIONS)) is not None:
             iteration = changed
             if iteration.joint.relies_on_fixture:
                 iteration.joint, solver.prior = iteration.joint.relying_on_fixture(_fixed_sigma(iteration.joint))
@@ -126,8 +117,7 @@ def _with_drift(
     """Solution with bias drift if less than half of the windows or moves accused without it are so beside it."""
     found = replace(iteration, corrections=list(iteration.corrections or ()))
     before = left = accused(iteration)
-    while left and (changed := add_drift(solver, found)) is not None:
-        solver.restart()
+    while left and (changed := explained(solver, found, (DRIFT,))) is not None:
         found = iterate(solver, changed, count=count)
         if found.status != "converged":
             left = before
@@ -232,8 +222,7 @@ def _with_sound_moves(joint: JointModel, solver: JointSolver, count: Iterations)
         if iteration.status != "converged":
             solver.restart()
             break
-        changed = add_g_sensitivity(solver, iteration) or add_fixture_errors(solver, iteration)
-        if changed is not None:
+        if (changed := explained(solver, iteration, (G_SENSITIVITY, FIXTURE))) is not None:
             joint = changed.joint
             continue
         reasons = _contradicting_move(solver, iteration)

@@ -1,12 +1,13 @@
-"""Selection of what a converged solution models besides: g-sensitivity, bias instability, unmodelled noise, drift.
+"""Explanations of the residuals of a converged solution: what the joint model has besides the sensor errors.
 
-Each function returns the iteration with the model that it selects, or None if the model stays as it is.
+:data:`EXPLANATIONS` are tried in order, each at the same solution; :func:`explained` takes the first that holds. Its
+function returns the iteration with the model that it selects, or None if the model stays as it is.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import TYPE_CHECKING, Final
 
@@ -40,7 +41,7 @@ from srt.noise.drift_forms import WALK, Statistics, VarianceComponent, likelihoo
 from srt.result.verdict import MISFIT_PROBABILITY
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
 
     from srt.estimation.drift_model import Sensor
     from srt.estimation.error_sources import UnmodelledErrors
@@ -71,44 +72,106 @@ _SAME_NOISE: Final = (0.1, 1e-6)
 """Relative and absolute (rad, m/s², rad/s) change of the unmodelled error that is negligible."""
 
 
-def add_g_sensitivity(solver: JointSolver, iteration: IterationState) -> IterationState | None:
-    """Model gyro g-sensitivity, if the residuals exceed the noise and the rates at rest show it; None if not."""
-    joint = iteration.joint
-    if joint.options.gyro_bias != "auto" or joint.choice.drift.force_axes is not None or solver.weights():
+@dataclass(frozen=True, slots=True, eq=False)
+class Converged:
+    """A converged solution, whose residuals are to be explained.
+
+    Attributes
+    ----------
+    solver : JointSolver
+    iteration : IterationState
+    solution : BlockSolution
+        Solution of all columns.
+    fit : float, int
+        Chi-square of the residuals and its degrees of freedom.
+    """
+
+    solver: JointSolver
+    iteration: IterationState
+    solution: BlockSolution
+    fit: tuple[float, int]
+
+    @property
+    def joint(self) -> JointModel:
+        """Model of the solution."""
+        return self.iteration.joint
+
+    @property
+    def misfit(self) -> bool:
+        """True if the residuals exceed the noise."""
+        return is_misfit(*self.fit)
+
+    @property
+    def point(self) -> Linearisation:
+        """Linearisation of the solution."""
+        assert self.iteration.point is not None
+        return self.iteration.point
+
+
+@dataclass(frozen=True, slots=True)
+class Explanation:
+    """Something that the joint model can have besides the sensor errors.
+
+    Attributes
+    ----------
+    select : callable
+        Iteration with the model that it selects for a solution, or None.
+    beside_noise : bool
+        True if it is tried where unmodelled noise of the unit is in the model, too. Such noise hides the others.
+    """
+
+    select: Callable[[Converged], IterationState | None]
+    beside_noise: bool = False
+
+
+def explained(
+    solver: JointSolver, iteration: IterationState, explanations: tuple[Explanation, ...]
+) -> IterationState | None:
+    """Iteration with the first of some explanations that holds for a converged solution; None if none does.
+
+    A robust loss reduces the weight of the sequences that do not agree instead.
+    """
+    if solver.weights():
         return None
     solution = whole_solution(solver, iteration)
-    if any(joint.choice.unmodelled_sigma.of_unit) or not is_misfit(*goodness_of_fit(joint, solver, solution)):
+    now = Converged(solver, iteration, solution, goodness_of_fit(iteration.joint, solver, solution))
+    noisy = any(now.joint.choice.unmodelled_sigma.of_unit)
+    tried = (one.select(now) for one in explanations if one.beside_noise or not noisy)
+    found = next(filter(None, tried), None)
+    if found is not None:
+        solver.restart()
+    return found
+
+
+def _g_sensitivity(now: Converged) -> IterationState | None:
+    """Gyro g-sensitivity, if the residuals exceed the noise and the rates at rest show it."""
+    joint, point = now.joint, now.point
+    if joint.options.gyro_bias != "auto" or joint.choice.drift.force_axes is not None or not now.misfit:
         return None
-    point = iteration.point
-    assert point is not None
     rest = joint.rest_rate(point.state, point.compensated)
     if significant_g_sensitivity(joint.data, point.compensated.force, rest, joint.choice.integrated) is None:
         return None
-    solver.restart()
-    joint, state = joint.with_g_sensitivity(iteration.state)
-    return replace(iteration, joint=joint, state=state)
+    joint, state = joint.with_g_sensitivity(now.iteration.state)
+    return replace(now.iteration, joint=joint, state=state)
 
 
-def add_undersampling(solver: JointSolver, iteration: IterationState) -> IterationState | None:
-    """Model the error of rotations by motion too fast for the sample rate; None if it is as before.
+def _fast_motion(now: Converged) -> IterationState | None:
+    """Error of rotations by motion too fast for the sample rate; None if it is as before.
 
     It must be more likely than an error that is equal in all rotations, and than a fault of one of them. Without noise
     it is that of the integration of a simulation, which is too small to be anything else and need not be a misfit.
     """
-    joint, data = iteration.joint, iteration.joint.data
-    if solver.weights() or any(joint.choice.unmodelled_sigma.of_unit) or not data.fast_motion.any():
+    joint, data = now.joint, now.joint.data
+    if not data.fast_motion.any():
         return None
-    solution = whole_solution(solver, iteration)
-    fit = goodness_of_fit(joint, solver, solution)
-    if data.undersampling is None and not is_misfit(*fit) and not data.noise.noise_free:
+    if data.undersampling is None and not now.misfit and not data.noise.noise_free:
         return None
-    share = _undersampling(joint, solution, fit)
+    share = _undersampling(joint, now.solution, now.fit)
     if share is None or (
         data.undersampling is not None and math.isclose(share, data.undersampling, rel_tol=_SAME_NOISE[0])
     ):
         return None
-    solver.restart()
-    return replace(iteration, joint=joint.with_data(replace(data, undersampling=share)))
+    return replace(now.iteration, joint=joint.with_data(replace(data, undersampling=share)))
 
 
 def _undersampling(joint: JointModel, solution: BlockSolution, fit: tuple[float, int]) -> float | None:
@@ -156,22 +219,16 @@ def _integration_error(likelihood: RestrictedLikelihood) -> float | None:
     return math.sqrt(float(weight @ share**2 / weight.sum()))
 
 
-def add_instability(solver: JointSolver, iteration: IterationState) -> IterationState | None:
-    """Model a smooth drift, or a bias instability of accelerometers or gyros or both; None if none explains residuals.
+def _instability(now: Converged) -> IterationState | None:
+    """A smooth drift, or a bias instability of accelerometers or gyros or both; None if none explains the residuals.
 
     Where one sequence contradicts the others, the instability must be more likely than a fault of that sequence.
     """
-    joint = iteration.joint
-    if solver.weights() or any(joint.choice.unmodelled_sigma.of_unit):
-        return None
-    solution = whole_solution(solver, iteration)
-    fit = goodness_of_fit(joint, solver, solution)
-    misfit = is_misfit(*fit)
-    shown = _instabilities(joint, iteration, solution, fit[1], misfit=misfit)
+    joint, solver, iteration, solution, fit = now.joint, now.solver, now.iteration, now.solution, now.fit
+    shown = _instabilities(now)
     if not shown:
         return None
-    assert iteration.point is not None
-    state, found = iteration.point.state, search(iteration, solution, fit[1])
+    state, found = now.point.state, search(iteration, solution, fit[1])
     smooth = tuple(term for term in found.terms if term.sensor == "accel" and term.form != WALK)
     if smooth:
         model, before = joint.with_drift(smooth, state)
@@ -182,39 +239,36 @@ def add_instability(solver: JointSolver, iteration: IterationState) -> Iteration
     undeviated = replace(state, bias_deviation=np.zeros_like(state.bias_deviation))
     gyro_size = cache(lambda: _gyro_size(joint, solver, iteration, undeviated))  # of gyros alone, and of both triads
     for sensors in shown:
-        model, at, explained = joint, state, 0.0
+        model, at, ratio = joint, state, 0.0
         if "gyro" in sensors:
             at = undeviated
             size, likelihood = gyro_size()
-            explained = 2.0 * (likelihood - solution.log_likelihood)
+            ratio = 2.0 * (likelihood - solution.log_likelihood)
             model = joint.with_data(replace(joint.data, gyro_instability=size))
         if "accel" in sensors:
-            now = solution if at is state else _solution(model, solver, iteration, at)
-            explained += accel_component(model, now, fit[1]).ratio
-            model = model.with_data(replace(model.data, accel_instability=accel_instability(model, now)[0]))
-        gain = likelihood_gain(explained, len(sensors), *fit)
+            other = solution if at is state else _solution(model, solver, iteration, at)
+            ratio += accel_component(model, other, fit[1]).ratio
+            model = model.with_data(replace(model.data, accel_instability=accel_instability(model, other)[0]))
+        gain = likelihood_gain(ratio, len(sensors), *fit)
         if not _one_is_faulty(model, solution, fit, gain, wholly=True) and _explains(model, solver, iteration, at):
             own = at if "gyro" in sensors else iteration.state
             return replace(iteration, joint=model, state=replace(iteration.state, bias_deviation=own.bias_deviation))
     return None
 
 
-def _instabilities(
-    joint: JointModel, iteration: IterationState, solution: BlockSolution, freedom: int, *, misfit: bool
-) -> list[tuple[str, ...]]:
+def _instabilities(now: Converged) -> list[tuple[str, ...]]:
     """Sensors whose bias instability is to be tried, one alternative after the other.
 
     With a misfit, all that is not stated; else what windows, residuals or rates at rest show.
     """
-    noise, point = joint.data.noise, iteration.point
-    assert point is not None
+    joint, noise, point = now.joint, now.joint.data.noise, now.point
     accel = bool(np.any(noise.accel_limit > noise.accel_flicker))
     gyro = noise.gyro_wander is None and joint.options.gyro_bias == "auto"
-    if misfit:
+    if now.misfit:
         alternatives = [("accel",) * accel, ("gyro",) * gyro, ("gyro", "accel") if accel and gyro else ()]
         return [sensors for sensors in alternatives if sensors]
     accel = accel and bool(
-        noise.accel_flicker.any() or accel_component(joint, solution, freedom).p_value < MISFIT_PROBABILITY
+        noise.accel_flicker.any() or accel_component(joint, now.solution, now.fit[1]).p_value < MISFIT_PROBABILITY
     )
     # The error of a g-sensitivity is in the rates at rest, too.
     if gyro and joint.bias_walks and joint.choice.drift.force_axes is None:
@@ -276,18 +330,13 @@ def _explains(joint: JointModel, solver: JointSolver, iteration: IterationState,
     return not is_misfit(*fit) and contradicting_group(tests, *fit, estimated_from=turns_estimated(joint.data)) is None
 
 
-def add_fixture_errors(solver: JointSolver, iteration: IterationState) -> IterationState | None:
-    """Estimate the errors of a fixture less accurate than stated, if that explains the residuals; None if not."""
-    joint = iteration.joint
-    if solver.weights() or any(joint.choice.unmodelled_sigma):
+def _fixture_errors(now: Converged) -> IterationState | None:
+    """Errors of a fixture less accurate than stated, if that explains the residuals; None if not."""
+    if any(now.joint.choice.unmodelled_sigma) or not now.misfit or _one_is_faulty(now.joint, now.solution, now.fit):
         return None
-    solution = whole_solution(solver, iteration)
-    fit = goodness_of_fit(joint, solver, solution)
-    if not is_misfit(*fit) or _one_is_faulty(joint, solution, fit):
-        return None
-    found = unmodelled_noise(joint, solution.system).of_fixture()
-    model = _with_fixture_errors(solver, iteration, found) if any(found.of_fixture) else None
-    return None if model is None else replace(iteration, joint=model)
+    found = unmodelled_noise(now.joint, now.solution.system).of_fixture()
+    model = _with_fixture_errors(now, found) if any(found.of_fixture) else None
+    return None if model is None else replace(now.iteration, joint=model)
 
 
 def _one_is_faulty(
@@ -308,66 +357,67 @@ def _one_is_faulty(
     return faulty_group(tests, *fit, estimated_from=turns, against=against, wholly=wholly) is not None
 
 
-def _with_fixture_errors(solver: JointSolver, iteration: IterationState, errors: UnmodelledErrors) -> JointModel | None:
+def _with_fixture_errors(now: Converged, errors: UnmodelledErrors) -> JointModel | None:
     """Model with these errors of the fixture; None if it does not explain the residuals, or no fixture is so bad.
 
     Sequences and moves are then tested against each other with them.
     """
-    assert iteration.point is not None
     if max(errors) > LARGEST_FIXTURE_RAD:
         return None
-    model = iteration.joint.with_choice(unmodelled_sigma=errors)
-    solution = _solution(model, solver, iteration, iteration.point.state)
-    return None if is_misfit(*goodness_of_fit(model, solver, solution)) else model
+    model = now.joint.with_choice(unmodelled_sigma=errors)
+    solution = _solution(model, now.solver, now.iteration, now.point.state)
+    return None if is_misfit(*goodness_of_fit(model, now.solver, solution)) else model
 
 
-def add_unmodelled_noise(solver: JointSolver, iteration: IterationState) -> IterationState | None:
-    """Estimate unmodelled errors if the residuals of several sequences exceed their noise; None if it is as before.
+def _unmodelled_noise(now: Converged) -> IterationState | None:
+    """Unmodelled errors, if the residuals of several sequences exceed their noise; None if they are as before.
 
-    If one sequence explains the misfit, that sequence is faulty: a warning names it, and no noise is added. A robust
-    loss reduces the weight of such a sequence; this function then changes nothing.
+    If one sequence explains the misfit, that sequence is faulty: a warning names it, and no noise is added.
     """
-    joint = iteration.joint
-    if solver.weights():
-        return None
-    solution = whole_solution(solver, iteration)
-    system = solution.system
-    statistic, freedom = goodness_of_fit(joint, solver, solution)
+    joint = now.joint
     # Unmodelled noise from an earlier round is always estimated again: it may be too large now.
-    if not any(joint.choice.unmodelled_sigma):
-        if not is_misfit(statistic, freedom):
-            return None
-        if _one_is_faulty(joint, solution, (statistic, freedom)):
-            return None
-    noise = unmodelled_noise(joint, system)
-    model = _with_fixture_errors(solver, iteration, noise.of_fixture())
+    if not any(joint.choice.unmodelled_sigma) and (not now.misfit or _one_is_faulty(joint, now.solution, now.fit)):
+        return None
+    noise = unmodelled_noise(joint, now.solution.system)
+    model = _with_fixture_errors(now, noise.of_fixture())
     if model is None:
         model = joint.with_choice(unmodelled_sigma=noise.of_all())
     if np.allclose(model.choice.unmodelled_sigma, joint.choice.unmodelled_sigma, *_SAME_NOISE):
         return None
-    return replace(iteration, joint=model)
+    return replace(now.iteration, joint=model)
 
 
-def add_drift(solver: JointSolver, iteration: IterationState) -> IterationState | None:
-    """Model the most likely form of drift that the residuals show; None if there is none.
+def _drift(now: Converged) -> IterationState | None:
+    """The most likely form of drift that the residuals show; None if there is none.
 
     There is none if one faulty sequence or move explains the residuals with a larger likelihood. The unmodelled noise
-    is then estimated again. A robust loss reduces the weight of sequences instead.
+    is then estimated again.
     """
-    joint = iteration.joint
-    if solver.weights() or len(joint.choice.drift.terms) >= MOST_TERMS:
+    joint, iteration = now.joint, now.iteration
+    if len(joint.choice.drift.terms) >= MOST_TERMS:
         return None
-    solution = whole_solution(solver, iteration)
-    fit = goodness_of_fit(joint, solver, solution)
-    iteration.unmodelled_drift = found = search(iteration, solution, fit[1])
+    iteration.unmodelled_drift = found = search(iteration, now.solution, now.fit[1])
     if not found.terms:
         return None
-    if not any(joint.choice.unmodelled_sigma) and _one_is_faulty(joint, solution, fit, found.gain):
+    if not any(joint.choice.unmodelled_sigma) and _one_is_faulty(joint, now.solution, now.fit, found.gain):
         iteration.unmodelled_drift = DriftSearch()
         return None
     # The other triad is searched again in what this form leaves.
     joint, state = joint.with_choice(unmodelled_sigma=NO_ERRORS).with_drift(found.terms[:1], iteration.state)
     return replace(iteration, joint=joint, state=state)
+
+
+G_SENSITIVITY: Final = Explanation(_g_sensitivity)
+FIXTURE: Final = Explanation(_fixture_errors)
+DRIFT: Final = Explanation(_drift, beside_noise=True)
+EXPLANATIONS: Final = (
+    G_SENSITIVITY,  # it would pass for any of the others
+    Explanation(_fast_motion),
+    Explanation(_instability),
+    Explanation(_unmodelled_noise, beside_noise=True),
+    DRIFT,
+)
+"""What is tried where no more is known, in this order."""
 
 
 def search(iteration: IterationState, solution: BlockSolution, freedom: int) -> DriftSearch:
