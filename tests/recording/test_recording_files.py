@@ -304,7 +304,8 @@ def test_an_absent_package_is_named_with_what_to_install(tmp_path, monkeypatch, 
 
 @pytest.mark.parametrize("samples_format", [f for f in FORMATS if f != "csv"])
 def test_a_flipped_bit_changes_no_sample_in_silence(tmp_path, samples_format):
-    """60 places in the data and 60 in the structure at both ends of the file: refused, or read as they were written."""
+    """Places in the data, and as many in the structure at both ends: refused, or read as they were written."""
+    places = 15 if samples_format == "parquet" else 60  # parquet is read by a process of its own
     written = make()
     samples = Samples(written.gyro, written.accel, written.time, None)
     path = tmp_path / f"samples.{samples_format}"
@@ -313,7 +314,7 @@ def test_a_flipped_bit_changes_no_sample_in_silence(tmp_path, samples_format):
     rng = np.random.default_rng(20261122)
     ends = np.r_[0:2000, len(content) - 2000 : len(content)]
     refused = 0
-    for place in np.r_[rng.integers(len(content), size=60), rng.choice(ends, 60)]:
+    for place in np.r_[rng.integers(len(content), size=places), rng.choice(ends, places)]:
         damaged = bytearray(content)
         damaged[place] ^= 1 << int(rng.integers(8))
         path.write_bytes(damaged)
@@ -323,7 +324,7 @@ def test_a_flipped_bit_changes_no_sample_in_silence(tmp_path, samples_format):
             refused += 1
         else:
             assert all(np.array_equal(found.column(name), samples.column(name)) for name in samples.names)
-    assert refused >= 60  # every flip in the data is noticed; one in an unused byte of the structure need not be
+    assert refused >= places  # every flip in the data is noticed; one in an unused byte of the structure need not be
 
 
 @pytest.mark.skipif(os.name == "nt", reason="limit of file sizes")

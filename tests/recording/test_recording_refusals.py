@@ -225,7 +225,8 @@ def test_binary_formats_cut_off_or_damaged(folder, name, write):
         message = refusal(folder)
         assert "not a readable" in message, message
         assert str(path) in message
-    for at in range(50, len(whole), len(whole) // 40):
+    places = 10 if name.endswith("parquet") else 40  # parquet is read by a process of its own
+    for at in range(50, len(whole), len(whole) // places):
         # A byte changed in the values can pass where the format has no checksum; nothing else may come out.
         path.write_bytes(whole[:at] + bytes([whole[at] ^ 0xFF]) + whole[at + 1 :])
         try:
