@@ -374,7 +374,7 @@ def named_by(found: srt.Calibration) -> tuple[str, ...]:
     """Drift that a result models, findings, and the sequence, the part of the fixture and the moves that it accuses."""
     named = [f"{row.sensor} {row.form}" for row in found.diagnostics.drift or ()]
     named += [finding.fault for finding in found.diagnostics.faults or ()]
-    verdict = found.verdict
+    verdict = found.consistency
     if verdict is not None and verdict.contradicting is not None:
         named.append(f"contradicts: {verdict.contradicting.sequence}")
     added = verdict.added_noise if verdict is not None else None

@@ -146,7 +146,7 @@ def outcome(effect: str, place: str, estimator: str, number: int, seed: int) -> 
     valued = np.array([not name.startswith(WITHOUT_VALUE.get(effect, "none")) for name in NAMES])
     seen = found.observed & (found.sigma > 0.0) & valued
     error = np.where(seen, np.abs(found.errors.vector - truth) / np.where(seen, found.sigma, 1.0), 0.0)
-    accused = found.verdict and found.verdict.contradicting
+    accused = found.consistency and found.consistency.contradicting
     return row | {
         "word": found.judgement.word,
         "reason": found.judgement.reason,

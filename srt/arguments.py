@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from typing import TYPE_CHECKING, Any
+import warnings
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -11,6 +12,8 @@ from srt.exceptions import InputError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+_Value = TypeVar("_Value")
 
 
 def require_type(user: str, needed: str, value: object, *kinds: type) -> None:
@@ -33,6 +36,12 @@ def require_type(user: str, needed: str, value: object, *kinds: type) -> None:
     """
     if not isinstance(value, kinds):
         raise InputError(f"{user} needs {needed}, but an object of type {type(value).__name__} was given.")
+
+
+def former_name(former: str, name: str, value: _Value) -> _Value:
+    """Value of an attribute under its ``former`` name, with a DeprecationWarning at the line that uses it."""
+    warnings.warn(f"{former} is called {name} now: the former name goes with the next version.", DeprecationWarning, 3)
+    return value
 
 
 def require_path(user: str, value: object) -> None:

@@ -175,7 +175,7 @@ def _without_the_worst(recording: Recording, result: Calibration, estimator: str
     Only where the residuals exceed the noise of the sensors: linearised about a gross fault, the tests of one solution
     cannot tell that of a turn from that of its neighbour, and not whether others are wrong, too.
     """
-    evidence, tried = result.verdict, _fits_without(_predicted_worst(result), recording, estimator, options)
+    evidence, tried = result.consistency, _fits_without(_predicted_worst(result), recording, estimator, options)
     if evidence is None or not tried:
         return result
     accused, (row, own) = evidence.contradicting, tried[-1]
@@ -185,7 +185,7 @@ def _without_the_worst(recording: Recording, result: Calibration, estimator: str
             f"The model does not hold at this level: without {row.title} the others disagree, too ({size}): check "
             "labels, windows and units, and whether the unit warms up."
         )
-        whole = replace(result, message=message, verdict=replace(evidence, contradicting=None))
+        whole = replace(result, message=message, consistency=replace(evidence, contradicting=None))
         return result if accused is None else whole
     told = (
         f"Without {row.title} the others agree ({size}): repeat it, or leave it out: '--without-turn {_name(row)}'. "
@@ -194,7 +194,7 @@ def _without_the_worst(recording: Recording, result: Calibration, estimator: str
     if accused is None:
         return replace(result, warnings=(told, *result.warnings))
     found = Contradiction(sequence=row.sequence, occurrence=row.occurrence, probability=row.probability or 0.0)
-    corrected = replace(result, message=told, verdict=replace(evidence, contradicting=found))
+    corrected = replace(result, message=told, consistency=replace(evidence, contradicting=found))
     return result if accused.title == row.title else corrected
 
 
@@ -204,7 +204,7 @@ def _agree(own: ChiSquareTest) -> bool:
 
 def _predicted_worst(result: Calibration) -> list[LeaveOneOut]:
     """The two turns or sequences that the others predict worst, where residuals exceed the noise of the sensors."""
-    evidence = result.verdict
+    evidence = result.consistency
     if evidence is None or evidence.own_noise is None or _agree(evidence.own_noise):
         return []
     if result.status in WITHOUT_VALUES or result.diagnostics.weights is not None:
@@ -223,7 +223,7 @@ def _fits_without(
     out: list[tuple[LeaveOneOut, ChiSquareTest]] = []
     for row in suspects:
         try:
-            evidence = estimate(leave_out(recording, [_name(row)])[0], estimator, options).verdict
+            evidence = estimate(leave_out(recording, [_name(row)])[0], estimator, options).consistency
         except SrtError:
             return []
         if evidence is None or evidence.own_noise is None:

@@ -223,7 +223,7 @@ def load_fit(path: Path, *, force: bool, trust: bool) -> Calibration:
 
 def warn_of_unmeasured(calibration: Calibration, calibration_file: Path) -> None:
     """Print a warning that names the parameters which are passed on without a measurement; nothing if all have one."""
-    if calibration.held:
+    if calibration.fixed:
         from srt.reports.text.calibration import held_summary, passed_on
 
         warn(f"{calibration_file}: {passed_on(calibration)}; fixed, not observed: {held_summary(calibration)}.")

@@ -450,7 +450,7 @@ def report_problems(job: Job, calibration: Calibration, *, seen: bool) -> int:
         warn(f"{job.recording}: {judgement}")
     clauses = ["the verdict is partial"] * (judgement.word == PARTIAL and not seen)
     clauses += [f"{title} is void ({reason})" for title, reason in calibration.provenance.voided.items()]
-    if calibration.held and not seen:
+    if calibration.fixed and not seen:
         clauses.append(f"fixed, not observed: {held_summary(calibration)}")
     if clauses:
         warn(f"{job.recording}: {'; '.join(clauses)}.")

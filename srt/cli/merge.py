@@ -77,7 +77,7 @@ def run_merging(
     seen = is_seen(quiet=display.quiet)
     if merged.judgement.word == DOUBTFUL and not seen:
         warn(str(merged.judgement))
-    if merged.held and not seen:
+    if merged.fixed and not seen:
         partial = "the verdict is partial; " * (merged.judgement.word == PARTIAL)
         warn(f"{partial}fixed, not observed: {held_summary(merged)}.")
     ratio = math.sqrt(repeated.chi_square / max(repeated.degrees_of_freedom, 1))

@@ -29,7 +29,7 @@ from srt.estimation.options import Options
 from srt.estimation.rest_rate_scatter import gyro_instability
 from srt.estimation.solver_result import SolverResult
 from srt.exceptions import DataError
-from srt.model import closed_form
+from srt.model import srt_formulas
 from srt.model.table1 import SEQUENCES
 from srt.noise.drift_forms import LINEAR, drift_test, likelihood_gain, variance_component
 from srt.result.calibration import Residual
@@ -289,7 +289,7 @@ class _FinalSolution:
         data, options, formulas = self.data, self.unit.options, self.unit.formulas
         fixed = {name: reason_on_request(name, self.uncertain, data) for name in options.fixed_names}
         for name in formulas.missing:
-            absent = [s for s in closed_form.sequences_needed(name) if s not in data.ids]
+            absent = [s for s in srt_formulas.sequences_needed(name) if s not in data.ids]
             value = value_of_fixed(name, self.uncertain, data, options)
             fixed[name] = f"sequence {', '.join(absent)} is missing or void; {value}"
         return fixed

@@ -13,7 +13,7 @@ import numpy as np
 
 from srt.conditioning import has_inverse
 from srt.exceptions import DataError
-from srt.model import closed_form
+from srt.model import srt_formulas
 from srt.model.table1 import AXES, SEQUENCES
 from srt.sensor_errors import GROUP_SLICES, INDEX, N_PARAMETERS, NAMES
 
@@ -22,12 +22,12 @@ if TYPE_CHECKING:
 
     from srt.estimation.options import Options
     from srt.estimation.srt_measurements import SrtMeasurements
-    from srt.model.closed_form import Component, Formula
+    from srt.model.srt_formulas import Component, Formula
     from srt.sequences.preparation import PreparedRecording
     from srt.types import Array, Mask
 
 _BIAS: Final = GROUP_SLICES["gyro_bias"]
-_COMPONENTS: Final = tuple(closed_form.Component(s, kind) for s in SEQUENCES for kind in (*AXES, "start", "end"))
+_COMPONENTS: Final = tuple(srt_formulas.Component(s, kind) for s in SEQUENCES for kind in (*AXES, "start", "end"))
 _PLACE: Final = {component: i for i, component in enumerate(_COMPONENTS)}
 
 
@@ -37,10 +37,10 @@ def _supported(
 ) -> tuple[tuple[Formula, ...], tuple[Component, ...], tuple[str, ...]]:
     """Formulas that a set of sequences supports, their components, and the parameters without a formula."""
     asymmetry = not {*NAMES[GROUP_SLICES["gyro_asymmetry"]]} <= {*fixed}
-    supported = closed_form.formulas(ids, asymmetry=asymmetry)
+    supported = srt_formulas.formulas(ids, asymmetry=asymmetry)
     chosen = tuple(f for f in supported if f.parameter not in fixed)
-    missing = tuple(n for n in closed_form.missing_parameters(supported) if n not in fixed)
-    return chosen, tuple(closed_form.components(chosen)), missing
+    missing = tuple(n for n in srt_formulas.missing_parameters(supported) if n not in fixed)
+    return chosen, tuple(srt_formulas.components(chosen)), missing
 
 
 def averaged_components(data: PreparedRecording, without: int = -1) -> Array:
@@ -56,7 +56,7 @@ def averaged_components(data: PreparedRecording, without: int = -1) -> Array:
         rows |= {"start": 2 * data.K + int(data.start[k]), "end": 2 * data.K + int(data.end[k])}
         count = data.ids.count(data.ids[k]) - (without >= 0 and data.ids[k] == data.ids[without])
         for kind, row in rows.items():
-            out[_PLACE[closed_form.Component(data.ids[k], kind)], row] += 1.0 / count
+            out[_PLACE[srt_formulas.Component(data.ids[k], kind)], row] += 1.0 / count
     return out
 
 
@@ -150,7 +150,7 @@ class SelectedFormulas:
     @cached_property
     def coefficients(self) -> Array:
         """Coefficients of [P] eq. 13 for the averaged components, and 1 for gyro bias by rest rate; shape (27, n_z)."""
-        A = closed_form.inversion_matrix(self.formulas, self.data.gravity) @ self._measured
+        A = srt_formulas.inversion_matrix(self.formulas, self.data.gravity) @ self._measured
         for i in self.rest_axes:
             A[_BIAS.start + i, A.shape[1] - 3 + i] = 1.0
         return A

@@ -276,7 +276,7 @@ class ModelledEffects:
 
 def modelled_effects(calibration: Calibration) -> ModelledEffects:
     """Effects in the model of a calibration."""
-    diagnostics, noise, evidence = calibration.diagnostics, calibration.noise, calibration.verdict
+    diagnostics, noise, evidence = calibration.diagnostics, calibration.noise, calibration.consistency
     drift = [term for term in diagnostics.drift or () if term.modelled]
     by_kind = {} if evidence is None or evidence.added_noise is None else evidence.added_noise
     added = {kind for kind, size in by_kind.items() if size.added > 0.0 and kind in _ADDED}
@@ -304,7 +304,7 @@ def verdicts_differ(calibrations: Mapping[str, Calibration]) -> str:
     str
         Empty if all have the same verdict.
     """
-    judged = {name: c for name, c in calibrations.items() if c.verdict}
+    judged = {name: c for name, c in calibrations.items() if c.consistency}
     doubtful = [name for name, c in judged.items() if c.judgement.word == DOUBTFUL]
     sound = [name for name in judged if name not in doubtful]
     if not doubtful or not sound:

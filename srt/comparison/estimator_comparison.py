@@ -224,7 +224,7 @@ class Comparison(Presented):
             "observed": int(calibration.observed.sum()),
             "value": finite(calibration.values),
             "sigma": finite(calibration.sigma),
-            "held": dict(calibration.held),
+            "held": dict(calibration.fixed),
             "error_over_sigma": None if self.truth is None else finite(self.error_over_sigma(name)),
             "comparison": None if pair is None else pair.as_dict(),
         }
@@ -311,7 +311,7 @@ def _notes(
         if calibration.status not in USABLE:
             status = calibration.status.replace("_", " ")
             yield f"{name} is not compared, because its status is {status}: {calibration.message}"
-        elif calibration.verdict and calibration.judgement.word == DOUBTFUL:
+        elif calibration.consistency and calibration.judgement.word == DOUBTFUL:
             yield f"{name} is doubtful: {calibration.judgement.reason}"
     for name, pair in differences.items():
         if pair.smaller_sigma:
@@ -324,7 +324,7 @@ def _notes(
     usable = [name for name in calibrations if name in differences or name == chosen]
     alone: dict[tuple[str, ...], list[str]] = {}
     for parameter in NAMES:
-        holders = tuple(name for name in usable if parameter in calibrations[name].held)
+        holders = tuple(name for name in usable if parameter in calibrations[name].fixed)
         if holders and holders != tuple(usable):
             alone.setdefault(holders, []).append(parameter)
     for holders, parameters in alone.items():

@@ -203,8 +203,8 @@ class Fleet:
             "flagged": [NAMES[i] for i in self.flagged(number)],
         }
         if unit.calibration is not None:
-            verdict = unit.calibration.verdict
-            out |= {key: getattr(verdict, key, None) for key in ("chi_square", "degrees_of_freedom", "probability")}
+            tests = unit.calibration.consistency
+            out |= {key: getattr(tests, key, None) for key in ("chi_square", "degrees_of_freedom", "probability")}
             judgement = unit.calibration.judgement
             out |= {"verdict": judgement.word, "reason": judgement.reason}
             out |= {"estimator": unit.calibration.estimator, "warnings": list(unit.calibration.warnings)}
@@ -278,14 +278,14 @@ def _without_details(unit: FleetUnit) -> FleetUnit:
     if unit.calibration is None:
         return unit
     found = unit.calibration
-    verdict = found.verdict and replace(found.verdict, sequences=(), parameters=(), weakest_combination=None)
+    tests = found.consistency and replace(found.consistency, sequences=(), parameters=(), weakest_combination=None)
     kept = replace(
         unit.calibration,
         corrections=(), contributions={}, residuals=(), site=StatedSite(), alignment=Alignment(), temperature=None,
         provenance=Provenance(),
         # The values that the verdict is made from stay.
         noise=NoiseFigures(sigma_inflation=found.noise.sigma_inflation),
-        diagnostics=Diagnostics(faults=found.diagnostics.faults, drift=found.diagnostics.drift), verdict=verdict,
+        diagnostics=Diagnostics(faults=found.diagnostics.faults, drift=found.diagnostics.drift), consistency=tests,
     )  # fmt: skip
     return replace(unit, calibration=kept)
 

@@ -20,7 +20,7 @@ from srt.comparison.merge_model import (
     stack_estimates,
 )
 from srt.estimation.calibration_builder import partial_or_converged
-from srt.estimation.leave_one_out import SequenceDiagnostics, consistency_tests, leave_one_out_estimates, verdict
+from srt.estimation.leave_one_out import SequenceDiagnostics, consistency, consistency_tests, leave_one_out_estimates
 from srt.exceptions import DataError, InputError
 from srt.model.rotations import rotation_vector
 from srt.result.calibration import Calibration, software
@@ -112,20 +112,20 @@ def _merged(
     vector[seen] = values
     observed = np.zeros(N_PARAMETERS, dtype=np.bool_)
     observed[seen] = True
-    held = {name: members[0].held[name] for i, name in enumerate(NAMES) if not observed[i]}
+    fixed = {name: members[0].fixed[name] for i, name in enumerate(NAMES) if not observed[i]}
     U, U_sigma, U_note = _mounting(members)
     p_value = float(chdtrc(freedom, statistic)) if freedom else None
     unseen = tuple(dict.fromkeys(row for c in members for row in c.diagnostics.unseen_errors or ()))
     lacking = {name for c in members for name in c.diagnostics.not_shown or ()}
     merged = f"Merged from {len(members)} recording{'s' if len(members) > 1 else ''}."
-    status, message = partial_or_converged(merged, held)
+    status, message = partial_or_converged(merged, fixed)
     return Calibration(
         estimator=ESTIMATOR,
         status=status,
         message=message,
         errors=SensorErrors(vector),
         covariance=covariance,
-        held=held,
+        fixed=fixed,
         contributions={source: _padded(np.sqrt(np.maximum(np.diag(P), 0.0)), seen) for source, P in by_source.items()},
         U=U,
         U_sigma_rad=U_sigma,
@@ -137,10 +137,10 @@ def _merged(
         diagnostics=Diagnostics(
             repeatability=repeatability(stack, used, left_out, vector, sizes, (statistic, freedom, p_value)),
             unseen_errors=unseen or None,
-            not_shown=tuple(name for name in held if name in lacking) or None,
+            not_shown=tuple(name for name in fixed if name in lacking) or None,
         ),
-        verdict=replace(
-            verdict(
+        consistency=replace(
+            consistency(
                 _recording_diagnostics(stack, within, within + scatter, titles, vector),
                 covariance,
                 observed,

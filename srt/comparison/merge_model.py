@@ -225,7 +225,7 @@ def _recording(title: str, calibration: Calibration) -> MergedRecording:
         temperature_c=None if temperature is None else temperature.mean_c,
         temperature_range_c=None if temperature is None else temperature.range_c,
         data_sha256=calibration.provenance.data_sha256,
-        held=tuple(calibration.held),
+        held=tuple(calibration.fixed),
         U=calibration.U,
         U_sigma=calibration.U_sigma_rad,
     )

@@ -12,7 +12,7 @@ from srt.diagnosis.channels import MOVED
 from srt.estimation.fixed_parameters import in_frame_of_poses, parameters_due, remedies, seen_by_earth_rate_alone
 from srt.estimation.registry import automatic_estimator
 from srt.exceptions import DataError
-from srt.model.closed_form import formulas, missing_parameters
+from srt.model.srt_formulas import formulas, missing_parameters
 from srt.model.table1 import SEQUENCES
 from srt.sensor_errors import GROUP_SLICES, NAMES, collapse_names
 from srt.sequences.checked_preparation import prepare_checked

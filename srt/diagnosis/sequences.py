@@ -15,7 +15,7 @@ from srt.diagnosis.rotation_readings import AGREE, invert_readings
 from srt.diagnosis.sensor_synchronisation import SAMPLES_LOST, samples_lost
 from srt.diagnosis.triad_fits import RAW_SCALE
 from srt.estimation.rotation_accuracy import SIGMAS, scatter_ratio
-from srt.model import closed_form
+from srt.model import srt_formulas
 from srt.model.table1 import SEQUENCES
 from srt.sequences.manoeuvres import end_attitude
 from srt.sequences.moves import recorded_moves
@@ -214,7 +214,7 @@ def sequence_missing(evidence: Evidence) -> Iterator[Finding]:
     if data is None or not ids:
         return
     fixed = evidence.options.fixed_names
-    lost = [n for n in closed_form.missing_parameters(closed_form.formulas(set(ids))) if n not in fixed]
+    lost = [n for n in srt_formulas.missing_parameters(srt_formulas.formulas(set(ids))) if n not in fixed]
     if not lost:
         return
     missing = [name for name in SEQUENCES if name not in ids]

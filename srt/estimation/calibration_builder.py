@@ -12,7 +12,7 @@ from srt.estimation.asymmetry_choice import asymmetry_choice
 from srt.estimation.error_sources import EXCESSES, alignment_sigma, as_found, start_sigma, turns_estimated
 from srt.estimation.fixed_parameters import parameters_due
 from srt.estimation.goodness_of_fit import chi_square_probability, is_misfit
-from srt.estimation.leave_one_out import verdict
+from srt.estimation.leave_one_out import consistency
 from srt.estimation.rotation_accuracy import ExecutedRotations
 from srt.estimation.unseen_errors import clock_effect, contradicted_statements, unseen_errors
 from srt.result.calibration import Calibration, software
@@ -70,7 +70,7 @@ def build_calibration(
         turns, changed = turns_estimated(data), result.scale_change
         against = -math.inf if changed is None else changed.gain
         statistics = observed, chi_square, freedom
-        evidence = verdict(result.sequences, covariance, *statistics, estimated_from=turns, against=against)
+        evidence = consistency(result.sequences, covariance, *statistics, estimated_from=turns, against=against)
         if _unmodelled_drift(result):  # it is in the residuals of all sequences
             evidence = replace(evidence, contradicting=None)
         evidence = _with_sensor_noise(evidence, data, result, covariance, observed, inflation, turned)
@@ -83,7 +83,7 @@ def build_calibration(
         errors=result.errors,
         covariance=covariance,
         corrections=result.corrections,
-        held={name: fixed[name] for name in NAMES if name in fixed},
+        fixed={name: fixed[name] for name in NAMES if name in fixed},
         contributions=_contributions(result, drifted, clock_effect(data), observed, inflation),
         U=None if data.nominal is None else result.U,
         U_sigma_rad=_mounting_sigma(data, result),
@@ -103,7 +103,7 @@ def build_calibration(
             refits=result.refits or None,
             undersampling=_undersampling(data),
         ),
-        verdict=evidence,
+        consistency=evidence,
         warnings=(*contradicted, *warnings, *_warnings(data, result, observed, turned)),
     )
 

@@ -256,7 +256,7 @@ def _free_parameters(values: Array, vectors: Array, limit: Array, members: Indic
     return free
 
 
-def verdict(
+def consistency(
     evidence: Iterable[SequenceDiagnostics],
     covariance: Array,
     observed: Mask,

@@ -152,7 +152,7 @@ def origin(calibration: Calibration) -> list[str]:
         "serial": source.serial,
         "date": source.date,
         "software": source.software,
-        "status": f"{calibration.status} ({calibration.estimator}){measured if calibration.held else ''}",
+        "status": f"{calibration.status} ({calibration.estimator}){measured if calibration.fixed else ''}",
         "temperature": known and f"mean {known.mean_c:.1f} degC, range {known.range_c:.1f} degC in the test",
         "SHA-256": source.data_sha256,
     }

@@ -62,13 +62,13 @@ def run(joint: JointModel, solver: JointSolver, progress: Progress | None) -> Ca
     requested = np.array([name in unseen or name in fixed for name in NAMES])
     if iteration.point is None:
         iteration = IterationState.at_start(iteration.joint, requested)
-    held: Diagnostics | None = None
+    before: Diagnostics | None = None
     for _ in range(_ROUNDS * (1 + MOST_TERMS)):
         iteration = iterate(solver, iteration, count=count)
         iteration = _with_still_windows(solver, iteration, count)
         uncertain = _fixed_sigma(iteration.joint)
-        if (found_held := _integrate_moving_windows(solver, iteration, uncertain)) is not None:
-            held = found_held
+        if (table := _integrate_moving_windows(solver, iteration, uncertain)) is not None:
+            before = table
             continue
         if _relies_on_fixture(iteration, uncertain):
             vague = requested | _vague(iteration, requested)
@@ -90,8 +90,8 @@ def run(joint: JointModel, solver: JointSolver, progress: Progress | None) -> Ca
             iteration = IterationState.at_start(iteration.joint.without_moves(moves), requested)
             continue
         suspect = contradicting_rests(iteration.joint, whole_solution(solver, iteration))
-        if (found_held := _integrate_moving_windows(solver, iteration, uncertain, suspect)) is not None:
-            held = found_held
+        if (table := _integrate_moving_windows(solver, iteration, uncertain, suspect)) is not None:
+            before = table
             iteration.joint = iteration.joint.with_choice(unmodelled_sigma=NO_ERRORS)
             continue
         break
@@ -100,7 +100,7 @@ def run(joint: JointModel, solver: JointSolver, progress: Progress | None) -> Ca
         iteration.message = count.converged
     uncertain = _fixed_sigma(iteration.joint)
     reasons = unseen | {name: reason_on_request(name, uncertain, iteration.joint.data) for name in fixed}
-    return make_calibration(solver, iteration, FixedParameters(reasons, uncertain), held)
+    return make_calibration(solver, iteration, FixedParameters(reasons, uncertain), before)
 
 
 def _fixed_sigma(joint: JointModel) -> Array:
@@ -155,10 +155,10 @@ def _integrate_moving_windows(
     if not moving_windows.any():
         return None
     table = analyse_solution(solver, iteration, uncertain).table
-    held = replace(solver.diagnostics(joint), sequences=table)
+    before = replace(solver.diagnostics(joint), sequences=table)
     iteration.joint = joint.with_integrated(moving_windows)
     solver.restart()
-    return held
+    return before
 
 
 def _relies_on_fixture(iteration: IterationState, uncertain: Array) -> bool:

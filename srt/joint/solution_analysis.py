@@ -57,7 +57,7 @@ def make_calibration(
     solver: JointSolver,
     iteration: IterationState,
     fixed: FixedParameters,
-    held: Diagnostics | None,
+    before: Diagnostics | None,
 ) -> Calibration:
     """Calibration from the final solution of an iteration."""
     joint, data, reasons = iteration.joint, iteration.joint.data, dict(fixed.reasons)
@@ -101,7 +101,7 @@ def make_calibration(
             g_sensitivity=followed,
             possible_accel_drift_sigma_m_s2=iteration.unmodelled_drift.possible or None,
             drift=tuple(term.result for term in drift) or None,
-            held=held,
+            before_integration=before,
         ),
         sequences=analysis.sequences,
         drift=drift,

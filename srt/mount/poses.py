@@ -107,7 +107,7 @@ def mount_from_recording(
     warnings = [*mount.warnings]
     if found.omitted:
         warnings.append(f"{found.omitted} stationary windows are neither level nor pitched by 90°, and were omitted.")
-    fixed = [name for group in _ANGLE_GROUPS for name in NAMES[GROUP_SLICES[group]] if name in calibration.held]
+    fixed = [name for group in _ANGLE_GROUPS for name in NAMES[GROUP_SLICES[group]] if name in calibration.fixed]
     if fixed:
         warnings.append(
             f"The calibration fixes {', '.join(fixed)} without a sigma, so the mount's sigmas are too small."

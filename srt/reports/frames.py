@@ -40,7 +40,7 @@ def parameter_frame(calibration: Calibration) -> pd.DataFrame:
         value=calibration.values * _FACTORS,
         sigma=calibration.as_written.sigma * _FACTORS,
         unit=list(DISPLAY_UNITS),
-        fixed=[calibration.as_written.held.get(name, "") for name in NAMES],
+        fixed=[calibration.as_written.fixed.get(name, "") for name in NAMES],
     )
 
 

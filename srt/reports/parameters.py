@@ -98,7 +98,7 @@ def parameter_cells(calibration: Calibration) -> list[list[Cell]]:
             Cell("-")
             if not calibration.has_values
             else Cell("fixed", mark="held")
-            if name in calibration.held
+            if name in calibration.fixed
             else Cell(sigma_text(i, sigmas[i], units), sigmas[i]),
             Cell(units.names[i]),
         ]
@@ -128,7 +128,7 @@ def symbols(names: Iterable[str]) -> str:
 def fixed_by_reason(calibration: Calibration) -> dict[str, list[str]]:
     """Names of the fixed parameters by reason."""
     reasons: dict[str, list[str]] = {}
-    for name, reason in calibration.held.items():
+    for name, reason in calibration.fixed.items():
         reasons.setdefault(reason, []).append(name)
     return reasons
 

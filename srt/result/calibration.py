@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
-from srt.arguments import real_array, require_type
+from srt.arguments import former_name, real_array, require_type
 from srt.exceptions import InputError
 from srt.presentation import Presented
 from srt.result.applier import BLOCK, Applier
@@ -111,7 +111,7 @@ class Calibration(Presented):
         Zero in the rows and columns of fixed parameters.
     corrections : tuple of float
         Largest correction of each iteration.
-    held : dict of str to str
+    fixed : dict of str to str
         Fixed parameters with the reason; zero, or with the value of the fixture's nominal angles, a start or a prior.
     contributions : dict of str to ndarray, shape (27,)
         One sigma by source of error.
@@ -126,7 +126,7 @@ class Calibration(Presented):
     provenance : Provenance
     diagnostics : Diagnostics
         Further output of the estimator, such as the innovations of every sequence.
-    verdict : Consistency or None
+    consistency : Consistency or None
         Consistency of the measurements; None if unknown. :attr:`judgement` states it in words.
     warnings : tuple of str
     """
@@ -137,7 +137,7 @@ class Calibration(Presented):
     errors: SensorErrors
     covariance: Array
     corrections: tuple[float, ...] = ()
-    held: Mapping[str, str] = field(default_factory=dict)
+    fixed: Mapping[str, str] = field(default_factory=dict)
     contributions: Mapping[str, Array] = field(default_factory=dict)
     U: Array | None = None
     U_sigma_rad: float | None = None
@@ -148,7 +148,7 @@ class Calibration(Presented):
     temperature: Temperature | None = None
     provenance: Provenance = field(default_factory=Provenance)
     diagnostics: Diagnostics = field(default_factory=Diagnostics)
-    verdict: Consistency | None = None
+    consistency: Consistency | None = None
     warnings: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -161,7 +161,7 @@ class Calibration(Presented):
         require_type("The field errors of a calibration", "srt.SensorErrors", self.errors, SensorErrors)
         if self.status not in STATUSES:
             raise InputError(f"The status of a calibration is {self.status!r}, not one of {', '.join(STATUSES)}.")
-        unknown = [name for name in self.held if name not in INDEX]
+        unknown = [name for name in self.fixed if name not in INDEX]
         if unknown:
             raise InputError(f"The calibration holds {unknown[0]!r} fixed, which is none of the {N_PARAMETERS} errors.")
         shapes = {"covariance": (N_PARAMETERS, N_PARAMETERS), "U": (3, 3)}
@@ -174,8 +174,8 @@ class Calibration(Presented):
         _check_covariance(self.covariance)
         if self.U_sigma_rad is not None and self.U_sigma_rad < 0.0:
             raise InputError(f"U_sigma_rad of a calibration is {self.U_sigma_rad}, but a sigma is not negative.")
-        tables = ("site", "noise", "alignment", "temperature", "provenance", "diagnostics", "verdict", "corrections")
-        require_json({name: to_document(getattr(self, name)) for name in tables})
+        tables = ("site", "noise", "alignment", "temperature", "provenance", "diagnostics", "consistency")
+        require_json({name: to_document(getattr(self, name)) for name in (*tables, "corrections")})
         if not np.isfinite(np.array([(r.value, r.sigma) for r in self.residuals])).all():
             raise InputError("residuals of a calibration has values that are not finite numbers: estimate it again.")
 
@@ -183,7 +183,7 @@ class Calibration(Presented):
     def sigma(self) -> Array:
         """1-sigma of every parameter, shape (27,); NaN for fixed parameters."""
         out: Array = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
-        out[[INDEX[name] for name in self.held]] = np.nan
+        out[[INDEX[name] for name in self.fixed]] = np.nan
         return out
 
     @property
@@ -205,7 +205,7 @@ class Calibration(Presented):
             self,
             errors=SensorErrors(),
             covariance=np.zeros((N_PARAMETERS, N_PARAMETERS)),
-            held=dict.fromkeys(NAMES, NO_VALUES),
+            fixed=dict.fromkeys(NAMES, NO_VALUES),
             contributions={},
             U=None,
             U_sigma_rad=None,
@@ -219,6 +219,16 @@ class Calibration(Presented):
         """Raise InputError if the calibration did not converge, so that there is nothing to apply."""
         if not self.has_values:
             raise InputError(f"The calibration has the status {self.status} and no values: calibrate the unit again.")
+
+    @property
+    def held(self) -> Mapping[str, str]:
+        """Former name of :attr:`fixed`."""
+        return former_name("Calibration.held", "fixed", self.fixed)
+
+    @property
+    def verdict(self) -> Consistency | None:
+        """Former name of :attr:`consistency`."""
+        return former_name("Calibration.verdict", "consistency", self.consistency)
 
     @property
     def judgement(self) -> Verdict:
@@ -240,7 +250,7 @@ class Calibration(Presented):
     @property
     def observed(self) -> Mask:
         """Mask of the parameters that the recording determined, shape (27,)."""
-        return np.array([name not in self.held for name in NAMES])
+        return np.array([name not in self.fixed for name in NAMES])
 
     def apply(
         self,
@@ -310,7 +320,7 @@ class Calibration(Presented):
                 "observed": bool(observed[i]),
             }
             if not observed[i]:
-                row["held_reason"] = self.held[name]
+                row["held_reason"] = self.fixed[name]
             parameters.append(row)
         return {
             "format": FORMAT,
@@ -335,7 +345,7 @@ class Calibration(Presented):
             "residuals": to_document(self.residuals),
             "provenance": to_document(self.provenance),
             "diagnostics": to_document(self.diagnostics),
-            "verdict": {} if self.verdict is None else to_document(self.judgement) | to_document(self.verdict),
+            "verdict": {} if self.consistency is None else to_document(self.judgement) | to_document(self.consistency),
         }
 
     def save(self, path: str | PathLike[str]) -> None:
@@ -391,7 +401,7 @@ def _from_dict(document: dict[str, Any]) -> Calibration:
         errors=SensorErrors(np.array([p["value"] or 0.0 for p in parameters], dtype=np.float64)),
         covariance=covariance,
         corrections=tuple(from_document(float, s["max_correction"], "iterations") for s in document["iterations"]),
-        held={p["name"]: from_document(str, p["held_reason"], p["name"]) for p in parameters if not p["observed"]},
+        fixed={p["name"]: from_document(str, p["held_reason"], p["name"]) for p in parameters if not p["observed"]},
         contributions=contributions,
         U=frame.U,
         U_sigma_rad=frame.U_sigma,
@@ -402,7 +412,7 @@ def _from_dict(document: dict[str, Any]) -> Calibration:
         temperature=None if temperature is None else from_document(Temperature, temperature, "temperature"),
         provenance=from_document(Provenance, document["provenance"], "provenance"),
         diagnostics=from_document(Diagnostics, document.get("diagnostics", {}), "diagnostics"),
-        verdict=from_document(Consistency, verdict, "verdict") if verdict else None,
+        consistency=from_document(Consistency, verdict, "verdict") if verdict else None,
         warnings=from_document(tuple[str, ...], document.get("warnings", []), "warnings"),
     )
 

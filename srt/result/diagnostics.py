@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from srt.arguments import former_name
 from srt.result.consistency import SequenceResult, SequenceTest
 from srt.result.repeatability import Repeatability
 from srt.types import Array
@@ -258,7 +259,7 @@ class Diagnostics:
         1-sigma of the change of the accelerometer biases over the recording by a drift that is not significant.
     drift : tuple of Drift, or None
     undersampling : Undersampling or None
-    held : Diagnostics or None
+    before_integration : Diagnostics or None
         Results before windows that moved were integrated.
     unused_moves : int or None
         Number of recorded moves that the closed form does not use.
@@ -293,7 +294,7 @@ class Diagnostics:
     possible_accel_drift_sigma_m_s2: float | None = None
     drift: tuple[Drift, ...] | None = None
     undersampling: Undersampling | None = None
-    held: "Diagnostics | None" = None
+    before_integration: "Diagnostics | None" = field(default=None, metadata={"key": "held"})
     unused_moves: int | None = None
     sigma_with_moves: tuple[float, float] | None = None
     asymmetry: Mapping[str, AsymmetryTest] | None = None
@@ -306,3 +307,8 @@ class Diagnostics:
     faults: tuple[Fault, ...] | None = None
     repeatability: Repeatability | None = None
     further: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def held(self) -> "Diagnostics | None":
+        """Former name of :attr:`before_integration`."""
+        return former_name("Diagnostics.held", "before_integration", self.before_integration)

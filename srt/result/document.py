@@ -1,8 +1,8 @@
 """Results as JSON documents: dataclasses that are written and read by their fields and type hints.
 
-The key of a field is its name, without the underscore that tells it from a word of Python. A field without a default is
-always written. One whose default is None is left out while it is None, unless the field ``nulls`` of its object names
-it. A field ``further`` holds the keys that are no fields. Arrays and tuples become lists.
+The key of a field is that of its metadata, or its name without the underscore that tells it from a word of Python. A
+field without a default is always written. One whose default is None is left out while it is None, unless the field
+``nulls`` of its object names it. A field ``further`` holds the keys that are no fields. Arrays and tuples become lists.
 """
 
 from __future__ import annotations
@@ -40,7 +40,12 @@ class _Field(NamedTuple):
 def _fields(kind: Any) -> tuple[_Field, ...]:
     hints = get_type_hints(kind)
     return tuple(
-        _Field(f.name, f.name.rstrip("_"), hints[f.name], f.default is MISSING and f.default_factory is MISSING)
+        _Field(
+            f.name,
+            f.metadata.get("key", f.name.rstrip("_")),
+            hints[f.name],
+            f.default is MISSING and f.default_factory is MISSING,
+        )
         for f in fields(kind)
     )
 

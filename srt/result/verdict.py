@@ -81,7 +81,7 @@ class Judged(Protocol):
         """Message of the status."""
 
     @property
-    def verdict(self) -> Consistency | None:
+    def consistency(self) -> Consistency | None:
         """Consistency of the measurements."""
 
     @property
@@ -116,7 +116,7 @@ class Verdict:
 
 def verdict_on(calibration: Judged) -> Verdict:
     """Verdict on a calibration, from its status and the chi-square of its residuals."""
-    evidence = calibration.verdict
+    evidence = calibration.consistency
     faults = calibration.diagnostics.faults or ()
     overridden = [f for f in faults if f.effect.startswith("exit")]
     left = LEFT_TO_RESIDUALS | explained(calibration)
@@ -156,7 +156,7 @@ def explained(calibration: Judged) -> set[str]:
     out |= {"units_joined" for row in drift if row.form.startswith("step")}
     shifts = ((f.fault, f.details.get("largest_shift_sigma")) for f in calibration.diagnostics.faults or ())
     out |= {fault for fault, shift in shifts if shift is not None and shift < NEGLIGIBLE_SHIFT}
-    evidence = calibration.verdict
+    evidence = calibration.consistency
     return out | {"wrong_angle" for kind in (evidence and evidence.added_noise) or () if kind in _ANGLES}
 
 
@@ -177,7 +177,7 @@ def modelled(calibration: Judged) -> Iterator[str]:
 
 
 def _failure(calibration: Judged) -> str:
-    own = None if calibration.verdict is None else calibration.verdict.sensor_noise_test
+    own = None if calibration.consistency is None else calibration.consistency.sensor_noise_test
     if own is None or not own.probability or calibration.status == "inconsistent":
         return calibration.message
     return f"{calibration.message} Residuals against the sensors' own noise: {_chi_square(own, own.probability)}."

@@ -145,7 +145,7 @@ def test_a_calibration_that_did_not_converge_has_no_values_to_force(line, raw, t
 
 
 def test_held_parameters_are_a_warning(line, raw, tmp_path, shell):
-    partial = calibrated(status="partial", held={"gyro_bias_x": "held on request"})
+    partial = calibrated(status="partial", fixed={"gyro_bias_x": "held on request"})
     covariance = partial.covariance.copy()
     covariance[24] = covariance[:, 24] = 0.0
     replace(partial, covariance=covariance).save(tmp_path / "partial.json")

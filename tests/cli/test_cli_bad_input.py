@@ -162,7 +162,7 @@ def test_bad_input(good, tmp_path, spoil, code, fragments, refused):
         calibration = srt.load_calibration(output)
         assert calibration.status == "partial"
         held = {name for name in fragments if "_" in name} & set(calibration.errors.as_dict())
-        assert held == set(calibration.held)
+        assert held == set(calibration.fixed)
         assert calibration.observed.sum() > 15
 
 

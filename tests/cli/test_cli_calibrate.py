@@ -279,7 +279,7 @@ def test_the_title_of_the_picture_has_verdict_serial_and_date(
 ):
     drawn = []
     monkeypatch.setattr("srt.reports.figures.calibration.save_figure", lambda figure, _: drawn.append(figure))
-    result(replace(calibration, provenance=replace(calibration.provenance, date="2026-05-04"), verdict=None))
+    result(replace(calibration, provenance=replace(calibration.provenance, date="2026-05-04"), consistency=None))
     shell("calibrate", recording, "--plot", tmp_path / "x.png")
     (title,) = [text.get_text() for text in drawn[0].subfigs[0].texts]
     assert title == "unit-7, serial SN-7, 2026-05-04: doubtful, closed-form"
@@ -373,7 +373,7 @@ def test_a_verdict_is_printed_once(recording, calibration, result, tmp_path, mon
     """A redirected report leaves the terminal without it; the standard error then says it."""
     bad = replace(calibration, status="inconsistent", message="Sequence 4 contradicts the others.")
     if word == "doubtful":
-        bad = replace(calibration, verdict=None)
+        bad = replace(calibration, consistency=None)
     result(bad)
     code = int(word == "failed")
     reason = bad.message if word == "failed" else bad.judgement.reason

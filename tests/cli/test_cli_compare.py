@@ -222,7 +222,7 @@ def test_different_verdicts_are_1_and_what_only_some_of_the_estimators_model_is_
     others = replace(
         best,
         diagnostics=replace(best.diagnostics, **of_others),
-        verdict=replace(best.verdict, **added, sigma_factor=(1.0, 2.0)),
+        consistency=replace(best.consistency, **added, sigma_factor=(1.0, 2.0)),
     )
     inflated = replace(closed.noise, sigma_inflation=1.0 if added else 2.0)
     results(

@@ -81,5 +81,5 @@ def test_verdict_names_the_worst_and_the_bound():
     assert text.endswith("agrees with the truth.")
     error[4] = 8.0
     assert "does not agree with the truth" in " ".join(largest_error_text(calibration, srt.SensorErrors(error)).split())
-    held = replace(calibration, held=dict.fromkeys(NAMES[4:], "held on request"))
+    held = replace(calibration, fixed=dict.fromkeys(NAMES[4:], "held on request"))
     assert "of 4 normal draws stays below 2.49 sigma" in " ".join(largest_error_text(held, srt.SensorErrors()).split())

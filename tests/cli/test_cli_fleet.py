@@ -119,7 +119,7 @@ def test_table_has_a_row_per_unit_and_fits(made):
     symbol = SYMBOLS[INDEX["accel_scale_y"]]
     for number, name in enumerate(UNITS[:-1]):
         found = srt.load_calibration(output / f"{name}.json")
-        ratio = found.verdict.chi_square / found.verdict.degrees_of_freedom
+        ratio = found.consistency.chi_square / found.consistency.degrees_of_freedom
         assert rows[name][:3] == [f"SN-{number}", "converged", found.judgement.word]
         assert rows[name][3] == str(found.observed.sum())
         assert float(rows[name][4]) == pytest.approx(ratio, abs=0.0051)
@@ -236,7 +236,7 @@ def test_statuses_count_and_are_said(lot, quick, tmp_path, shell):
     assert f"srt: {lot / 'unit-3'}: It is not done; {tmp_path / 'unit-3.json'} holds it with that status." in err
     assert re.search(r"^ unit-3 +SN-2 +not conv\. .* not tested$", out, re.MULTILINE)
     assert "there are 0: no unit is tested." in " ".join(out.split())
-    quick |= {"status": "partial", "held": {"gyro_bias_x": "not shown"}}
+    quick |= {"status": "partial", "fixed": {"gyro_bias_x": "not shown"}}
     err = shell("calibrate", lot / "unit-[1-7]", "-q").err
     assert err.startswith("srt: warning: some parameters are fixed, not observed, in 7 of 7: unit-1, unit-2, ")
     assert err.count("\n") == 1

@@ -243,4 +243,4 @@ def test_two_sequences_that_contradict_the_fixture_add_no_error_of_it(ids):
         sequences=ids, fixture_draw=draw,
     )  # fmt: skip
     found = srt.calibrate(read_out(motion, SensorErrors(), IMU, rng), "closed-form")
-    assert (found.status, found.verdict.added_noise) == ("partial", None)
+    assert (found.status, found.consistency.added_noise) == ("partial", None)

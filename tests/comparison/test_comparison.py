@@ -34,7 +34,7 @@ def hold(result, *names):
     covariance = result.covariance.copy()
     for name in names:
         covariance[INDEX[name]] = covariance[:, INDEX[name]] = 0.0
-    return replace(result, covariance=covariance, held=dict.fromkeys(names, "held on request"), status="partial")
+    return replace(result, covariance=covariance, fixed=dict.fromkeys(names, "held on request"), status="partial")
 
 
 @dataclass

@@ -36,7 +36,7 @@ def made(vector, covariance, held=(), **changes):
         "message": "",
         "errors": SensorErrors(vector),
         "covariance": np.where(np.outer(observed, observed), covariance, 0.0),
-        "held": dict.fromkeys(held, "not shown"),
+        "fixed": dict.fromkeys(held, "not shown"),
         "site": StatedSite(gravity_m_s2=9.80665),
         "provenance": Provenance(serial="SN-1"),
     }
@@ -87,7 +87,7 @@ def test_merged_is_the_joint_least_squares_solution(held):
     np.testing.assert_allclose(merged.errors.vector, joint, rtol=0.0, atol=1e-9 * np.abs(joint).max())
     np.testing.assert_allclose(merged.covariance, P, rtol=1e-9, atol=1e-12 * np.diag(P).max())
     assert merged.status == "converged"
-    assert merged.held == {}
+    assert merged.fixed == {}
     assert merged.estimator == "merged"
     # The joint solution's chi-square is that within the recordings and that between them.
     within = sum(float(np.sum((v - h @ c.errors.vector) ** 2)) for h, v, c in zip(H, z, calibrations, strict=True))
@@ -210,7 +210,7 @@ def test_a_recording_that_differs_stands_out():
     i = INDEX["gyro_scale_y"]
     values[2, i] += 20.0 * np.sqrt(P[i, i])
     merged = merge_calibrations([made(v, P) for v in values], ["a", "b", "c", "d"])
-    worst = max(merged.verdict.sequences, key=lambda row: row.chi_square)
+    worst = max(merged.consistency.sequences, key=lambda row: row.chi_square)
     assert worst.sequence == "c"
     row = merged.diagnostics.repeatability.parameters[i]
     assert row.largest_deviation.recording == "c"
@@ -304,7 +304,7 @@ def test_held_in_all_stays_held():
     partial = [srt.calibrate(r, hold=("accel_scale",), checks=False) for r in recordings(1, 2)[0]]
     merged = merge_calibrations(partial)
     assert merged.status == "partial"
-    assert set(merged.held) == set(NAMES[GROUP_SLICES["accel_scale"]])
+    assert set(merged.fixed) == set(NAMES[GROUP_SLICES["accel_scale"]])
     assert np.all(merged.covariance[~merged.observed] == 0.0)
     assert "Fixed, not observed" in merged.message
 
@@ -342,7 +342,7 @@ def test_provenance_and_text():
     assert merged.temperature == Temperature(21.0, 4.0)
     assert len(merged.provenance.recordings) == 3
     assert len(merged.provenance.data_sha256) == 64
-    assert [row.sequence for row in merged.verdict.sequences] == ["first", "second", "third"]
+    assert [row.sequence for row in merged.consistency.sequences] == ["first", "second", "third"]
     text = repeatability_text(merged)
     assert max(map(len, text.splitlines())) <= 80
     for word in ("first", "2026-02-01", "22.0", "scatter:", "p:", "farthest:", "All parameters together"):

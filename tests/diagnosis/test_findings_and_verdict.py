@@ -98,7 +98,7 @@ def test_a_turn_is_left_out_by_its_number():
     unit, _ = unstated_unit(0, "fixture", "tactical")
     number = unit.sequences[7].id
     left = srt.calibrate(unit, "least-squares", checks=False, without_turns=(int(number),))
-    assert number not in {row.sequence for row in left.verdict.sequences}
+    assert number not in {row.sequence for row in left.consistency.sequences}
 
 
 def test_repeated_samples_are_the_cause_of_shifted_labels():
@@ -386,7 +386,7 @@ def test_missing_sequences_are_no_warning_of_a_result(estimator):
     recording = replace(whole, sequences=tuple(s for s in whole.sequences if s.id not in ("6", "9")))
     result = srt.calibrate(recording, estimator)
     assert not any("cannot" in warning for warning in result.warnings)
-    assert any("sequence 6 is missing" in reason for reason in result.held.values()) == (estimator == "closed-form")
+    assert any("sequence 6 is missing" in reason for reason in result.fixed.values()) == (estimator == "closed-form")
     (found,) = [f for f in srt.inspect(recording).diagnosis.findings if f.fault == "sequence_missing"]
     assert "the closed form cannot estimate gyro_orthogonality_xy" in found.sentence
     assert "--estimator least-squares" in found.sentence

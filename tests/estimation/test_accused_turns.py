@@ -27,7 +27,7 @@ def test_the_turn_that_lost_samples_is_accused(place, number):
     recording = drawn("none", place, number, SEED)[0]
     found = srt.calibrate(without_some_rates(recording, [6]), estimator="least-squares", force=True)
     assert found.judgement.word == "failed"
-    assert found.verdict.contradicting.title == (recording.sequences[6].id or "turn 7")
+    assert found.consistency.contradicting.title == (recording.sequences[6].id or "turn 7")
     assert f"--without-turn {recording.sequences[6].id or 7}" in found.message
 
 
@@ -36,4 +36,4 @@ def test_of_two_wrong_turns_none_is_accused_alone(place, number):
     recording = without_some_rates(drawn("none", place, number, SEED)[0], [6, 12])
     found = srt.calibrate(recording, estimator="least-squares", force=True)
     assert found.judgement.word in ("doubtful", "failed")
-    assert found.verdict.contradicting is None
+    assert found.consistency.contradicting is None

@@ -125,13 +125,13 @@ def test_a_fixture_gives_what_a_short_test_does_not_show(estimator):
     for seed in range(3):
         unit, errors = short(seed)
         found = srt.calibrate(unit, estimator, ignore_moves=True)
-        lost = [name for name in found.held if "orthogonality" in name or "misalignment" in name]
+        lost = [name for name in found.fixed if "orthogonality" in name or "misalignment" in name]
         assert lost
         for name in lost:
             off = abs(found.errors[name] - errors.get(name, 0.0))
             assert off < 2.0 * 3.5 * np.sqrt(4.0) * 1e-3
             sigma = 1e-3 * np.sqrt(2.0) * DISPLAY_FACTORS[INDEX[name]]
-            assert f"the value is that of the fixture's nominal angles, 1-sigma {sigma:.4g} µrad" in found.held[name]
+            assert f"the value is that of the fixture's nominal angles, 1-sigma {sigma:.4g} µrad" in found.fixed[name]
         assert any(found.errors[name] != 0.0 for name in lost)
         assert found.judgement.word == "partial", found.judgement
 
@@ -141,7 +141,7 @@ def test_a_fixture_that_saw_one_pose_does_not_determine_the_other_axes(tmp_path)
     on_the_fixture(tmp_path / "unit", ("1", "1a"))
     found = srt.calibrate(tmp_path / "unit", "least-squares")
     for name in ("gyro_scale_x", "gyro_scale_z", "accel_scale_y", "gyro_orthogonality_zx"):
-        assert found.held[name].endswith("taken as zero"), found.held[name]
+        assert found.fixed[name].endswith("taken as zero"), found.fixed[name]
         assert found.errors[name] == 0.0
     assert found.judgement.word != "sound"
 

@@ -19,9 +19,9 @@ from sims.physics.table_motion import table1_motion
 from srt.estimation.convergence import CONVERGED_SIGMAS
 from srt.estimation.leave_one_out import (
     SequenceDiagnostics,
+    consistency,
     consistency_tests,
     leave_one_out_estimates,
-    verdict,
 )
 from srt.reports.text.calibration import report
 from srt.result.document import to_document
@@ -138,7 +138,7 @@ def test_inflation_correlation_and_weakest_combination():
     P = root @ root.T
     observed = np.ones(N_PARAMETERS, dtype=bool)
     observed[[2, 20]] = False
-    result = verdict([], np.where(np.outer(observed, observed), P, 0.0), observed, 3.0, 4)
+    result = consistency([], np.where(np.outer(observed, observed), P, 0.0), observed, 3.0, 4)
     seen = np.flatnonzero(observed)
     part = P[np.ix_(seen, seen)]
     precision = np.linalg.inv(part)
@@ -196,16 +196,16 @@ def again_without(calibration, recording, row, estimator, **options):
 def test_influence_is_that_of_calibrating_without_the_sequence(estimator, count):
     """And what is lost is what would be held, and the information that goes is that of the sigmas."""
     calibration = calibrated(11, estimator)
-    rows = calibration.verdict.sequences
+    rows = calibration.consistency.sequences
     assert len(rows) == 17
     for k in range(0, 17, -(-17 // count)):
         row = rows[k]
         again = again_without(calibration, noisy(11), row, estimator)
-        assert set(again.held) == set(row.lost_without)
+        assert set(again.fixed) == set(row.lost_without)
         assert distance(calibration, row, again) < 1.0
         if estimator == "closed-form":
             continue
-        for parameter in calibration.verdict.parameters:
+        for parameter in calibration.consistency.parameters:
             i = INDEX[parameter.name]
             if parameter.name not in row.lost_without:
                 share = 1.0 - (calibration.sigma[i] / again.sigma[i]) ** 2
@@ -222,7 +222,7 @@ def test_influence_is_that_of_calibrating_without_the_sequence(estimator, count)
 def test_influence_with_other_gyro_biases_and_windows(estimator, options):
     calibration = srt.calibrate(noisy(12), estimator, **options, checks=False)
     for k in (0, 8, 15):
-        row = calibration.verdict.sequences[k]
+        row = calibration.consistency.sequences[k]
         again = again_without(calibration, noisy(12), row, estimator, **options)
         assert distance(calibration, row, again) < 1.0
 
@@ -231,7 +231,7 @@ def test_influence_with_a_bias_of_every_sequence():
     """The reported bias is the mean over the sequences: without one it is another mean, and no bias to hold."""
     calibration = srt.calibrate(noisy(12), "least-squares", gyro_bias="per-sequence", checks=False)
     for k in (0, 8, 15):
-        row = calibration.verdict.sequences[k]
+        row = calibration.consistency.sequences[k]
         rest = without(noisy(12), row.sequence)
         again = srt.calibrate(rest, "least-squares", start=calibration.errors, gyro_bias="per-sequence", checks=False)
         assert distance(calibration, row, again) < 1.0
@@ -244,7 +244,7 @@ def test_influence_where_the_bias_wanders_in_part():
     wander = calibration.noise.gyro_bias_wander_rad_s
     assert np.all(wander > 0.0)
     for k in (1, 6, 12):
-        row = calibration.verdict.sequences[k]
+        row = calibration.consistency.sequences[k]
         again = again_without(calibration, recording, row, "least-squares")
         assert distance(calibration, row, again) < 1.0
 
@@ -256,11 +256,11 @@ def test_a_repeated_sequence_is_two_independent_measurements():
     recording = read_out(motion, truth, accuracy_trials.GRADES["navigation"], np.random.default_rng(14))
     for estimator in PLAYBACK:
         calibration = srt.calibrate(recording, estimator, checks=False)
-        first, second = (r for r in calibration.verdict.sequences if r.sequence == "10")
+        first, second = (r for r in calibration.consistency.sequences if r.sequence == "10")
         assert (first.occurrence, second.occurrence) == (1, 2)
         assert first.lost_without == second.lost_without == ()
         assert first.checkable == second.checkable == "yes"
-        row = next(p for p in calibration.verdict.parameters if p.name == "accel_misalignment_zy")
+        row = next(p for p in calibration.consistency.parameters if p.name == "accel_misalignment_zy")
         shares = {(s.sequence, s.occurrence): s.share for s in row.shown_by}
         assert shares["10", 1] == pytest.approx(shares["10", 2], rel=0.02)
         again = again_without(calibration, recording, second, estimator)
@@ -285,7 +285,7 @@ def test_turns_that_share_windows():
     recording = read_out(motion, truth, accuracy_trials.GRADES["navigation"], rng)
     recording = recording.with_sequences(srt.find_turns(recording))
     calibration = srt.calibrate(recording, "least-squares", checks=False)
-    rows = calibration.verdict.sequences
+    rows = calibration.consistency.sequences
     for k in (0, 14):
         rest = recording.with_sequences(tuple(s for i, s in enumerate(recording.sequences) if i != k))
         again = srt.calibrate(
@@ -299,7 +299,7 @@ def test_turns_that_share_windows():
 
 def clean(seed, estimator):
     recording, _ = accuracy_trials.noisy_recording(4000 + seed, "navigation")
-    return srt.calibrate(recording, estimator, checks=False).verdict
+    return srt.calibrate(recording, estimator, checks=False).consistency
 
 
 @pytest.mark.parametrize(
@@ -336,16 +336,16 @@ def test_a_disturbed_sequence_stands_out(estimator, name):
     label = next(s for s in recording.sequences if s.id == name)
     accel = recording.accel.copy()
     accel[recording.window_indices(*label.end_static_s)] += 50e-6 * 9.80665
-    result = srt.calibrate(replace(recording, accel=accel), estimator, checks=False).verdict
+    result = srt.calibrate(replace(recording, accel=accel), estimator, checks=False).consistency
     worst = result.contradicting
     assert worst is not None
     assert worst.sequence == name
-    assert calibrated(11, estimator).verdict.contradicting is None
+    assert calibrated(11, estimator).consistency.contradicting is None
 
 
 def test_single_witnesses_are_named():
     """Table 1 has one reversed turn for each asymmetry, and one sequence each for four misalignments."""
-    rows = {r.sequence: r for r in calibrated(11, "closed-form").verdict.sequences}
+    rows = {r.sequence: r for r in calibrated(11, "closed-form").consistency.sequences}
     for name, parameter in (
         ("1a", "gyro_asymmetry_y"),
         ("7", "accel_misalignment_xy"),
@@ -368,18 +368,18 @@ def test_a_sequence_that_nothing_checks_is_said_to_be_so():
     pairs = zip(consistency_tests(0.0 * z, H, R, groups), leave_one_out_estimates(0.0 * z, H, R, groups), strict=True)
     rows = [SequenceDiagnostics(str(k), 1, *pair) for k, pair in enumerate(pairs)]
     P = solved(z, H, R)[1]
-    result = verdict(rows, P, np.ones(N_PARAMETERS, dtype=bool), 0.0, 0)
+    result = consistency(rows, P, np.ones(N_PARAMETERS, dtype=bool), 0.0, 0)
     for row in result.sequences:
         assert (row.checkable, row.degrees_of_freedom, row.probability) == ("no", 0, None)
         assert len(row.lost_without) >= 9
     assert result.contradicting is None
-    text = report(replace(calibrated(11, "closed-form"), verdict=result), title="unit")
+    text = report(replace(calibrated(11, "closed-form"), consistency=result), title="unit")
     assert text.count("not checkable  ") == 3
     assert "their agreement cannot be tested" in " ".join(text.split())
 
 
 def test_the_closed_form_says_what_it_would_hold():
-    rows = {r.sequence: r for r in calibrated(11, "closed-form").verdict.sequences}
+    rows = {r.sequence: r for r in calibrated(11, "closed-form").consistency.sequences}
     assert set(rows["13"].lost_without) == {"accel_bias_y", "accel_asymmetry_y"}
     assert rows["13"].checkable == "yes"  # by the components that the formulas leave over
 
@@ -390,7 +390,7 @@ def test_the_closed_form_says_what_it_would_hold():
 @pytest.mark.parametrize("estimator", ALL)
 def test_every_estimator_fills_it(estimator, tmp_path):
     calibration = calibrated(11, estimator)
-    result = calibration.verdict
+    result = calibration.consistency
     assert [row.name for row in result.parameters] == list(NAMES)
     assert len(result.sequences) == 17
     for row in result.parameters:
@@ -400,7 +400,7 @@ def test_every_estimator_fills_it(estimator, tmp_path):
     calibration.save(tmp_path / "unit.json")
     written = json.loads((tmp_path / "unit.json").read_text(encoding="utf-8"))["verdict"]
     assert written == {"word": "sound", "reason": calibration.judgement.reason, **to_document(result)}
-    assert srt.load_calibration(tmp_path / "unit.json").verdict == result
+    assert srt.load_calibration(tmp_path / "unit.json").consistency == result
 
 
 def test_files_without_a_verdict_load(tmp_path):
@@ -408,5 +408,5 @@ def test_files_without_a_verdict_load(tmp_path):
     del document["verdict"]
     (tmp_path / "old.json").write_text(json.dumps(document), encoding="utf-8")
     old = srt.load_calibration(tmp_path / "old.json")
-    assert old.verdict is None
+    assert old.consistency is None
     assert "Verdict" not in report(old, title="old")

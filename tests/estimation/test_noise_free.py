@@ -71,5 +71,5 @@ def test_errors_of_the_integration_are_no_fault_of_a_turn(estimator, integration
 @pytest.mark.slow
 def test_a_sequence_that_is_wrong_is_named_also_without_noise():
     recording, _ = simulated(3, wrong="9")
-    assert srt.calibrate(recording, "least-squares").verdict.contradicting.sequence == "9"
+    assert srt.calibrate(recording, "least-squares").consistency.contradicting.sequence == "9"
     assert srt.calibrate(recording, "closed-form").judgement.word == "failed"

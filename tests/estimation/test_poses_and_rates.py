@@ -124,7 +124,7 @@ def test_24_faces_give_the_triad_in_its_own_axes():
             if i > j:
                 assert found.errors[f"accel_misalignment_{a}{b}"] == pytest.approx(lower[i, j], abs=2e-6)
             elif i < j:
-                assert "by definition of the axes" in found.held[f"accel_misalignment_{a}{b}"]
+                assert "by definition of the axes" in found.fixed[f"accel_misalignment_{a}{b}"]
 
 
 def scenario(name: str, seed: int, **tables):
@@ -176,7 +176,7 @@ def test_a_stated_rate_gives_the_scale_that_the_rotation_test_cannot_see():
     plain = tuple(srt.SequenceLabel(s.start_static_s, s.end_static_s) for s in recording.sequences if not s.pose)
     without = srt.calibrate(recording.with_sequences(plain), "least-squares", checks=False)
     assert not without.observed[scale].all()
-    assert "stated rate about" in "".join(without.held.values())
+    assert "stated rate about" in "".join(without.fixed.values())
 
 
 def test_a_rate_of_the_wrong_sense_is_refused():
@@ -191,11 +191,11 @@ def test_a_rate_of_the_wrong_sense_is_refused():
 def test_unobservable_parameters_are_named_with_the_missing_data():
     recording = tumble(np.diag([1.002, 0.999, 1.0015]), BIAS)
     found = srt.calibrate(recording, "least-squares", checks=False, hold=("accel_asymmetry",))
-    assert "add a rotation about the axis" in found.held["gyro_scale_x"]
-    assert "poses between them" in found.held["accel_misalignment_yx"]
+    assert "add a rotation about the axis" in found.fixed["gyro_scale_x"]
+    assert "poses between them" in found.fixed["accel_misalignment_yx"]
     upright = recording.with_sequences(recording.sequences[:2])  # z down and z up
     found = srt.calibrate(upright, "least-squares", checks=False, hold=("accel_asymmetry",))
-    assert "add poses with the axis up" in found.held["accel_bias_x"]
+    assert "add poses with the axis up" in found.fixed["accel_bias_x"]
 
 
 def test_parameters_known_better_from_the_fixture_keep_their_values():
@@ -254,4 +254,4 @@ def test_joint_estimators_agree_on_poses_and_rates(name):
         assert np.all(np.abs(found.errors.vector - least.errors.vector)[at] < 0.1 * least.sigma[at])
         if name != "rate-table":
             assert not found.observed[GROUP_SLICES["gyro_scale"]].any()
-            assert "add a rotation" in found.held["gyro_scale_x"]
+            assert "add a rotation" in found.fixed["gyro_scale_x"]

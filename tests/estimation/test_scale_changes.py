@@ -26,7 +26,7 @@ def test_a_drift_of_the_scale_factors_is_named_and_no_sequence_accused(estimator
     Found to 35 % in every channel, also by a ramp that begins later.
     """
     found = srt.calibrate(drawn("scale drift", "fixture", number, SEED)[0], estimator=estimator)
-    assert found.verdict.contradicting is None
+    assert found.consistency.contradicting is None
     sentence = next(w for w in found.warnings if w.startswith("The scale factors of the gyros seem to change steadily"))
     assert np.all(np.abs(np.abs(sizes(sentence)) - 200.0) < 70.0)
     if found.judgement.word == "failed":

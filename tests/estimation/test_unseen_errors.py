@@ -60,7 +60,7 @@ def test_coefficients(calibrated, source):
         assert np.abs(change).max() <= 1.001 * error * row.coefficient
     else:
         np.testing.assert_allclose(change, error * row.coefficient, rtol=0.01)
-    assert wrong.verdict.chi_square == pytest.approx(found.verdict.chi_square, abs=1.0)
+    assert wrong.consistency.chi_square == pytest.approx(found.consistency.chi_square, abs=1.0)
 
 
 def test_a_stated_sigma_is_told_and_in_the_result(calibrated):
@@ -136,7 +136,7 @@ def test_coefficients_on_a_rate_table(kind):
         ("time base", slower_clock(recording), [0, 1, 2]),
     ):
         wrong = srt.calibrate(changed, "least-squares", checks=False)
-        assert wrong.verdict.chi_square == pytest.approx(found.verdict.chi_square, abs=0.1)
+        assert wrong.consistency.chi_square == pytest.approx(found.consistency.chi_square, abs=0.1)
         change = (wrong.errors.vector - found.errors.vector) * 1e6
         for group in ("gyro_scale", "accel_scale"):
             row = rows.get((source, group))

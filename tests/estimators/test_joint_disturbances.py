@@ -181,7 +181,7 @@ def result(case, seed, name, which="end", estimator="graph", loss="squared"):
 
 def named_sequence(calibration):
     """The sequence that contradicts the others; None if there is none."""
-    worst = calibration.verdict.contradicting
+    worst = calibration.consistency.contradicting
     return None if worst is None else worst.sequence
 
 
@@ -209,7 +209,7 @@ def assert_named(calibration, case, seed, name):
     """The warnings name the sequence, and it is the least probable one (for a tilted window, if taken as still)."""
     if case is tilted:
         assert named_windows(calibration, clean(seed)[0]) == {name}
-        assert worst_sequence(calibration.diagnostics.held.sequences) == name
+        assert worst_sequence(calibration.diagnostics.before_integration.sequences) == name
     else:
         assert worst_sequence(calibration.diagnostics.sequences) == name
         assert named_sequence(calibration) == name
@@ -236,7 +236,7 @@ def test_the_filter_names_it_too(case, name):
     """The filter names the sequence as the graph does, and its innovations fail the test from that sequence on."""
     calibration = result(case, 101, name, estimator="ekf")
     assert_named(calibration, case, 101, name)
-    forward = (calibration.diagnostics.held if case is tilted else calibration.diagnostics).filter
+    forward = (calibration.diagnostics.before_integration if case is tilted else calibration.diagnostics).filter
     worst = max(forward, key=lambda row: row.nis - row.degrees_of_freedom)
     assert worst.probability < 1e-6
     # What contradicts can only be seen once the bad sequence, or what it contradicts, has been processed.

@@ -139,7 +139,7 @@ def test_a_calibration_with_fixed_parameters_is_a_prior(unit, estimator, full):
     recording, truth = unit
     earlier = srt.calibrate(recording, estimator, hold=("gyro_asymmetry",), checks=False)
     assert earlier.status == "partial"
-    assert len(earlier.held) == 3
+    assert len(earlier.fixed) == 3
     prior = Prior.from_calibration(earlier)
     assert np.all(np.isfinite(prior.covariance))
     calibration = srt.calibrate(recording, estimator, prior=prior, checks=False)
@@ -177,7 +177,7 @@ def test_too_few_sequences_name_what_they_do_not_show(unit, estimator, ids):
     # A sequence has two windows of three forces and three rates, and one turn: 15 numbers, of which its end attitude
     # takes three; of its start attitude the fixture knows as much as counts for being observed.
     assert 0 < calibration.observed.sum() <= 12 * len(ids)
-    for name in calibration.held:
+    for name in calibration.fixed:
         assert name in calibration.message
     error = np.abs(calibration.errors.vector - truth.vector)
     assert np.all(error[calibration.observed] < 4.6 * calibration.sigma[calibration.observed])
@@ -191,7 +191,7 @@ def test_too_few_sequences_name_what_they_do_not_show(unit, estimator, ids):
 def test_everything_held_is_no_crash(unit, estimator):
     calibration = srt.calibrate(only(unit[0], "4", "13"), estimator, hold=NAMES)
     assert calibration.status == "partial"
-    assert set(calibration.held) == set(NAMES)
+    assert set(calibration.fixed) == set(NAMES)
     assert_whole(calibration)
 
 

@@ -55,7 +55,7 @@ def calibrated(estimator, unseen=0.0):
 def test_estimate_and_agreement_are_those_of_the_weights(estimator):
     without, result = calibrated(estimator), calibrated(estimator, UNSEEN)
     np.testing.assert_array_equal(result.errors.vector, without.errors.vector)
-    assert result.verdict.chi_square == pytest.approx(without.verdict.chi_square, rel=1e-9)
+    assert result.consistency.chi_square == pytest.approx(without.consistency.chi_square, rel=1e-9)
     grown = result.covariance - without.covariance
     source = "accel_bias_instability"
     own = result.contributions[source] ** 2 - without.contributions.get(source, np.zeros(27)) ** 2

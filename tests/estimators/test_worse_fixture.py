@@ -55,7 +55,7 @@ def test_both_figures_are_told():
     """17 starts have two angles each; those of their rotations are 12 of one rotation."""
     case = CASES["fixture of 1 mrad, 0.1 stated"]
     found = calibrated("fixture of 1 mrad, 0.1 stated", 0, "least-squares")
-    added = found.verdict.added_noise
+    added = found.consistency.added_noise
     assert added["start_angle_rad"].own == case.stated_sigma_rad
     for kind, count in (("start_angle_rad", 34), ("turned_angle_rad", 12)):
         size = math.hypot(added[kind].own, added[kind].added)
@@ -165,7 +165,7 @@ def test_the_closed_form_names_a_drift_and_no_sequence(case, seed, named):
     assert found.judgement.word in ("doubtful", "failed")
     assert any(named in text for text in (found.message, *found.warnings))
     assert not any("moved in the stationary windows" in warning for warning in found.warnings)
-    assert found.verdict.contradicting is None
+    assert found.consistency.contradicting is None
 
 
 def test_a_step_that_is_modelled_is_no_second_unit():

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 from ideal_table_1 import SAMPLE_RATE_HZ, component_rows
+from srt.closed_form.formulas import SelectedFormulas
 from test_equations_signatures import G, ideal_jacobian
 
 import sims
-from srt.closed_form.formulas import SelectedFormulas
 from srt.estimation.options import Options
 from srt.estimation.registry import COMPLETING
 from srt.estimation.srt_measurements import SrtProcessor
-from srt.model import closed_form
+from srt.model import srt_formulas
 from srt.model.table1 import SEQUENCES
 from srt.recording.recording import Site
 from srt.sensor_errors import GROUP_SLICES, INDEX, N_PARAMETERS, NAMES, SensorErrors
@@ -64,7 +64,7 @@ LOST = {
 def jacobian(chosen):
     """Ideal derivative of the components that formulas read, shape (number of components, 27)."""
     by_sequence = {name: ideal_jacobian(name) for name in SEQUENCES}
-    H = np.array([by_sequence[c.sequence][c.kind] for c in closed_form.components(chosen)])
+    H = np.array([by_sequence[c.sequence][c.kind] for c in srt_formulas.components(chosen)])
     H[:, GROUP_SLICES["gyro_bias"]] = 0.0
     return H
 
@@ -77,12 +77,12 @@ def dimensionless(M):
 
 
 def test_inversion_is_exact_with_asymmetry():
-    chosen = closed_form.formulas(ALL)
-    product = dimensionless(closed_form.inversion_matrix(chosen, G) @ jacobian(chosen))
+    chosen = srt_formulas.formulas(ALL)
+    product = dimensionless(srt_formulas.inversion_matrix(chosen, G) @ jacobian(chosen))
     expected = np.diag([1.0] * 24 + [0.0] * 3)
     np.testing.assert_allclose(product, expected, rtol=0, atol=1e-12)
     assert {f.parameter for f in chosen} == set(CLOSED_FORM)
-    assert closed_form.missing_parameters(chosen) == ()
+    assert srt_formulas.missing_parameters(chosen) == ()
 
 
 @pytest.mark.parametrize(
@@ -92,18 +92,18 @@ def test_inversion_is_exact_with_asymmetry():
 )
 def test_inversion_is_exact_without_asymmetry(sequences):
     """Eq. 14; with the reversed sequences at hand the pairs are averaged instead."""
-    chosen = closed_form.formulas(sequences, asymmetry=False)
-    product = dimensionless(closed_form.inversion_matrix(chosen, G) @ jacobian(chosen))
+    chosen = srt_formulas.formulas(sequences, asymmetry=False)
+    product = dimensionless(srt_formulas.inversion_matrix(chosen, G) @ jacobian(chosen))
     kept = [i for i, n in enumerate(CLOSED_FORM) if n not in ASYMMETRY]
     np.testing.assert_allclose(product[np.ix_(kept, kept)], np.eye(len(kept)), rtol=0, atol=1e-12)
-    assert closed_form.missing_parameters(chosen) == ASYMMETRY
+    assert srt_formulas.missing_parameters(chosen) == ASYMMETRY
     assert not product[GROUP_SLICES["gyro_asymmetry"]].any()
 
 
 def test_an_asymmetry_adds_to_the_scale_factor_if_reversed_sequences_are_missing():
     """The price of eq. 14: κ_iii of a unit that has one comes out as κ_ii, and nowhere else."""
-    chosen = closed_form.formulas([s for s in ALL if not s.endswith("a")])
-    product = dimensionless(closed_form.inversion_matrix(chosen, G) @ jacobian(chosen))
+    chosen = srt_formulas.formulas([s for s in ALL if not s.endswith("a")])
+    product = dimensionless(srt_formulas.inversion_matrix(chosen, G) @ jacobian(chosen))
     columns = product[:, GROUP_SLICES["gyro_asymmetry"]]
     np.testing.assert_allclose(columns[GROUP_SLICES["gyro_scale"]], np.eye(3), rtol=0, atol=1e-12)
     np.testing.assert_allclose(columns[3:], 0.0, atol=1e-12)
@@ -111,13 +111,13 @@ def test_an_asymmetry_adds_to_the_scale_factor_if_reversed_sequences_are_missing
 
 @pytest.mark.parametrize("missing", ALL)
 def test_parameters_lost_with_one_sequence(missing):
-    chosen = closed_form.formulas([s for s in ALL if s != missing])
-    assert set(closed_form.missing_parameters(chosen)) == LOST[missing]
+    chosen = srt_formulas.formulas([s for s in ALL if s != missing])
+    assert set(srt_formulas.missing_parameters(chosen)) == LOST[missing]
 
 
 def test_parameters_lost_with_a_pair_of_scale_factor_sequences():
     def lost(*missing):
-        return set(closed_form.missing_parameters(closed_form.formulas([s for s in ALL if s not in missing])))
+        return set(srt_formulas.missing_parameters(srt_formulas.formulas([s for s in ALL if s not in missing])))
 
     assert lost("1", "1a") == {"gyro_scale_y", "gyro_asymmetry_y"}
     assert lost("3", "3a") == {"gyro_scale_z", "gyro_asymmetry_z"}
@@ -128,8 +128,8 @@ def test_parameters_lost_with_a_pair_of_scale_factor_sequences():
 @pytest.mark.parametrize("missing", [*ALL, *([a, b] for a, b in (("1", "1a"), ("4", "9"), ("2", "14")))])
 def test_remaining_formulas_are_exact(missing):
     """The remaining formulas invert their own parameters whichever sequences are missing; only asymmetry may leak."""
-    chosen = closed_form.formulas([s for s in ALL if s not in missing and s != missing])
-    product = dimensionless(closed_form.inversion_matrix(chosen, G) @ jacobian(chosen))
+    chosen = srt_formulas.formulas([s for s in ALL if s not in missing and s != missing])
+    product = dimensionless(srt_formulas.inversion_matrix(chosen, G) @ jacobian(chosen))
     found = [INDEX[f.parameter] for f in chosen]
     np.testing.assert_allclose(product[np.ix_(found, found)], np.eye(len(found)), rtol=0, atol=1e-12)
     others = [i for i, n in enumerate(CLOSED_FORM) if i not in found and n not in ASYMMETRY]
@@ -137,16 +137,16 @@ def test_remaining_formulas_are_exact(missing):
 
 
 def test_no_sequences_no_formulas():
-    assert closed_form.formulas([]) == ()
-    assert closed_form.missing_parameters(()) == CLOSED_FORM
-    assert closed_form.components(()) == ()
+    assert srt_formulas.formulas([]) == ()
+    assert srt_formulas.missing_parameters(()) == CLOSED_FORM
+    assert srt_formulas.components(()) == ()
     # A bare sequence 14 needs υzx from elsewhere.
-    assert closed_form.formulas(["14"]) == ()
+    assert srt_formulas.formulas(["14"]) == ()
 
 
 def test_formulas_come_after_those_they_need_and_repeats_change_nothing():
-    chosen = closed_form.formulas([*ALL, "7", "7", "1a"])
-    assert chosen == closed_form.formulas(ALL)
+    chosen = srt_formulas.formulas([*ALL, "7", "7", "1a"])
+    assert chosen == srt_formulas.formulas(ALL)
     seen: set[str] = set()
     for formula in chosen:
         assert {p for _, p in formula.parameters} <= seen
@@ -167,7 +167,7 @@ def test_formulas_come_after_those_they_need_and_repeats_change_nothing():
     ],
 )
 def test_sequences_needed(parameter, sequences):
-    assert closed_form.sequences_needed(parameter) == sequences
+    assert srt_formulas.sequences_needed(parameter) == sequences
 
 
 def test_a_repeated_sequence_is_averaged():
@@ -180,7 +180,7 @@ def test_a_repeated_sequence_is_averaged():
     options = Options()
     data = prepare(recording, recording.sequences, options.average)
     solver = SelectedFormulas(data, options)
-    once = closed_form.inversion_matrix(solver.formulas, data.gravity)
+    once = srt_formulas.inversion_matrix(solver.formulas, data.gravity)
     order = {c: j for j, c in enumerate(solver.components)}
     rows = component_rows(data)  # of the last occurrence
     assert data.occurrences[-3:] == (2, 2, 3)
@@ -205,5 +205,5 @@ def test_a_repeated_sequence_is_averaged():
 
 def test_sequences_that_alone_support_no_formula():
     """Of those, the automatic choice is least squares."""
-    assert not closed_form.formulas(COMPLETING, asymmetry=False)
-    assert all(closed_form.formulas({name}, asymmetry=False) for name in {*SEQUENCES} - COMPLETING)
+    assert not srt_formulas.formulas(COMPLETING, asymmetry=False)
+    assert all(srt_formulas.formulas({name}, asymmetry=False) for name in {*SEQUENCES} - COMPLETING)

@@ -15,7 +15,7 @@ from scipy.stats import chi2
 import sims
 from srt.estimation.options import Options
 from srt.exceptions import InputError
-from srt.model import closed_form
+from srt.model import srt_formulas
 from srt.model.rotation_integrals import ideal_rotations
 from srt.model.table1 import SEQUENCES
 from srt.recording.recording import Site
@@ -92,9 +92,9 @@ def test_erratum_2_accelerometer_asymmetry_takes_plus_two_lambda(derivation, sim
     rounding = 1e-8  # of a central difference: 1e-16 · g / 1e-5, and the square of the step in |f|
     assert abs(-(measured + 2.0) / (2 * G)) < rounding
     assert abs(-(measured - 2.0) / (2 * G) - 2.0 / G) < rounding
-    chosen = closed_form.formulas(SEQUENCES)
-    A = closed_form.inversion_matrix(chosen, G)
-    J = np.array([run.row(c.sequence, c.kind) for c in closed_form.components(chosen)])
+    chosen = srt_formulas.formulas(SEQUENCES)
+    A = srt_formulas.inversion_matrix(chosen, G)
+    J = np.array([run.row(c.sequence, c.kind) for c in srt_formulas.components(chosen)])
     assert abs((A @ J[:, column])[INDEX[f"accel_asymmetry_{axis}"]]) < 1e-4 / G
 
 

@@ -404,7 +404,7 @@ class TestRefusals:
             mount_from_recording(changed(recorded()), unit, level_sigma_rad=1e-4)
 
     def test_held_parameters_are_warned_of(self):
-        mount = mount_from_recording(recorded(), calibrated(held={"accel_bias_y": "held on request"}))
+        mount = mount_from_recording(recorded(), calibrated(fixed={"accel_bias_y": "held on request"}))
         assert any("fixes accel_bias_y" in sentence for sentence in mount.warnings)
 
     @pytest.mark.parametrize(

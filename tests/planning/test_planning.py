@@ -349,6 +349,6 @@ def test_known_information_is_that_of_the_sequences():
 
 def test_a_calibration_that_observed_nothing(half_done):
     file, so_far = half_done
-    nothing = replace(so_far, held=dict.fromkeys(NAMES, "none"), covariance=np.zeros((27, 27)))
+    nothing = replace(so_far, fixed=dict.fromkeys(NAMES, "none"), covariance=np.zeros((27, 27)))
     with pytest.raises(InputError, match="observed nothing"):
         known_information(nothing, file.conditions())

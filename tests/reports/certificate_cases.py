@@ -29,7 +29,7 @@ def calibration(seed=1, held=(), sequences=3, **changes):
         "errors": SensorErrors(300.0 * rng.standard_normal(27) / FACTORS),
         "covariance": np.where(np.outer(observed, observed), root @ root.T, 0.0),
         "corrections": (1e-3, 1e-6, 1e-12),
-        "held": dict.fromkeys(held, "held on request"),
+        "fixed": dict.fromkeys(held, "held on request"),
         "U": np.eye(3),
         "U_sigma_rad": 1e-3,
         "residuals": tuple(
@@ -45,7 +45,7 @@ def calibration(seed=1, held=(), sequences=3, **changes):
             date="2026-05-04",
             options={"hold": []},
         ),
-        "verdict": Consistency(chi_square=44.0, degrees_of_freedom=44, probability=0.47),
+        "consistency": Consistency(chi_square=44.0, degrees_of_freedom=44, probability=0.47),
     }
     return srt.Calibration(**(given | changes))
 

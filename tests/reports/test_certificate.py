@@ -149,7 +149,7 @@ def test_texts_of_files_are_no_markup(saved, hostile):
         ),
         estimator=hostile,
         warnings=(hostile,),
-        held={"accel_bias_z": hostile},
+        fixed={"accel_bias_z": hostile},
         residuals=(Residual(hostile, 1, hostile, 1.0, 1.0),),
         corrections=(),
     )
@@ -242,9 +242,9 @@ def test_limits_are_met_or_not(saved, tmp_path, plain_page):
 def test_no_limit_is_passed_by_a_doubtful_calibration(saved, tmp_path, plain_page):
     """chi-square 379 for 44 degrees of freedom: sigmas were too small by 2.9 before they were enlarged."""
     result = calibration()
-    evidence = replace(result.verdict, chi_square=379.0, degrees_of_freedom=44, probability=5e-55)
+    evidence = replace(result.consistency, chi_square=379.0, degrees_of_freedom=44, probability=5e-55)
     wide = limits(tmp_path, "[value]\ngyro_scale_ppm = 1e9")
-    made = make_certificate(saved(replace(result, verdict=evidence)), limits=wide)
+    made = make_certificate(saved(replace(result, consistency=evidence)), limits=wide)
     assert (made.outcome, made.failed) == ("doubtful", ())
     page = plain_page(made)
     assert {row[6] for row in Reader(page).table("U (k = 2)")} == {"doubtful", ""}
@@ -371,7 +371,7 @@ def with_verdict(result):
     judged = {"chi_square": 2.0, "degrees_of_freedom": 2, "probability": 0.4}
     shown = {"checkable": "yes", "only_witness_of": (), "lost_without": (), "largest_influence": None, "influence": {}}
     sequences = tuple(LeaveOneOut(sequence=str(k + 1), occurrence=1, **judged, **shown) for k in range(3))
-    return replace(result, verdict=Consistency(**judged, sequences=sequences))
+    return replace(result, consistency=Consistency(**judged, sequences=sequences))
 
 
 @pytest.mark.parametrize("place", EDITS)

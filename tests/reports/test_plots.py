@@ -37,7 +37,7 @@ def held(result, *names):
     for name in names:
         i = NAMES.index(name)
         covariance[i] = covariance[:, i] = 0.0
-    return replace(result, covariance=covariance, held=dict.fromkeys(names, "held on request"), status="partial")
+    return replace(result, covariance=covariance, fixed=dict.fromkeys(names, "held on request"), status="partial")
 
 
 def panels(figure):

@@ -165,7 +165,7 @@ def test_coplanar_accelerometers_are_outside_the_model(unit):
         recording.time, recording.gyro, flat, recording.site, fixture=recording.fixture, sequences=recording.sequences
     )
     result = srt.calibrate(broken)
-    assert (result.status, result.verdict) == ("outside_model", None)
+    assert (result.status, result.consistency) == ("outside_model", None)
     assert "coplanar" in result.message
 
 
@@ -177,8 +177,8 @@ def test_a_missing_sequence_costs_only_its_parameters(unit, calibration):
     recording, truth = unit
     result = srt.calibrate(without(recording, "13"))
     assert result.status == "partial"
-    assert set(result.held) == {"accel_bias_y", "accel_asymmetry_y"}
-    assert "13" in result.held["accel_bias_y"]
+    assert set(result.fixed) == {"accel_bias_y", "accel_asymmetry_y"}
+    assert "13" in result.fixed["accel_bias_y"]
     seen = result.observed
     assert np.all(result.covariance[~seen] == 0.0)
     # The others do not read what is held to first order; here the held values come from a perfect fixture's start.
@@ -212,14 +212,14 @@ def test_held_parameters_keep_the_given_values(unit):
     result = srt.calibrate(recording, hold=("accel_asymmetry", "gyro_bias_x"), start=truth)
     for name in ("accel_asymmetry_y", "gyro_bias_x"):
         assert result.errors[name] == truth[name]
-        assert result.held[name] == "fixed on request, taken as exact"
+        assert result.fixed[name] == "fixed on request, taken as exact"
         assert np.isnan(result.sigma[INDEX[name]])
 
 
 def test_no_asymmetry_is_equation_14(unit):
     recording, _ = unit
     result = srt.calibrate(without(recording, "1a", "2a", "3a"), asymmetry=False)
-    assert set(result.held) == set(NAMES[GROUP_SLICES["gyro_asymmetry"]])
+    assert set(result.fixed) == set(NAMES[GROUP_SLICES["gyro_asymmetry"]])
     assert result.status == "partial"
 
 
@@ -329,3 +329,13 @@ def test_a_message_names_the_key_and_what_is_expected(change, sentence):
     with pytest.raises(srt.InputError) as caught:
         from_document(Table, WHOLE | change, "table")
     assert str(caught.value).endswith(sentence)
+
+
+@pytest.mark.parametrize(
+    ("former", "name"), [("held", "fixed"), ("verdict", "consistency"), ("diagnostics.held", "before_integration")]
+)
+def test_former_names_give_the_same_with_a_warning(calibration, former, name):
+    *_, attribute = former.split(".")
+    holder = calibration.diagnostics if "." in former else calibration
+    with pytest.warns(DeprecationWarning, match=f"is called {name} now"):
+        assert getattr(holder, attribute) is getattr(holder, name)

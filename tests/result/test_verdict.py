@@ -12,7 +12,7 @@ import srt
 from srt.diagnosis.faults import FAULTS
 from srt.estimation import calibration_builder
 from srt.estimation.error_sources import NO_ERRORS
-from srt.estimation.leave_one_out import verdict
+from srt.estimation.leave_one_out import consistency
 from srt.result.calibration import STATUSES
 from srt.result.consistency import AddedNoise, ChiSquareTest
 from srt.result.diagnostics import Diagnostics, Drift, Fault
@@ -26,14 +26,14 @@ UNIT = srt.Calibration("ekf", "converged", "It ended.", SensorErrors(np.zeros(N_
 
 def judged(statistic, freedom, *, status="converged", diagnostics=None, noise=None, **evidence):
     """Verdict on a calibration whose residuals have a chi-square against the noise of the sensors."""
-    own = verdict([], np.eye(N_PARAMETERS), OBSERVED, statistic, freedom)
+    own = consistency([], np.eye(N_PARAMETERS), OBSERVED, statistic, freedom)
     test = ChiSquareTest(chi_square=statistic, degrees_of_freedom=freedom, probability=own.probability)
     found = srt.Calibration(
         "closed-form", status, "It ended.", SensorErrors(np.zeros(N_PARAMETERS)), np.eye(N_PARAMETERS)
     )
     evidence = replace(own, own_noise=test, **evidence)
     return replace(
-        found, verdict=evidence, diagnostics=diagnostics or Diagnostics(), noise=NoiseFigures(**noise or {})
+        found, consistency=evidence, diagnostics=diagnostics or Diagnostics(), noise=NoiseFigures(**noise or {})
     ).judgement
 
 
@@ -138,13 +138,13 @@ def test_the_file_holds_the_verdict_and_loads_without_one(tmp_path):
         "closed-form", "converged", "Done.", SensorErrors(np.zeros(N_PARAMETERS)), np.eye(N_PARAMETERS)
     )
     assert found.judgement.word == DOUBTFUL  # nothing tells whether the measurements agree
-    evidence = verdict([], np.eye(N_PARAMETERS), OBSERVED, 44.0, 44)
-    replace(UNIT, verdict=evidence).save(tmp_path / "unit.json")
+    evidence = consistency([], np.eye(N_PARAMETERS), OBSERVED, 44.0, 44)
+    replace(UNIT, consistency=evidence).save(tmp_path / "unit.json")
     document = json.loads((tmp_path / "unit.json").read_text(encoding="utf-8"))
     again = srt.load_calibration(tmp_path / "unit.json")
     assert document["verdict"]["word"] == again.judgement.word == SOUND
     assert document["verdict"]["reason"] == again.judgement.reason
-    assert again.verdict == evidence
+    assert again.consistency == evidence
 
 
 @pytest.mark.parametrize(("ratio", "status"), [(2.9, "converged"), (3.1, "inconsistent")])
@@ -156,7 +156,7 @@ def test_residuals_of_three_times_the_sensors_noise_are_no_calibration(ratio, st
         degrees_of_freedom=44, unmodelled=NO_ERRORS, scale_change=None,
     )  # fmt: skip
     found, message = calibration_builder._status(
-        result, {}, verdict([], np.eye(N_PARAMETERS), OBSERVED, 44.0, 44), free=False
+        result, {}, consistency([], np.eye(N_PARAMETERS), OBSERVED, 44.0, 44), free=False
     )
     assert found == status
     assert ("3.1 times as large" in message) == (status == "inconsistent")

@@ -45,7 +45,7 @@ def test_wobble_stated_as_zero_is_found_with_its_size():
     case = Case(GRADE, SEED + 40)
     recording = SILENT_ERRORS["wobble of 10 µrad, stated as 0"].change(case, np.random.default_rng((SEED, 40)))
     found, least = (srt.calibrate(recording, estimator, checks=False) for estimator in ("ekf", "least-squares"))
-    added = found.verdict.added_noise["wobble_rad"]
+    added = found.consistency.added_noise["wobble_rad"]
     assert added.own == 0.0
     assert added.added == pytest.approx(1e-5, rel=3.5 / np.sqrt(2.0 * 34.0))
     assert "µrad of axis wobble per pose" in verdict_on(found).reason

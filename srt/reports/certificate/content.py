@@ -215,7 +215,7 @@ def residual_table(calibration: Calibration) -> Table | None:
     """Table of the residuals by sequence; None without residuals."""
     if not calibration.residuals:
         return None
-    tests = () if calibration.verdict is None else calibration.verdict.sequences
+    tests = () if calibration.consistency is None else calibration.consistency.sequences
     judged = {(row.sequence, row.occurrence): row for row in tests}
     by_turn: dict[tuple[str, int], list[Residual]] = {}
     for residual in calibration.residuals:
@@ -261,7 +261,7 @@ def _summary(
     yield (
         f"{measured_count(calibration)} parameters were estimated (estimator {plain(calibration.estimator)}, {status})."
     )
-    if zero := [name for name in calibration.held if calibration.errors[name] == 0.0]:
+    if zero := [name for name in calibration.fixed if calibration.errors[name] == 0.0]:
         yield f"Not measured, and zero in the corrections: {', '.join(collapse_names(zero))}."
     if limits is not None:
         count = int(limits.given.sum())

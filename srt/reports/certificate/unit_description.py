@@ -113,10 +113,10 @@ def _option(value: Any) -> str:
 
 def limitations(calibration: Calibration, course: RecordingHistory | None) -> Iterator[str]:
     """Limitations of the test, in sentences; the course of a recording gives the fastest turn."""
-    if calibration.held:
-        count = len(calibration.held)
+    if calibration.fixed:
+        count = len(calibration.fixed)
         yield f"{count} parameters were not measured: their values are prior values."
-    if not {*NAMES[GROUP_SLICES["accel_asymmetry"]]} <= set(calibration.held):
+    if not {*NAMES[GROUP_SLICES["accel_asymmetry"]]} <= set(calibration.fixed):
         yield (
             "Accelerometers were tested up to 1 g. There a quadratic error looks like an asymmetry, so that the "
             "correction may be wrong beyond 1 g."

@@ -200,7 +200,7 @@ def _header(figure: SubFigure, calibration: Calibration, truth: SensorErrors | N
     if truth is not None:
         hollow = {"marker": "D", "markersize": 8.0, "markeredgecolor": VERMILION, "markerfacecolor": "none"}
         handles.append(Line2D([], [], color=VERMILION, linewidth=0.8, label="truth", **hollow))  # type: ignore[arg-type]
-    if calibration.held and calibration.has_values:
+    if calibration.fixed and calibration.has_values:
         handles.append(Line2D([], [], color="none", marker="x", markeredgecolor=GREY, label="fixed, not observed"))
     figure.legend(handles=handles, loc="center right", ncols=len(handles), fontsize=SMALL, frameon=False)
 

@@ -151,7 +151,7 @@ def _handles(comparison: Comparison, names: list[str], styles: dict[str, tuple[s
         handles.append(Patch(color=GREY, alpha=0.25, label="expected difference, ±1σ"))
     if any(pair.differing.any() for pair in comparison.differences.values()):
         handles.append(ring_handle("beyond the limit"))
-    if comparison.calibrations[names[0]].held:
+    if comparison.calibrations[names[0]].fixed:
         handles.append(Line2D([], [], color="none", marker="x", markeredgecolor=GREY, label=f"fixed by {names[0]}"))
     if comparison.truth is not None:
         handles.append(Line2D([], [], color=INK, linewidth=1.3, label="truth"))

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from srt.arguments import require_path
-from srt.estimation.registry import ESTIMATORS
 from srt.exceptions import InputError, optional
 from srt.recording.atomic_file import atomic_write_bytes
 from srt.recording.file_marks import PROGRAM
@@ -67,7 +66,9 @@ def style(axes: Axes, *, grid: str = "y") -> None:
         axes.spines[side].set_color(GREY)
 
 
-_ESTIMATORS: Final = dict(zip(ESTIMATORS, ((VERMILION, "s"), (BLUE, "o"), (GREEN, "^"), (PURPLE, "v")), strict=False))
+_ESTIMATORS: Final = {
+    "closed-form": (VERMILION, "s"), "least-squares": (BLUE, "o"), "ekf": (GREEN, "^"), "graph": (PURPLE, "v"),
+}  # fmt: skip
 _OTHERS: Final = ((SKY, "P"), (ORANGE, "X"), (INK, "d"), (VERMILION, "<"), (BLUE, ">"), (GREEN, "h"), (PURPLE, "*"))
 
 

@@ -97,7 +97,7 @@ def parameter_table(calibration: Calibration, truth: SensorErrors | None = None)
     for i, row in enumerate(rows):
         true, sigma = float(truth.vector[i]), float(calibration.sigma[i])
         error = float(calibration.values[i]) - true
-        over = math.nan if NAMES[i] in calibration.held or sigma == 0.0 else error / sigma
+        over = math.nan if NAMES[i] in calibration.fixed or sigma == 0.0 else error / sigma
         shown = fixed(error * units.factors[i], decimals_of(i, sigma, units))
         compared.append([*row, value_text(i, true, sigma, units), shown, fixed(over, 2)])
     heads = ("", "parameter", "value", "sigma", "unit", "truth", "error", "error/\nsigma")
@@ -204,8 +204,8 @@ def measured_count(calibration: Calibration) -> str:
 
 def passed_on(calibration: Calibration) -> str:
     """Clauses on the values of parameters that are not measured, as files and corrected readings contain them."""
-    zero = [name for name in calibration.held if calibration.errors[name] == 0.0]
-    stated = [name for name in calibration.held if name not in zero]
+    zero = [name for name in calibration.fixed if calibration.errors[name] == 0.0]
+    stated = [name for name in calibration.fixed if name not in zero]
     parts = [
         f"{text}: {', '.join(collapse_names(names))}"
         for text, names in (("passed on as zero", zero), ("passed on with a value not measured here", stated))
@@ -231,7 +231,7 @@ def held_summary(calibration: Calibration) -> str:
 
 
 def _observed(calibration: Calibration) -> list[int]:
-    return [i for i, name in enumerate(NAMES) if name not in calibration.held]
+    return [i for i, name in enumerate(NAMES) if name not in calibration.fixed]
 
 
 def source_label(source: str) -> str:

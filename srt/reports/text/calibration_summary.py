@@ -145,7 +145,7 @@ def verdict_lines(calibration: Calibration, title: str) -> Iterator[str]:
 
 def _notes(calibration: Calibration) -> Iterator[str]:
     """Warnings, and the parameters that are fixed with the reason."""
-    if calibration.held and calibration.has_values:
+    if calibration.fixed and calibration.has_values:
         yield f"Fixed, not observed: {held_summary(calibration)}."
     yield from (f"Note: {sentence}" for sentence in calibration.warnings)
 

@@ -38,7 +38,7 @@ def state_table(fleet: Fleet) -> str:
     for number, unit in enumerate(fleet.units):
         cells = [unit.name, unit.serial or "", _STATUS.get(unit.status, unit.status), *[""] * 6]
         if unit.calibration is not None:
-            test = unit.calibration.verdict
+            test = unit.calibration.consistency
             cells[3:8] = [
                 unit.calibration.judgement.word,
                 str(int(unit.calibration.observed.sum())),

@@ -28,14 +28,14 @@ def verdict_text(calibration: Calibration, *, parameters: bool = False) -> str:
 
     ``parameters`` adds the table of observability by parameter, and shows all sequences.
     """
-    verdict = calibration.verdict
-    if verdict is None:
+    evidence = calibration.consistency
+    if evidence is None:
         return ""
     parts = ["Verdict\n" + "\n".join(wrap(str(calibration.judgement)))]
-    if verdict.sequences:
-        parts.append(sequence_table(calibration, verdict, full=parameters))
-    if parameters and verdict.parameters:
-        parts.append(observability_table(verdict, units_for(calibration.errors.vector), _word(calibration)))
+    if evidence.sequences:
+        parts.append(sequence_table(calibration, evidence, full=parameters))
+    if parameters and evidence.parameters:
+        parts.append(observability_table(evidence, units_for(calibration.errors.vector), _word(calibration)))
     return "\n\n".join(parts)
 
 
