@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 from ideal_table_1 import SAMPLE_RATE_HZ, component_rows
-from srt.closed_form.formulas import SelectedFormulas
 from test_equations_signatures import G, ideal_jacobian
 
 import sims
+from srt.closed_form.formulas import SelectedFormulas
 from srt.estimation.options import Options
 from srt.estimation.registry import COMPLETING
 from srt.estimation.srt_measurements import SrtProcessor
