@@ -291,7 +291,10 @@ class _FinalSolution:
         for name in formulas.missing:
             absent = [s for s in srt_formulas.sequences_needed(name) if s not in data.ids]
             value = value_of_fixed(name, self.uncertain, data, options)
-            fixed[name] = f"sequence {', '.join(absent)} is missing or void; {value}"
+            reason = (
+                f"sequence {', '.join(absent)} is missing or void" if absent else "the closed form has no formula of it"
+            )
+            fixed[name] = f"{reason}; {value}"
         return fixed
 
     def undisputed(self) -> UnitEstimate | None:

@@ -18,7 +18,7 @@ from srt.exceptions import InputError
 from srt.model.analytic_platform import integrate_attitude
 from srt.model.gyro_stream import gyro_stream
 from srt.model.sensor_model import accel_triad, gyro_triad
-from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES, SensorErrors
+from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES, OMISSIBLE, SensorErrors
 from srt.sequences.recognition import recognise
 
 if TYPE_CHECKING:
@@ -146,8 +146,7 @@ def compare_with(calibration: Calibration, other: ImportedCalibration, recording
     missing = np.zeros(N_PARAMETERS, dtype=np.bool_)
     for group in other.absent:
         missing[GROUP_SLICES[group]] = True
-    asymmetric = np.array(["asymmetry" in name for name in NAMES])
-    completed = np.where(missing & ~asymmetric, calibration.errors.vector, other.errors.vector)
+    completed = np.where(missing & ~OMISSIBLE, calibration.errors.vector, other.errors.vector)
     own = calibration.g_sensitivity
     corrections = {
         "this": _Correction(calibration.errors, np.zeros((3, 3)) if own is None else own),

@@ -214,7 +214,8 @@ def sequence_missing(evidence: Evidence) -> Iterator[Finding]:
     if data is None or not ids:
         return
     fixed = evidence.options.fixed_names
-    lost = [n for n in srt_formulas.missing_parameters(srt_formulas.formulas(set(ids))) if n not in fixed]
+    without = srt_formulas.missing_parameters(srt_formulas.formulas(set(ids)))
+    lost = [n for n in without if n not in fixed and srt_formulas.sequences_needed(n)]
     if not lost:
         return
     missing = [name for name in SEQUENCES if name not in ids]

@@ -4,14 +4,10 @@ from __future__ import annotations
 
 from typing import Final
 
-import numpy as np
+from srt.sensor_errors import by_parameter
 
-from srt.constants import STANDARD_GRAVITY_M_S2
-from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS
-
-PARAMETER_UNITS: Final = np.ones(N_PARAMETERS)
+PARAMETER_UNITS: Final = by_parameter("full")
 """SI value of the unit of each parameter in comparisons: accelerometer bias in g, all others in SI units."""
-PARAMETER_UNITS[GROUP_SLICES["accel_bias"]] = STANDARD_GRAVITY_M_S2
 CONVERGED_CORRECTION: Final = 1e-9
 """Correction, in :data:`PARAMETER_UNITS`, that counts as negligible; noise-free data reach it."""
 CONVERGED_SIGMAS: Final = 0.01

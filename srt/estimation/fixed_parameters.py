@@ -9,15 +9,17 @@ import numpy as np
 
 from srt.constants import EARTH_RATE_RAD_S
 from srt.estimation.observability import admission_sigma, observed_limit
-from srt.model.prior import PRIOR_SIGMA, prior_sigma
+from srt.model.prior import prior_sigma
 from srt.model.table1 import SEQUENCES
 from srt.sensor_errors import (
     DISPLAY_FACTORS,
     DISPLAY_UNITS,
     GROUP_SLICES,
+    GROUPS,
     INDEX,
     N_PARAMETERS,
     NAMES,
+    OMISSIBLE,
     SensorErrors,
     expand_names,
 )
@@ -72,7 +74,7 @@ def _fixed_sigma(data: PreparedRecording, options: Options) -> Array:
         accuracy = float(np.hypot(fixture.alignment_sigma_rad, fixture.rotation_sigma_rad))
         for group in ("gyro_scale", "gyro_orthogonality", "accel_scale", "accel_misalignment"):
             sigma[GROUP_SLICES[group]] = accuracy
-        sigma[GROUP_SLICES["accel_bias"]] = data.gravity * float(np.hypot(accuracy, PRIOR_SIGMA["accel_asymmetry"]))
+        sigma[GROUP_SLICES["accel_bias"]] = data.gravity * float(np.hypot(accuracy, wide[INDEX["accel_asymmetry_x"]]))
         sigma[GROUP_SLICES["gyro_bias"]] = EARTH_RATE_RAD_S
         # Each rotation has its own error, which counts less over many revolutions.
         angles = [s.axes * s.angles_rad[:, None] for s in data.catalogue if s is not None and len(s.rotations) == 1]
@@ -81,7 +83,7 @@ def _fixed_sigma(data: PreparedRecording, options: Options) -> Array:
         scale[:] = np.minimum(scale, fixture.rotation_sigma_rad / np.maximum(turned, 1e-9))
         sigma = np.where(determined_by_fixture(data), sigma, wide)
     axes = POSE_FRAME if data.posed.all() and data.nominal is None else ()
-    exact = [INDEX[name] for name in options.fixed_names if "asymmetry" in name or name in axes]
+    exact = [INDEX[name] for name in options.fixed_names if OMISSIBLE[INDEX[name]] or name in axes]
     sigma[exact] = 0.0
     sigma.flags.writeable = False  # all units of these labels have it in common
     return sigma
@@ -161,17 +163,6 @@ _UNIQUE: Final = 1e-6
 """Smallest relative singular value of a unique fit, and the largest share of an unknown in a direction that is not."""
 _LEAST_HORIZONTAL: Final = 0.1
 """Share of horizontal rotations below which gravity shows no gyro error: a tenth also allows for inclined axes."""
-_REMEDIES: Final = {
-    "gyro_scale": "a rotation about the axis while it is horizontal, or a run at a stated rate about it",
-    "gyro_asymmetry": "rotations about the axis in both senses while it is horizontal",
-    "gyro_orthogonality": "half turns about both axes in alternation",
-    "accel_bias": "poses with the axis up, down and horizontal",
-    "accel_scale": "poses with the axis up and down",
-    "accel_asymmetry": "poses with the axis up, down, horizontal and inclined",
-    "accel_misalignment": "half turns about axes near both, and poses between them",
-    "gyro_bias": "longer rests",
-}
-"""Motion that makes the parameters of a group observable; one text for all axes, so that a list shows it once."""
 
 
 def seen_by_earth_rate_alone(data: PreparedRecording) -> dict[str, str]:
@@ -228,8 +219,8 @@ def reason_not_observed(name: str) -> str:
 
 def remedies(names: Iterable[str]) -> str:
     """Motion to add to a test that makes parameters observable."""
-    groups = [next(group for group in _REMEDIES if name.startswith(group)) for name in names]
-    return "; ".join(dict.fromkeys(_REMEDIES[group] for group in groups))
+    shown_by = {name: group.shown_by for group in GROUPS for name in NAMES[GROUP_SLICES[group.name]]}
+    return "; ".join(dict.fromkeys(shown_by[name] for name in names))
 
 
 def value_of_fixed(name: str, sigma: Array, data: PreparedRecording, options: Options) -> str:

@@ -31,7 +31,7 @@ from srt.exceptions import DataError
 from srt.model import measurement_model as model
 from srt.model.measurement_model import down_jacobian
 from srt.model.sensor_model import Triad, accel_triad, outside_model, vectors_in_mars
-from srt.sensor_errors import GROUP_SLICES, INDEX, N_PARAMETERS, SensorErrors
+from srt.sensor_errors import GROUP_SLICES, INDEX, N_PARAMETERS, SensorErrors, by_parameter
 from srt.sequences.manoeuvres import end_attitude, rotation_angles, whole_rotations
 from srt.sequences.prepared_units import together
 
@@ -340,7 +340,7 @@ def _by_gauss_newton(residuals: Callable[[Array], Array], jacobian: Callable[[Ar
     return None
 
 
-_PRIOR: Final = np.ones(N_PARAMETERS)
+_PRIOR: Final = by_parameter("widest_sigma")
 """1-sigma of the errors that the staged fit expects, SI: 50 % scale, 0.3 rad, 1 % asymmetry, 1 m/s², 1 °/s."""
 for _group, _size in {
     "gyro_scale": 0.5,

@@ -38,7 +38,7 @@ from srt.result.consistency import (
     ParameterObservability,
     WeakestCombination,
 )
-from srt.sensor_errors import N_PARAMETERS, NAMES
+from srt.sensor_errors import GROUPS, N_PARAMETERS, NAMES
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -53,9 +53,9 @@ _LEAST_COMPONENT: Final = 0.05
 """Component of a direction, over the largest, from which a parameter takes part in it."""
 _LEAST_SHARE: Final = 0.05
 """Share of a parameter's information from which a sequence is listed for it."""
-_LAST: Final = ("accel_asymmetry", "gyro_asymmetry")
+_LAST: Final = [g.name for g in sorted(GROUPS, key=lambda g: (g.further, g.sensor)) if g.omissible]
 """Groups that are fixed first when the remaining sequences do not determine everything."""
-_RANK: Final = np.array([next((i for i, g in enumerate(_LAST, 1) if n.startswith(g)), 0) for n in NAMES])
+_RANK: Final = np.array([1 + _LAST.index(g.name) if g.omissible else 0 for g in GROUPS for _ in g.suffixes])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

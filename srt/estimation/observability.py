@@ -7,35 +7,31 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.model.prior import Prior, prior_sigma
-from srt.sensor_errors import GROUP_SLICES, INDEX, N_PARAMETERS, NAMES, expand_names
+from srt.model.prior import Prior
+from srt.sensor_errors import GROUP_SLICES, GROUPS, N_PARAMETERS, MatrixElements, by_parameter
 
 if TYPE_CHECKING:
     from srt.types import Array, Mask
 
 
 # Order of admission: a parameter that is collinear with earlier ones is fixed.
-_ADMISSION: Final = (
-    expand_names(["gyro_bias"])
-    + expand_names(["gyro_scale", "gyro_orthogonality", "accel_bias", "accel_scale", "accel_misalignment"])
-    + expand_names(["accel_asymmetry"])
-    + expand_names(["gyro_asymmetry"])
-)
+_ADMISSION: Final = [
+    i
+    for group in sorted(GROUPS, key=lambda g: (g.omissible, g.further, g.omissible and g.sensor, g.name != "gyro_bias"))
+    for i in range(N_PARAMETERS)[GROUP_SLICES[group.name]]
+]
 
 _SHARE: Final = 1.0 / 3.0
 """Share of the prior sigma below which the sigma of an observed parameter lies."""
 _LARGEST_ANGLE: Final = 0.03
 """Largest sigma of an observed misalignment, rad: the covariance is linear, and squares of larger ones exceed 1e-3."""
-_MATRICES: Final = np.flatnonzero([name.split("_")[1] in ("scale", "orthogonality", "misalignment") for name in NAMES])
+_MATRICES: Final = np.flatnonzero([isinstance(g.effect, MatrixElements) for g in GROUPS for _ in g.suffixes])
 """Parameters of the sensor matrices."""
 
 
 def admission_sigma() -> Array:
-    """Prior 1-sigma that decides on observability: that of :func:`prior_sigma`, but 0.01 for the asymmetries."""
-    sigma = prior_sigma()
-    for group in ("gyro_asymmetry", "accel_asymmetry"):
-        sigma[GROUP_SLICES[group]] = 0.01
-    return sigma
+    """Prior 1-sigma that decides on observability."""
+    return by_parameter("widest_sigma")
 
 
 def observed_limit(admission: Array | None = None, finest: float = math.inf) -> Array:
@@ -81,8 +77,7 @@ def admit(A: Array, wanted: Mask) -> Mask:
     admitted = np.zeros(N_PARAMETERS, dtype=np.bool_)
     basis: list[Array] = []
     least = admission_sigma() / observed_limit()
-    for name in _ADMISSION:
-        j = INDEX[name]
+    for j in _ADMISSION:
         if not wanted[j]:
             continue
         column = A[:, j].copy()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,7 +12,7 @@ import numpy as np
 from srt.exceptions import DataError, InputError, SrtError
 from srt.exporters.correction_difference import CorrectionDifference, Readings, compare_corrections
 from srt.exporters.export_model import ExportModel, ExportSettings, unknown
-from srt.exporters.file_format import ABSENT
+from srt.exporters.file_format import ABSENT, further_errors
 from srt.exporters.linear_model import ASYMMETRY, FACTORS, LinearModel, linear_part
 from srt.exporters.registry import exporter, exporters
 from srt.model.sensor_model import Triad, accel_triad, gyro_triad, outside_model, to_mars
@@ -20,6 +20,7 @@ from srt.recording.applied import NOTHING, AppliedCorrection, applied_correction
 from srt.recording.atomic_file import atomic_paths
 from srt.recording.file_marks import signed
 from srt.result.applier import Applier
+from srt.sensor_errors import FURTHER, GROUPS, SensorErrors
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -27,7 +28,6 @@ if TYPE_CHECKING:
     from srt.exporters.correction_difference import Correction
     from srt.exporters.file_format import Exporter, Fields
     from srt.result.calibration import Calibration
-    from srt.sensor_errors import SensorErrors
     from srt.types import Array
 
 
@@ -242,7 +242,8 @@ def load(path: str | PathLike[str], target: str) -> ImportedCalibration:
             raise InputError(f"{reason}; a file for readings in other units than rad/s and m/s², as counts, looks so.")
     except SrtError as error:
         raise InputError(f"{path}, read as {chosen.title}: {error}") from None
-    absent = ("gyro_asymmetry", "accel_asymmetry") + (() if chosen.biases else ("gyro_bias", "accel_bias"))
+    absent = tuple(group.name for group in GROUPS if group.omissible)
+    absent += () if chosen.biases else ("gyro_bias", "accel_bias")
     return ImportedCalibration(errors, U, absent, g_sensitivity @ U.T)
 
 
@@ -372,9 +373,12 @@ def _residuals(
     calibration, C_FB = model.calibration, model.C_FB
     applied = model.applied or AppliedCorrection(NOTHING)
 
-    def ours(gyro: Array, accel: Array) -> tuple[Array, Array]:
-        rate, force = calibration.apply(gyro, accel)
-        return rate @ C_FB.T, force @ C_FB.T
+    def corrected_by(calibration: Calibration) -> Correction:
+        def corrected(gyro: Array, accel: Array) -> tuple[Array, Array]:
+            rate, force = calibration.apply(gyro, accel)
+            return rate @ C_FB.T, force @ C_FB.T
+
+        return corrected
 
     def linear_with(sensitivity: Array) -> Correction:
         def linear(gyro: Array, accel: Array) -> tuple[Array, Array]:
@@ -393,8 +397,12 @@ def _residuals(
 
         return theirs
 
+    ours = corrected_by(calibration)
     held = linear_with(alone.g_sensitivity if chosen.g_sensitivity else np.zeros((3, 3)))
-    _check(chosen, readings, ours if chosen.asymmetry else held, of(fields, biases=not chosen.biases))
+    if chosen.asymmetry:
+        without = np.where(FURTHER, 0.0, calibration.errors.vector)
+        held = corrected_by(replace(calibration, errors=SensorErrors(without)))
+    _check(chosen, readings, held, of(fields, biases=not chosen.biases))
     out = [compare_corrections("this file", readings, ours, of(fields))]
     if model.applied is not None:
         out.append(compare_corrections("readings as logged", readings, ours, lambda gyro, accel: (gyro, accel)))
@@ -426,7 +434,7 @@ def _check(chosen: Exporter, readings: Readings, expected: Correction, found: Co
 def _losses(chosen: Exporter, calibration: Calibration) -> tuple[str, ...]:
     asymmetry = () if chosen.asymmetry or not _asymmetric(calibration) else ("scale-factor asymmetry",)
     sensitivity = ("g-sensitivity",) if calibration.g_sensitivity is not None and not chosen.g_sensitivity else ()
-    return (*asymmetry, *sensitivity, *chosen.losses, "covariance")
+    return (*asymmetry, *sensitivity, *further_errors(calibration), *chosen.losses, "covariance")
 
 
 def _asymmetric(calibration: Calibration) -> bool:

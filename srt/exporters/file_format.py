@@ -11,12 +11,13 @@ import numpy as np
 from srt.exceptions import InputError, optional
 from srt.exporters.export_model import origin
 from srt.result.json_file import parse_json
-from srt.sensor_errors import INDEX
+from srt.sensor_errors import GROUPS, INDEX
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from srt.exporters.export_model import ExportModel
+    from srt.result.calibration import Calibration
     from srt.types import Array, Mask
 
     Texts = Mapping[str, str]
@@ -81,6 +82,12 @@ class Exporter:
         return any(observed[k] for name, k in INDEX.items() if not any(word in name for word in lacking))
 
 
+def further_errors(calibration: Calibration) -> tuple[str, ...]:
+    """Groups of errors of a calibration that no format of another program holds, in words."""
+    groups = (group.name for group in GROUPS if group.further and calibration.errors.group(group.name).any())
+    return tuple(name.replace("_", " ") for name in groups)
+
+
 def heading(item: Exporter, model: ExportModel) -> list[str]:
     """ASCII lines for a comment: unit, origin, formula, axes and losses."""
     lost: tuple[str, ...] = () if item.asymmetry else ("scale-factor asymmetry",)
@@ -92,7 +99,7 @@ def heading(item: Exporter, model: ExportModel) -> list[str]:
         f"axes: {_AXES[model.frame]}; a vector v in MARS axes is C v in these, C =",
         *(f"  [{', '.join(f'{value:.15g}' for value in row)}]" for row in model.C_FB.tolist()),
         *(model.applied_lines()),
-        *(f"not held: {loss}" for loss in (*lost, *item.losses, "covariance")),
+        *(f"not held: {loss}" for loss in (*lost, *further_errors(model.calibration), *item.losses, "covariance")),
     ]
 
 

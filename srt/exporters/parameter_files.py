@@ -348,7 +348,7 @@ def _read_ros2(texts: Texts) -> Fields:
 
 
 def _apply_ros2(fields: Fields, gyro: Array, accel: Array) -> tuple[Array, Array]:
-    triads = [Triad(*(fields[f"{sensor}.{name}"] for name in ("matrix", "asymmetry", "bias"))) for sensor in _SENSORS]
+    triads = [Triad(fields[f"{s}.matrix"], fields[f"{s}.asymmetry"], fields[f"{s}.bias"]) for s in _SENSORS]
     force = triads[1].compensate(accel)
     rate = triads[0].compensate(gyro - rows(fields["g_sensitivity"], force))
     return rows(fields["rotation"], rate), rows(fields["rotation"], force)

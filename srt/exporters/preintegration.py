@@ -21,7 +21,7 @@ from srt.exporters.export_model import known_figures, statement
 from srt.exporters.file_format import Exporter, each_sensor, field, from_json, heading, to_json
 from srt.model.sensor_model import accel_triad, gyro_triad
 from srt.noise.stated_figures import white_density
-from srt.sensor_errors import GROUP_SLICES
+from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS
 
 if TYPE_CHECKING:
     from srt.exporters.export_model import ExportModel
@@ -128,7 +128,7 @@ def preintegration_figures(
     if gravity is None or not (math.isfinite(gravity) and gravity > 0.0):
         raise InputError(f"Gravity is {gravity}: give gravity_m_s2, in m/s² and positive, of the place of the data.")
     triads = {"accel": accel_triad(calibration.errors), "gyro": gyro_triad(calibration.errors)}
-    index = np.concatenate([np.arange(27)[GROUP_SLICES[group]] for group in _GROUPS])
+    index = np.concatenate([np.arange(N_PARAMETERS)[GROUP_SLICES[group]] for group in _GROUPS])
     bias_covariance = calibration.covariance[np.ix_(index, index)]
     corrections, noise = [], {}
     for sensor, triad in triads.items():

@@ -31,7 +31,7 @@ from srt.joint.residual_analysis import contradicting_rests, contradictions
 from srt.joint.solution_analysis import FixedParameters, analyse_solution, make_calibration, whole_solution
 from srt.joint.solver import IterationState, JointSolver
 from srt.model.table1 import SEQUENCES
-from srt.sensor_errors import NAMES
+from srt.sensor_errors import NAMES, OMISSIBLE
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -176,11 +176,11 @@ def _relies_on_fixture(iteration: IterationState, uncertain: Array) -> bool:
 
 
 def _vague(iteration: IterationState, requested: Mask) -> Mask:
-    """Parameters that neither the measurements nor the nominal angles of the fixture give, but for asymmetries.
+    """Parameters that neither the measurements nor the nominal angles of the fixture give, but for omissible ones.
 
-    They are fixed: within a prior as wide as a third, the iteration would wander. The prior of asymmetries is narrow.
+    They are fixed: within a prior as wide as a third, the iteration would wander. That of omissible ones is narrow.
     """
-    known = determined_by_fixture(iteration.joint.data) | ["asymmetry" in name for name in NAMES]
+    known = determined_by_fixture(iteration.joint.data) | OMISSIBLE
     if iteration.point is not None:
         known = known | observable_parameters(iteration.point.system, requested)
     return np.asarray(~known)

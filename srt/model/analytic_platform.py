@@ -26,7 +26,7 @@ import numpy as np
 
 from srt.model import rotations
 from srt.model.platform_steps import steps_of
-from srt.model.rotation_integrals import RotationIntegrals
+from srt.model.rotation_integrals import FURTHER_GYRO, RotationIntegrals, further_effects
 
 if TYPE_CHECKING:
     from srt.model.gyro_stream import GyroStream
@@ -36,6 +36,8 @@ if TYPE_CHECKING:
 BLOCK: Final = 16384
 """Samples per block: the 3x3 matrices of a block fit into a processor's cache."""
 
+_FURTHER: Final = sum(len(group.suffixes) for group in FURTHER_GYRO)
+"""Number of further errors of the gyros."""
 _PARTS: Final = (2, 12)
 """Fewest and most parts of one rotation."""
 
@@ -102,7 +104,7 @@ class _ErrorSums:
     def __init__(self, stream: GyroStream, units: int, *, with_noise: bool) -> None:
         K = len(stream.starts) - 1
         self._stream = stream
-        self._columns = 7 if stream.velocity is None else 10
+        self._columns = (7 if stream.velocity is None else 10) + 3 * _FURTHER
         self._sums = np.zeros((K, 9, self._columns + (9 if with_noise else 0)))
         self._parts = _PartSums(stream, K // units) if with_noise else None
         self._angle = np.zeros((K, 3))
@@ -121,6 +123,9 @@ class _ErrorSums:
         V[:3] = theta
         np.abs(theta, out=V[3:6])
         V[6] = stream.interval_s[a:b]  # gyro bias, [P] eq. 21 with the weight F
+        if _FURTHER:
+            effects = np.moveaxis(further_effects((theta / V[6]).T), 0, -1)
+            V[self._columns - 3 * _FURTHER : self._columns] = effects.reshape(3 * _FURTHER, m) * V[6]
         if stream.velocity is not None:
             V[7:10] = stream.velocity[:, a:b]
         F = None if stream.F is None else stream.F[a:b]
@@ -180,6 +185,7 @@ class _ErrorSums:
             noise = np.moveaxis(turned, 1, 3)
             parts = middle[:, None] @ self._parts.sums.reshape(3, 3, K, -1).transpose(2, 3, 0, 1)
         time = sums[..., 6]
+        effects = sums[..., columns - 3 * _FURTHER :].reshape(K, 3, 3, 3, _FURTHER)
         return RotationIntegrals(
             C_end=C_end,
             rate=sums[..., :3],
@@ -190,6 +196,7 @@ class _ErrorSums:
             angle=self._angle.reshape(K, 3) - np.einsum("ka,kab->kb", earth_rate, _by_unit(time, gyro.matrix)),
             noise=noise,
             time_parts=parts,
+            further=np.einsum("kabbn->kan", effects),
             velocity=None if stream.velocity is None else sums[..., 7:10],
             C_turned=C_turned,
         )

@@ -29,9 +29,10 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
+from srt.model.rotation_integrals import FURTHER_GYRO
 from srt.model.rotations import cross_matrix, inverse_right_jacobian, rotation_matrix, rotation_vector
-from srt.model.sensor_model import ACCEL_BASIS, GYRO_BASIS
-from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS
+from srt.model.sensor_model import GYRO_BASIS
+from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, OF_SENSOR
 
 if TYPE_CHECKING:
     from srt.model.rotation_integrals import RotationIntegrals
@@ -133,6 +134,11 @@ def attitude_error_jacobian(integrals: RotationIntegrals) -> Array:
     linear = np.einsum("...bc,pbc->...p", integrals.rate, GYRO_BASIS)
     J[..., _S["gyro_scale"]], J[..., _S["gyro_orthogonality"]] = linear[..., :3], linear[..., 3:]
     J[..., _S["gyro_asymmetry"]], J[..., _S["gyro_bias"]] = integrals.abs_rate, integrals.time
+    first = 0
+    for group in FURTHER_GYRO:
+        part = _S[group.name]
+        J[..., part] = integrals.further[..., first : first + part.stop - part.start]
+        first += part.stop - part.start
     return J
 
 
@@ -146,13 +152,8 @@ def force_error_jacobian(f: Array, accel: Triad) -> Array:
     accel : Triad
         Errors that it was compensated with.
     """
-    J = np.zeros((*f.shape, N_PARAMETERS))
     # δf = D (δMa f + δλ_Asym ∘ |f| + δλ_Bias)  ([P] eqs. 6-11)
-    linear = (f @ ACCEL_BASIS.T.reshape(3, 27)).reshape(*f.shape, 9)
-    J[..., _S["accel_scale"]], J[..., _S["accel_misalignment"]] = linear[..., :3], linear[..., 3:]
-    J[..., _S["accel_asymmetry"]] = np.abs(f)[..., None] * np.eye(3)
-    J[..., _S["accel_bias"]] = np.eye(3)
-    out: Array = accel.sensitivity(f) @ J
+    out: Array = accel.sensitivity(f) @ _effects("accel", f)
     return out
 
 
@@ -168,14 +169,19 @@ def rate_error_jacobian(omega: Array, gyro: Triad, rectified: Array | float = 0.
     rectified : ndarray, shape (..., n, 3), rad/s, optional
         Mean of |ω| over |ω| of the mean, by vibration.
     """
-    J = np.zeros((*omega.shape, N_PARAMETERS))
     # δω = D (δMg ω̂ + δκ_Asym ∘ |ω̂| + δκ_Bias)  ([P] eqs. 6-11)
-    linear = (omega @ GYRO_BASIS.T.reshape(3, 18)).reshape(*omega.shape, 6)
-    J[..., _S["gyro_scale"]], J[..., _S["gyro_orthogonality"]] = linear[..., :3], linear[..., 3:]
-    J[..., _S["gyro_asymmetry"]] = (np.abs(omega) + rectified)[..., None] * np.eye(3)
-    J[..., _S["gyro_bias"]] = np.eye(3)
+    J = _effects("gyro", omega)
+    J[..., _S["gyro_asymmetry"]] += np.broadcast_to(rectified, omega.shape)[..., None] * np.eye(3)
     out: Array = gyro.sensitivity(omega) @ J
     return out
+
+
+def _effects(sensor: str, true: Array) -> Array:
+    """Effect of the 27 errors on the readings of a triad, by true values (..., 3), shape (..., 3, 27)."""
+    J = np.zeros((*true.shape, N_PARAMETERS))
+    for group in OF_SENSOR[sensor]:
+        J[..., _S[group.name]] = group.effect(true)
+    return J
 
 
 def horizontal_projector(down: Array) -> Array:

@@ -51,7 +51,7 @@ def many_recordings(count: int) -> Iterator[None]:
 
 def steps_of(stream: GyroStream, gyro: Triad, offset: Array, sample_noise_rad: Array | None) -> Steps:
     """Steps in the form that takes less time, with the parameters of :class:`Steps`."""
-    pays = len(stream.interval_s) >= COMPILED_SAMPLES or _many.get()
+    pays = (len(stream.interval_s) >= COMPILED_SAMPLES or _many.get()) and not gyro.further
     kind = CompiledSteps if pays and _compiled_block() is not None else Steps
     return kind(stream, gyro, offset, sample_noise_rad)
 
@@ -254,8 +254,34 @@ def _compensate(
     stream: GyroStream, block: slice, gyro: Triad, sample_noise_rad: Array | None, unit: Indices | None
 ) -> tuple[Array, Array]:
     """Compensated increments of a block, (3, m), and the matrices that made them, (3, 3) or (3, 3, m)."""
+    if not gyro.further:
+        return _linear_compensation(stream, block, gyro, sample_noise_rad, unit)
+    dt = stream.interval_s[block]
+    by_sample, shape = (gyro, (-1, 3)) if unit is None else (gyro.of(unit), (-1, 1, 3))
+
+    def rate(other: Array | float) -> Array:
+        offset = np.broadcast_to(other, (dt.size, *shape[1:])).reshape(-1, 3).T * dt
+        theta, _ = _linear_compensation(stream, block, gyro, sample_noise_rad, unit, offset)
+        return (theta / dt).T.reshape(shape)
+
+    found = by_sample.contract(rate)
+    D = np.ascontiguousarray(np.moveaxis(by_sample.sensitivity(found).reshape(-1, 3, 3), 0, -1))
+    return np.ascontiguousarray(found.reshape(-1, 3).T * dt), D
+
+
+def _linear_compensation(
+    stream: GyroStream,
+    block: slice,
+    gyro: Triad,
+    sample_noise_rad: Array | None,
+    unit: Indices | None,
+    offset: Array | None = None,
+) -> tuple[Array, Array]:
+    """Compensation without further errors, whose effect ``offset``, rad, the increments have besides the bias."""
     dt = stream.interval_s[block]
     bias, mean_inverse = _of_samples(gyro.bias, unit) * dt, _of_samples(gyro.inverse, unit)
+    if offset is not None:
+        bias = bias + offset
     y = stream.increments[:, block] - bias
     reference = _apply(mean_inverse, y)
     if not gyro.asymmetry.any():

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final, Protocol
 import numpy as np
 
 from srt.exceptions import InputError
-from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES, SensorErrors
+from srt.sensor_errors import N_PARAMETERS, NAMES, SensorErrors, by_parameter
 
 if TYPE_CHECKING:
     from srt.types import Array, Mask
@@ -17,25 +17,10 @@ if TYPE_CHECKING:
 _SYMMETRY: Final = 1e-9
 """Largest asymmetry of a correlation matrix that counts as rounding of its file."""
 
-PRIOR_SIGMA: Final = {
-    "gyro_scale": 0.3,
-    "gyro_asymmetry": 1e-3,
-    "gyro_orthogonality": 0.3,
-    "accel_bias": 3.0,
-    "accel_scale": 0.3,
-    "accel_asymmetry": 3e-3,
-    "accel_misalignment": 0.3,
-    "gyro_bias": 0.3,
-}
-"""Standard deviation of each parameter group without any data, SI; asymmetries: larger than in any configured grade."""
-
 
 def prior_sigma() -> Array:
-    """Default prior standard deviations of the 27 parameters, SI."""
-    out = np.empty(N_PARAMETERS)
-    for group, sigma in PRIOR_SIGMA.items():
-        out[GROUP_SLICES[group]] = sigma
-    return out
+    """Standard deviations of the 27 errors without any data, SI."""
+    return by_parameter("prior_sigma")
 
 
 class CalibratedErrors(Protocol):
@@ -79,7 +64,9 @@ class Prior:
         try:
             P = np.array(self.covariance, dtype=np.float64)
         except (TypeError, ValueError):
-            raise InputError("The prior's covariance is no array of numbers: give 27 by 27 of them.") from None
+            raise InputError(
+                "The prior's covariance is no array of numbers: give a square one of all parameters."
+            ) from None
         if P.shape != (N_PARAMETERS, N_PARAMETERS):
             raise InputError(
                 f"The prior's covariance has shape {P.shape}; give {N_PARAMETERS} by {N_PARAMETERS} numbers, in the "

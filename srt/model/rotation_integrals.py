@@ -12,12 +12,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from srt.model.rotations import cross_matrix, rotation_matrix
 from srt.model.table1 import AXES
+from srt.sensor_errors import OF_SENSOR
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -51,6 +52,8 @@ class RotationIntegrals:
         ``time`` of equal parts of the rotation, in their order. An integrated window belongs to the part beside it.
     velocity : ndarray, shape (K, 3, 3, 3), or None
         ``∫ F (Ĉ D)_ab f_c dt``, m/s: effect of gyro g-sensitivity on φ, f the specific force.
+    further : ndarray, shape (K, 3, n)
+        ``∫ F (Ĉ D) e dt`` with the effects e of the n further errors of the gyros, in the order of the state.
     C_turned : ndarray, shape (K, 3, 3), or None
         Attitude at the end of the rotation itself, before an end window with integrated attitude; None: ``C_end``.
     """
@@ -61,6 +64,7 @@ class RotationIntegrals:
     time: Array
     weight_s: Array
     angle: Array
+    further: Array
     noise: Array | None = None
     time_parts: Array | None = None
     velocity: Array | None = None
@@ -71,6 +75,15 @@ class RotationIntegrals:
         parts: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self)}
         parts = {name: part.reshape(*shape, *part.shape[1:]) for name, part in parts.items() if part is not None}
         return replace(self, **parts)
+
+
+FURTHER_GYRO: Final = tuple(group for group in OF_SENSOR["gyro"] if group.further)
+"""Groups of gyro errors that are no element of the matrix, asymmetry or bias."""
+
+
+def further_effects(rate: Array) -> Array:
+    """Effects of the further errors of the gyros on readings of rates (..., 3), shape (..., 3, n)."""
+    return np.concatenate([np.empty((*rate.shape, 0)), *(group.effect(rate) for group in FURTHER_GYRO)], axis=-1)
 
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(64)
@@ -112,6 +125,7 @@ def ideal_rotations(
     C = np.tile(np.eye(3), (K, 1, 1))
     rate, noise = np.zeros((2, K, 3, 3, 3))
     abs_rate, time = np.zeros((2, K, 3, 3))
+    further = np.zeros((K, 3, sum(len(group.suffixes) for group in FURTHER_GYRO)))
     weight_s, total_angle = np.full(K, float(window_s)), np.zeros((K, 3))
     count = np.array([len(s.rotations) for s in sequences])
     for i in range(count.max(initial=0)):
@@ -132,7 +146,9 @@ def ideal_rotations(
         swept = C[k] @ np.einsum("in,inab->nab", first, parts)
         rate[k] += swept[:, :, :, None] * u[:, None, None, :]
         abs_rate[k] += swept * np.abs(u)[:, None, :]
-        time[k] += C[k] @ np.einsum("in,inab->nab", elapsed, parts)
+        seconds = C[k] @ np.einsum("in,inab->nab", elapsed, parts)
+        time[k] += seconds
+        further[k] += seconds @ further_effects(u * speed[:, None])  # of a constant rate
         rotated = C[k] @ parts
         noise[k] += np.einsum("ijn,inab,jncb->nacb", products, rotated, rotated, optimize=True)  # ∫ A_ab A_cb dt
         weight_s[k] += elapsed[0]
@@ -141,7 +157,7 @@ def ideal_rotations(
     if window_s > 0.0:
         time += window_s * (np.eye(3) + F_meas * (C - np.eye(3)))  # [P] eq. 21
         noise += (window_s / 3.0) * (np.einsum("ab,cb->acb", np.eye(3), np.eye(3)) + np.einsum("kab,kcb->kacb", C, C))
-    return RotationIntegrals(C, rate, abs_rate, time, weight_s, total_angle, noise)
+    return RotationIntegrals(C, rate, abs_rate, time, weight_s, total_angle, further, noise)
 
 
 def _rodrigues_matrices(u: Array) -> Array:

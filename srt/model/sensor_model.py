@@ -1,10 +1,10 @@
 """Sensor model of a triad: readings, exact compensation, composition of errors and MARS gauge ([P] eqs. 6-11).
 
 The reading is ``y = M v + s ∘ |v| + b`` (``v`` the true rate or specific force; [P]: Savage 2020). Names and values of
-the errors in Mg and Ma are in :mod:`srt.sensor_errors`. The model is piecewise linear: within one octant of ``v`` it is
-``y = (M + diag(s ∘ sign v)) v + b``. Compensation finds the octant and solves this exactly. Nothing is linearised, so
-errors of 50 % are allowed. The solution is unique if ``M + diag(s ∘ σ)`` has the same sign of its determinant for every
-sign vector σ.
+the errors in Mg and Ma are in :mod:`srt.sensor_errors`, which may declare further ones. Without these the model is
+piecewise linear: within one octant of ``v`` it is ``y = (M + diag(s ∘ sign v)) v + b``. Compensation finds the octant
+and solves this exactly; further errors are contracted to the last bit. Nothing is linearised, so errors of 50 % are
+allowed. The solution is unique if ``M + diag(s ∘ σ)`` has the same sign of its determinant for every sign vector σ.
 
 The inverse exists in three forms: :meth:`Triad.compensate`; for gyro streams in :mod:`srt.model.platform_steps`
 (``_compensate``, compiled in :mod:`srt.model.compiled_platform`); for applied calibrations in
@@ -17,47 +17,33 @@ decomposition). MARS is the frame ``ω_MARS = U ω_T`` in which the gyro matrix 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from srt.exceptions import DataError
-from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SensorErrors
+from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, OF_SENSOR, MatrixElements, SensorErrors
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import ArrayLike
 
+    from srt.sensor_errors import ParameterGroup
     from srt.types import Array, Indices
 
 
-# Entries (row, column) of the 3x3 error matrix that each parameter fills: both (i, j) and (j, i), or (i, j) alone.
-_ORTHOGONALITY_PAIRS: Final = ((0, 1), (1, 2), (2, 0))
-_MISALIGNMENT_PAIRS: Final = ((0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1))
+def _basis(sensor: str) -> Array:
+    """Derivative of a sensor matrix with respect to the errors that are elements of it, in the order of the state."""
+    of_unit = [g.effect(np.eye(3)) for g in OF_SENSOR[sensor] if isinstance(g.effect, MatrixElements)]
+    return np.ascontiguousarray(np.transpose(np.concatenate(of_unit, axis=-1), (2, 1, 0)))
 
 
-def _gyro_basis() -> Array:
-    basis = np.zeros((6, 3, 3))
-    for i in range(3):
-        basis[i, i, i] = 1.0
-    for k, (i, j) in enumerate(_ORTHOGONALITY_PAIRS):
-        basis[3 + k, i, j] = basis[3 + k, j, i] = 0.5
-    return basis
-
-
-def _accel_basis() -> Array:
-    basis = np.zeros((9, 3, 3))
-    for i in range(3):
-        basis[i, i, i] = 1.0
-    for k, (i, j) in enumerate(_MISALIGNMENT_PAIRS):
-        basis[3 + k, i, j] = 1.0
-    return basis
-
-
-GYRO_BASIS: Final = _gyro_basis()
+GYRO_BASIS: Final = _basis("gyro")
 """dMg / d(gyro_scale, gyro_orthogonality), shape (6, 3, 3)."""
-ACCEL_BASIS: Final = _accel_basis()
+ACCEL_BASIS: Final = _basis("accel")
 """dMa / d(accel_scale, accel_misalignment), shape (9, 3, 3)."""
 
 # Octant o has the signs SIGNS[o]; bit c of o is set where component c is negative.
@@ -70,12 +56,15 @@ OCTANT_ITERATIONS: Final = 8
 """Limit of the iterations that search the octant of a sample: the number of octants."""
 
 _CONTRACTION_ITERATIONS: Final = 100
-"""Iterations on the border between octants; a contraction by 0.5 reaches double precision in 53."""
+"""Limit of a contraction to the inverse; one by 0.5 reaches double precision in 53."""
+
+_SLOPE_STEP: Final = 1e-4
+"""Step of the differences that give the slope of further errors, m/s² or rad/s."""
 
 
 @dataclass(frozen=True, eq=False)
 class Triad:
-    """Sensor model of a triad, ``y = M v + s ∘ |v| + b``, or of the triads of several units.
+    """Sensor model of a triad, ``y = M v + s ∘ |v| + b + Q(v)``, or of the triads of several units.
 
     Attributes
     ----------
@@ -85,11 +74,14 @@ class Triad:
         s, dimensionless.
     bias : ndarray, shape (3,) or (units, 3)
         b, rad/s or m/s².
+    further : tuple of (ParameterGroup, ndarray)
+        Groups of other errors that are not zero, with their values, (n,) or (units, n): ``Q(v)`` is their effect.
     """
 
     matrix: Array
     asymmetry: Array
     bias: Array
+    further: tuple[tuple[ParameterGroup, Array], ...] = ()
 
     @cached_property
     def inverse(self) -> Array:
@@ -105,7 +97,27 @@ class Triad:
     def read(self, true: ArrayLike) -> Array:
         """Noise-free readings of true values of shape (..., 3)."""
         v = np.asarray(true, dtype=np.float64)
-        return v @ self.matrix.T + self.asymmetry * np.abs(v) + self.bias
+        return v @ self.matrix.T + self.asymmetry * np.abs(v) + self.bias + self.other(v)
+
+    def other(self, v: Array) -> Array:
+        """Effect Q of the further errors on readings of true values (..., 3), those of several units (units, n, 3)."""
+        out = np.zeros(v.shape)
+        for group, values in self.further:
+            by_unit = values if values.ndim == 1 else values[:, None]
+            out += (group.effect(v) @ by_unit[..., None])[..., 0]
+        return out
+
+    def contract(self, solve: Callable[[Array | float], Array]) -> Array:
+        """Solution v of the whole model from that of the model without further errors for readings less Q(v).
+
+        ``solve`` takes Q, or zero, and gives v. Further errors are small beside 1, so that this converges.
+        """
+        v = solve(0.0)
+        for _ in range(_CONTRACTION_ITERATIONS if self.further else 0):
+            before, v = v, solve(self.other(v))
+            if np.abs(v - before).max(initial=0.0) <= 4.0 * np.finfo(np.float64).eps * np.abs(v).max(initial=0.0):
+                break
+        return v
 
     def compensate(self, reading: ArrayLike) -> Array:
         """Invert :meth:`read` exactly, for readings of shape (..., 3), those of several units (units, n, 3).
@@ -116,6 +128,10 @@ class Triad:
         """
         y = np.asarray(reading, dtype=np.float64)
         y = y - (self.bias if self.bias.ndim == 1 else self.bias[:, None])
+        return self.contract(lambda other: self._without_further(y - other))
+
+    def _without_further(self, y: Array) -> Array:
+        """Solution of ``M v + s ∘ |v| = y``."""
         first = y @ np.swapaxes(self.inverse, -1, -2)
         if not self.asymmetry.any():
             return np.asarray(first)
@@ -143,7 +159,13 @@ class Triad:
         return out
 
     def sensitivity(self, value: Array) -> Array:
-        """Derivative of the compensated value to the reading, ``(M + diag(s ∘ sign v))⁻¹``, shape (..., 3, 3)."""
+        """Derivative of the compensated value to the reading, ``(M + diag(s ∘ sign v) + Q')⁻¹``, shape (..., 3, 3)."""
+        if self.further:
+            slopes = [
+                (self.other(value + d) - self.other(value - d)) / (2.0 * _SLOPE_STEP) for d in _SLOPE_STEP * np.eye(3)
+            ]
+            inverse = replace(self, further=()).sensitivity(value)
+            return np.asarray(np.linalg.inv(np.linalg.inv(inverse) + np.stack(slopes, axis=-1)))
         if not self.asymmetry.any():
             inverse = self.inverse if self.inverse.ndim == 2 else self.inverse[:, None]
             return np.broadcast_to(inverse, (*value.shape, 3))
@@ -152,7 +174,8 @@ class Triad:
 
     def of(self, which: Indices | int) -> Triad:
         """Triads of some units, or that of one."""
-        return Triad(self.matrix[which], self.asymmetry[which], self.bias[which])
+        further = tuple((group, values[which]) for group, values in self.further)
+        return Triad(self.matrix[which], self.asymmetry[which], self.bias[which], further)
 
     def _units(self, values: Array) -> Indices:
         """Number of the unit of each vector of an array (..., 3); the first axis is that of the units, if any."""
@@ -190,6 +213,7 @@ def triads(vector: Array) -> tuple[Triad, Triad]:
             ),
             by_group[f"{sensor}_asymmetry"],
             by_group[f"{sensor}_bias"],
+            tuple((g, by_group[g.name]) for g in OF_SENSOR[sensor] if g.further and by_group[g.name].any()),
         )
         for sensor, angles, basis in rows
     )
@@ -203,17 +227,17 @@ def errors_from_triads(gyro: Triad, accel: Triad) -> SensorErrors:
 
 def _vectors(gyro: Triad, accel: Triad) -> Array:
     """Sensor errors (..., 27) of triads, the inverse of :func:`triads`."""
-    vector, axes = np.empty((*gyro.bias.shape[:-1], N_PARAMETERS)), np.arange(3)
-    dg, da = gyro.matrix - np.eye(3), accel.matrix - np.eye(3)
-    (i, j), (k, m) = np.transpose(_ORTHOGONALITY_PAIRS), np.transpose(_MISALIGNMENT_PAIRS)
-    vector[..., GROUP_SLICES["gyro_scale"]] = dg[..., axes, axes]
-    vector[..., GROUP_SLICES["gyro_orthogonality"]] = dg[..., i, j] + dg[..., j, i]
-    vector[..., GROUP_SLICES["gyro_asymmetry"]] = gyro.asymmetry
-    vector[..., GROUP_SLICES["gyro_bias"]] = gyro.bias
-    vector[..., GROUP_SLICES["accel_scale"]] = da[..., axes, axes]
-    vector[..., GROUP_SLICES["accel_misalignment"]] = da[..., k, m]
-    vector[..., GROUP_SLICES["accel_asymmetry"]] = accel.asymmetry
-    vector[..., GROUP_SLICES["accel_bias"]] = accel.bias
+    vector = np.zeros((*gyro.bias.shape[:-1], N_PARAMETERS))
+    for sensor, triad in (("gyro", gyro), ("accel", accel)):
+        vector[..., GROUP_SLICES[f"{sensor}_asymmetry"]] = triad.asymmetry
+        vector[..., GROUP_SLICES[f"{sensor}_bias"]] = triad.bias
+        for group, values in triad.further:
+            vector[..., GROUP_SLICES[group.name]] = values
+        error = triad.matrix - np.eye(3)
+        for group in OF_SENSOR[sensor]:
+            if isinstance(group.effect, MatrixElements):
+                elements = [sum(error[..., i, j] for i, j in places) for places in group.effect.places]
+                vector[..., GROUP_SLICES[group.name]] = np.stack(elements, axis=-1)
     return vector
 
 
@@ -234,8 +258,8 @@ def to_mars(gyro: Triad, accel: Triad) -> tuple[SensorErrors, Array]:
 
     Notes
     -----
-    Asymmetry multiplies the absolute values of MARS components. It is not transformed: this is exact for U = I, and
-    the definition of asymmetry otherwise.
+    Asymmetry multiplies the absolute values of MARS components, and further errors follow these. They are not
+    transformed: this is exact for U = I, and their definition otherwise.
     """
     if np.linalg.det(gyro.matrix) <= 0.0:
         raise DataError(
@@ -251,8 +275,8 @@ def vectors_in_mars(gyro: Triad, accel: Triad) -> tuple[Array, Array]:
     left, singular, right = np.linalg.svd(gyro.matrix)
     # The polar decomposition Mg = P U
     U, P = left @ right, (left * singular[..., None, :]) @ np.swapaxes(left, -1, -2)
-    symmetric = Triad(0.5 * (P + np.swapaxes(P, -1, -2)), gyro.asymmetry, gyro.bias)
-    turned = Triad(accel.matrix @ np.swapaxes(U, -1, -2), accel.asymmetry, accel.bias)
+    symmetric = replace(gyro, matrix=0.5 * (P + np.swapaxes(P, -1, -2)))
+    turned = replace(accel, matrix=accel.matrix @ np.swapaxes(U, -1, -2))
     return _vectors(symmetric, turned), U
 
 
@@ -283,8 +307,9 @@ def compose(errors: SensorErrors, delta: ArrayLike) -> tuple[SensorErrors, Array
             t.matrix @ dt.matrix,
             t.asymmetry + np.diag(t.matrix) * dt.asymmetry,
             t.bias + t.matrix @ dt.bias,
+            both.further,
         )
-        for t, dt in ((g, dg), (a, da))
+        for t, dt, both in zip((g, a), (dg, da), triads(errors.vector + d.vector), strict=True)
     )
     return to_mars(gyro, accel)
 

@@ -155,15 +155,16 @@ def inversion_matrix(chosen: tuple[Formula, ...], gravity_m_s2: float) -> Array:
 
 
 def missing_parameters(chosen: tuple[Formula, ...]) -> tuple[str, ...]:
-    """Names of the 24 closed-form parameters that have no formula."""
+    """Names of the parameters without a formula; the gyro biases need none."""
     found = {f.parameter for f in chosen}
     return tuple(n for n in NAMES if n not in found and not n.startswith("gyro_bias"))
 
 
 def sequences_needed(parameter: str) -> tuple[str, ...]:
-    """Sequences that the full formula of a parameter uses, directly or through other parameters."""
+    """Sequences that the full formula of a parameter uses, directly or through others; none if it has no formula."""
     table = {f.parameter: f for f in formulas([str(i) for i in range(1, 15)] + ["1a", "2a", "3a"])}
-    formula = table[parameter]
+    if (formula := table.get(parameter)) is None:
+        return ()
     needed = {c.sequence for _, c in formula.components}
     for _, other in formula.parameters:
         needed |= set(sequences_needed(other))

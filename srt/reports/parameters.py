@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from srt.reports.tables import Cell, decimals_for, fixed
-from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, GROUP_SLICES, INDEX, N_PARAMETERS, NAMES, SYMBOLS
+from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, GROUP_SLICES, GROUPS, INDEX, N_PARAMETERS, NAMES, SYMBOLS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -24,16 +24,6 @@ _DECIMALS_FIXED: Final = 2  # decimals of a fixed parameter, which has no sigma
 _SOLVED: Final = 1e-3  # fraction of sigma below which a component is solved exactly: solvers stop at 1e-2 sigma or less
 _COARSE: Final = {"µg": ("mg", 1000.0, 1e4), "°/h": ("°/s", 3600.0, 1e3)}
 """Coarser unit, the number of finer ones in it, and the value from which a group is in it: beyond tactical units."""
-_HEADS: Final = {
-    "gyro_scale": "gyro\nscale",
-    "gyro_asymmetry": "gyro\nasym.",
-    "gyro_orthogonality": "gyro\northo.",
-    "accel_bias": "accel\nbias",
-    "accel_scale": "accel\nscale",
-    "accel_asymmetry": "accel\nasym.",
-    "accel_misalignment": "mis-\nalign.",
-    "gyro_bias": "gyro\nbias",
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +98,7 @@ def parameter_cells(calibration: Calibration) -> list[list[Cell]]:
 
 def group_heads(units: Units = FINE) -> list[str]:
     """Headings of the groups with their units."""
-    return [f"{_HEADS[name]}\n{units.names[part.start]}" for name, part in GROUP_SLICES.items()]
+    return [f"{group.heading}\n{units.names[GROUP_SLICES[group.name].start]}" for group in GROUPS]
 
 
 def group_sigmas(sigma: Array, units: Units = FINE) -> list[str]:

@@ -35,7 +35,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike
 
-    from srt.result.triad_inverse import Vector
+    from srt.model.sensor_model import Triad
+    from srt.result.triad_inverse import Vector, WorkArrays
     from srt.types import Array
 
     Sample = Sequence[float] | Array
@@ -208,6 +209,11 @@ class Applier:
         InputError
             Not three finite numbers each, or a duration that is not positive.
         """
+        if any(triad.further for triad in self._triads):
+            of_rate, of_force = self.apply(np.asarray(gyro), np.asarray(accel), dt=dt)
+            for target, values in zip(out or (), (of_rate, of_force), strict=False):
+                target[0], target[1], target[2] = values
+            return tuple(of_rate.tolist()), tuple(of_force.tolist())
         try:
             # Items of an array are slow to take one by one.
             gx, gy, gz = gyro.tolist() if isinstance(gyro, np.ndarray) else gyro
@@ -326,9 +332,9 @@ class Applier:
             b = min(a + self._block, len(gyro))
             duration = step[a:b] if isinstance(step, np.ndarray) else step
             followed = None
-            for y, inverse, tables, target in (
-                (accel, self.accel, self._tables[1], targets[1]),
-                (gyro, self.gyro, self._tables[0], targets[0]),
+            for y, inverse, tables, triad, target in (
+                (accel, self.accel, self._tables[1], self._triads[1], targets[1]),
+                (gyro, self.gyro, self._tables[0], self._triads[0], targets[0]),
             ):
                 work = self._work.part(b - a)
                 x, v, t = work.x, work.v, work.t
@@ -342,9 +348,10 @@ class Applier:
                         np.subtract(y[a:b, c], t[0], out=x[c], dtype=np.float64)
                 if followed is not None:
                     np.subtract(x, followed, out=x)
-                multiply(tables.linear, x, v, t)
-                if inverse.octants is not None:
-                    solve_block(work, tables, inverse.octants)
+                if triad.further:
+                    _solve_with_further(work, tables, inverse, triad, duration)
+                else:
+                    _solve(work, tables, inverse)
                 if sensitivity is not None and self._followed is not None and inverse is self.accel:
                     followed = self._followed[: 3 * (b - a)].reshape(3, b - a)
                     multiply(sensitivity, v, followed, t)
@@ -353,6 +360,27 @@ class Applier:
                     v = x
                 for c in range(3):
                     target[a:b, c] = v[c]
+
+
+def _solve(work: WorkArrays, tables: InverseArrays, inverse: TriadInverse) -> None:
+    """Solve readings less their bias, ``work.x``, for the true values ``work.v``."""
+    multiply(tables.linear, work.x, work.v, work.t)
+    if inverse.octants is not None:
+        solve_block(work, tables, inverse.octants)
+
+
+def _solve_with_further(
+    work: WorkArrays, tables: InverseArrays, inverse: TriadInverse, triad: Triad, duration: float | Array | None
+) -> None:
+    """The same with the further errors of a triad; they act on rates, increments are rates times the duration."""
+    whole, seconds = work.x.copy(), 1.0 if duration is None else duration
+
+    def solve(other: Array | float) -> Array:
+        np.subtract(whole, np.transpose(other) * seconds, out=work.x)
+        _solve(work, tables, inverse)
+        return np.asarray((work.v / seconds).T)
+
+    triad.contract(solve)
 
 
 def _rotation(U: Array | None) -> tuple[float, ...]:

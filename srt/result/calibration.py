@@ -24,7 +24,7 @@ from srt.result.json_file import load_json_file, require_format, require_json, s
 from srt.result.noise_figures import NoiseFigures
 from srt.result.provenance import Alignment, Provenance, StatedSite, Temperature
 from srt.result.verdict import WITHOUT_VALUES, Verdict, verdict_on
-from srt.sensor_errors import INDEX, N_PARAMETERS, NAMES, SYMBOLS, UNITS, SensorErrors
+from srt.sensor_errors import GROUPS, INDEX, N_PARAMETERS, NAMES, SYMBOLS, UNITS, SensorErrors
 from srt.types import Array
 
 if TYPE_CHECKING:
@@ -337,7 +337,9 @@ class Calibration(Presented):
                 "U": None if self.U is None else self.U.tolist(),
                 "U_sigma": self.U_sigma_rad,
             },
-            "formula": FORMULA + ("" if self.diagnostics.g_sensitivity is None else FORMULA_G_SENSITIVE),
+            "formula": FORMULA
+            + "".join(f" Readings have {g.formula} besides." for g in GROUPS if g.further)
+            + ("" if self.diagnostics.g_sensitivity is None else FORMULA_G_SENSITIVE),
             "site": to_document(self.site),
             "noise": {**to_document(self.noise), "contributions": to_document(self.contributions)},
             "alignment": to_document(self.alignment),
@@ -378,7 +380,7 @@ def _from_dict(document: dict[str, Any]) -> Calibration:
     parameters = document["parameters"]
     names = tuple(p["name"] for p in parameters)
     if names != NAMES:
-        raise InputError("its parameters are not the 27 sensor errors in their order.")
+        raise InputError(f"its parameters are not the {N_PARAMETERS} sensor errors in their order.")
     status, covariance = from_document(str, document["status"], "status"), np.zeros((N_PARAMETERS, N_PARAMETERS))
     if document["covariance"] is not None or status not in WITHOUT_VALUES:
         covariance = from_document(Array, document["covariance"], "covariance")

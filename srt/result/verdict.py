@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Final, Protocol
 
 from scipy.special import stdtrit
 
-from srt.sensor_errors import collapse_names
+from srt.sensor_errors import N_PARAMETERS, collapse_names
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -173,7 +173,7 @@ def modelled(calibration: Judged) -> Iterator[str]:
         names.append(f"motion too fast for the sample rate ({math.degrees(slow.angle_rad):.2g}° per turn)")
     names += ["the g-sensitivity of the gyros"] * (calibration.diagnostics.g_sensitivity is not None)
     if names:
-        yield f"Modelled besides the 27 errors: {', '.join(names)}."
+        yield f"Modelled besides the {N_PARAMETERS} errors: {', '.join(names)}."
 
 
 def _failure(calibration: Judged) -> str:

@@ -81,7 +81,7 @@ def test_inconsistent_files_are_refused(calibration, tmp_path, change, fragment)
         ({"covariance": np.triu(np.ones((27, 27)))}, "not symmetric"),
         ({"U": np.eye(2)}, "U of a calibration has the shape"),
         ({"errors": np.zeros(27)}, r"needs srt\.SensorErrors"),
-        ({"held": {"gyro_scale_w": "no motion"}}, "holds 'gyro_scale_w' fixed"),
+        ({"fixed": {"gyro_scale_w": "no motion"}}, "holds 'gyro_scale_w' fixed"),
         ({"U_sigma_rad": -1.0}, "a sigma is not negative"),
     ],
 )
