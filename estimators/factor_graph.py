@@ -13,7 +13,7 @@ Variables:
 - ``q``: quantization error at each window edge;
 - ``d``, ``n``: states and white unknowns of the bias instability of all sensors, by step;
 - ``s``: correction to the coefficients of the modelled drift;
-- ``t``: correction to the error of the rate table, in sigmas.
+- ``t``: error of the rate table, in sigmas.
 """
 
 from __future__ import annotations
@@ -29,21 +29,14 @@ from gtsam.symbol_shorthand import A, B, D, E, F, G, L, N, Q, S, T, U, X
 from estimators import factors
 from srt.joint.drift import combined
 from srt.joint.linear_system import N_ERRORS, total
-from srt.joint.measurement_kinds import (
-    alignment_covariances,
-    fixed_headings,
-    fixture_attitudes,
-    rotation_kinds,
-    rotation_noise,
-    start_covariances,
-)
-from srt.model import measurement_model as model
+from srt.joint.measurement_kinds import alignment_covariances, fixed_headings, measurement_kinds
 from srt.sensor_errors import N_PARAMETERS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Iterator
 
     from srt.joint.linearisation import Linearisation
+    from srt.joint.measurement_kinds import MeasurementKind
     from srt.model.prior import Prior
     from srt.types import Array, Indices
 
@@ -92,10 +85,7 @@ class FactorGraph:
         """Bias instability of gyros and accelerometers as one process: half the variables and Jacobians for gtsam."""
         self._variables()
         self._linear_variables()
-        self._windows()
-        self._rotations()
-        self._stated_rates()
-        self._fixture_attitudes()
+        self._measurements()
         self._priors(prior)
 
     @contextmanager
@@ -182,7 +172,7 @@ class FactorGraph:
         if joint.choice.drift.size:
             self.values.insert(S(0), np.zeros(joint.choice.drift.size))
         if self.compensated.stated.sequences.size:
-            self.values.insert(T(0), np.zeros(1))
+            self.values.insert(T(0), np.full(1, self.state.table_rate))
 
     def _add(self, kind: str, numbers: Indices, owners: Indices, covariance: Array, group: factors.FactorGroup) -> None:
         """Add measurements of a kind by number, with their sequences, whose weights apply to their covariances."""
@@ -212,109 +202,74 @@ class FactorGraph:
             out.append(([Q(number) if number >= 0 else None for number in own.tolist()], sign * by_edge))
         return out
 
-    def _earth(self, frames: Indices) -> tuple[factors.Keys, Callable[[Any, Indices], Array]]:
-        """Variables of the Earth's rate in the level frames of some factors, and its value by factor, (m, 3), rad/s."""
-        known = np.stack([frame.earth_rate for frame in self.joint.level_frames])[frames]
-        keys = [self.earth_key(frame) for frame in frames.tolist()]
+    def _keys(self, name: str, numbers: Indices) -> factors.Keys:
+        """Variables of unknowns of the joint model; None where they are known."""
+        if name == "earth_rate":
+            return [self.earth_key(frame) for frame in numbers.tolist()]
+        if name == "gravity" and not self.gravity:
+            return [None] * len(numbers)
+        letter = next(letter for letter, (columns, _) in _COLUMNS.items() if columns == name)
+        return [int(gtsam.symbol(letter, number)) for number in numbers.tolist()]
 
-        def rate(values: Any, rows: Indices) -> Array:
-            unknown = (np.zeros(3) if (key := keys[row]) is None else values.atVector(key) for row in rows.tolist())
-            return np.asarray(known[rows] + np.stack(list(unknown)))
+    def _evaluate(self, kind: MeasurementKind, values: Any, rows: Indices) -> factors.Linearised:
+        """Residuals and derivatives of members of a kind at gtsam's values."""
+        at = []
+        for name, numbers in kind.unknowns:
+            keys = self._keys(name, numbers[rows])
+            if name in ("attitude", "base", "mounting"):
+                at.append(factors.matrices(values, np.array(keys)))
+                continue
+            size = 3 if name == "earth_rate" else 1
+            found = np.stack([np.zeros(size) if key is None else values.atVector(key) for key in keys])
+            if name == "earth_rate":
+                found += np.stack([frame.earth_rate for frame in self.joint.level_frames])[numbers[rows]]
+            at.append(found)
+        return kind.evaluate(rows, *at)
 
-        return keys, rate
+    def _measurements(self) -> None:
+        """Add a factor for each measurement; of a window one for force and rate, as a disturbance affects both."""
+        force, rate, *others = measurement_kinds(self.joint, self.state, self.compensated)
+        self._add_windows(force, rate)
+        for kind in others:
+            self._add_kind(kind)
 
-    def _windows(self) -> None:
-        """Add one factor per window for force and rate together, as a disturbance affects both."""
-        joint, data, owners = self.joint, self.compensated, self.joint.window_sequence
-        covariance = np.zeros((len(owners), 6, 6))
-        covariance[:, :3, :3], covariance[:, 3:, 3:] = total(data.force_noise), total(data.rate_noise)
-        attitudes, (earth_keys, earth) = _attitudes(np.arange(len(owners))), self._earth(joint.window_frame)
+    def _add_windows(self, force: MeasurementKind, rate: MeasurementKind) -> None:
+        (attitude, windows), gravity = force.unknowns
+        earth = rate.unknowns[1]
+        covariance = np.zeros((len(windows), 6, 6))
+        covariance[:, :3, :3], covariance[:, 3:, 3:] = total(force.noise), total(rate.noise)
 
         def evaluate(values: Any, rows: Indices) -> factors.Linearised:
-            attitude = factors.matrices(values, attitudes[rows])
-            gravity = joint.data.gravity + (values.atVector(G(0))[0] if self.gravity else 0.0)
-            force, *by_force = model.specific_force_residual(data.force[rows], attitude, gravity)
-            rate, *by_rate = model.angular_rate_residual(data.rate[rows], attitude, earth(values, rows))
+            (f, by_force), (w, by_rate) = (self._evaluate(kind, values, rows) for kind in (force, rate))
             by_gravity, by_earth = (np.zeros((len(rows), 6, width)) for width in (1, 3))
-            by_gravity[:, :3, 0], by_earth[:, 3:] = by_force[1], by_rate[1]
+            by_gravity[:, :3], by_earth[:, 3:] = by_force[1], by_rate[1]
             by_attitude = np.concatenate([by_force[0], by_rate[0]], axis=1)
-            return np.concatenate([force, rate], axis=1), [by_attitude, by_gravity, by_earth]
+            return np.concatenate([f, w], axis=1), [by_attitude, by_gravity, by_earth]
 
-        jacobian, by_form = np.concatenate([data.force_jacobian, data.rate_jacobian], axis=1), data.drift_form
+        jacobian, by_form = np.concatenate([force.by_errors, rate.by_errors], axis=1), self.compensated.drift_form
         by_form_of_both = np.concatenate([by_form["force"], by_form["rate"]], axis=1)
-        linear = self._linear(jacobian, owners, "window", by_form_of_both, -1.0)
-        gravity_keys = [G(0) if self.gravity else None] * len(owners)
-        group = factors.FactorGroup([attitudes.tolist(), gravity_keys, earth_keys], evaluate, linear)
-        self._add("window", np.arange(len(owners)), owners, covariance, group)
+        linear = self._linear(jacobian, force.owner, "window", by_form_of_both, -1.0)
+        keys = [self._keys(*unknown) for unknown in ((attitude, windows), gravity, earth)]
+        self._add("window", force.number, force.owner, covariance, factors.FactorGroup(keys, evaluate, linear))
 
-    def _rotations(self) -> None:
-        """Add the rotations between windows; see :func:`srt.joint.measurement_kinds.rotation_kinds`."""
-        for kind, members in rotation_kinds(self.joint):
-            self._add_rotations(kind, members)
-
-    def _add_rotations(self, kind: str, members: Indices) -> None:
-        joint, data = self.joint, self.compensated
-        starts, ends = (_attitudes(windows[members]) for windows in (joint.data.start, joint.data.end))
-        earth_keys, earth = self._earth(joint.sequence_frame[members])
+    def _add_kind(self, kind: MeasurementKind) -> None:
+        """Add one factor for each member of a kind."""
 
         def evaluate(values: Any, rows: Indices) -> factors.Linearised:
-            start, end = (factors.matrices(values, keys[rows]) for keys in (starts, ends))
-            at = members[rows]
-            found = model.rotation_residual(
-                data.rotation[at], start, end, earth(values, rows), np.asarray(data.duration_s)[at]
-            )
-            r, by_start, by_end, by_rotation, by_earth = (
-                model.heading_residual(found, start) if kind == "heading" else found
-            )
-            return r, [by_start, by_end, by_earth, by_rotation]
+            return self._evaluate(kind, values, rows)
 
-        linear = self._linear(data.rotation_jacobian, np.arange(joint.data.K), "turn", data.drift_form["turn"], 1.0)
-        linear = [([keys[k] for k in members.tolist()], J[members]) for keys, J in linear]
-        group = factors.FactorGroup([starts.tolist(), ends.tolist(), earth_keys], evaluate, linear, scaled=True)
-        noise = total(rotation_noise(joint, self.state, data.rotation_noise, kind))
-        self._add(kind, members, members, noise, group)
-
-    def _stated_rates(self) -> None:
-        """Add the runs at a stated rate."""
-        joint, runs = self.joint, self.compensated.stated
-        if not runs.sequences.size:
-            return
-        windows = joint.data.start[runs.sequences]
-        starts, (earth_keys, earth) = _attitudes(windows), self._earth(joint.window_frame[windows])
-
-        def evaluate(values: Any, rows: Indices) -> factors.Linearised:
-            every = np.arange(len(starts))
-            found = runs.residual(factors.matrices(values, starts), earth(values, every), self.state.table_rate)
-            residual, *jacobians = (part[rows] for part in found)
-            return residual, jacobians
-
-        by_form = self.compensated.drift_form["stated_rate"]
-        linear = self._linear(runs.jacobian, runs.sequences, "stated_rate", by_form, -1.0)
-        linear.append(([T(0)] * len(starts), runs.by_table_rate))
-        group = factors.FactorGroup([starts.tolist(), earth_keys], evaluate, linear)
-        self._add("stated_rate", runs.sequences, runs.sequences, total(runs.noise), group)
-
-    def _fixture_attitudes(self) -> None:
-        """Add the attitudes that the fixture determines."""
-        for kind, poses, components in fixture_attitudes(self.joint) if self.joint.fixture_states else ():
-            self._add_fixture_attitudes(kind, poses, components)
-
-    def _add_fixture_attitudes(self, kind: str, poses: list[tuple[int, int, Array]], components: slice) -> None:
-        owners, windows = (np.array([pose[i] for pose in poses], dtype=np.intp) for i in (0, 1))
-        nominal, attitudes = np.stack([pose[2] for pose in poses]), _attitudes(windows)
-
-        def evaluate(values: Any, rows: Indices) -> factors.Linearised:
-            base, mounting = (values.atRot3(key).matrix() for key in (F(0), U(0)))
-            angle, attitude = float(values.atVector(L(0))[0]), factors.matrices(values, attitudes[rows])
-            r, *jacobians = model.start_attitude_residual(
-                attitude, nominal[rows], base, mounting, self.joint.heading_rad, angle
-            )
-            return r[:, components], [J[:, components] for J in jacobians]
-
-        fixture = [[key] * len(poses) for key in (F(0), U(0), L(0))]
-        covariance = np.tile(total(start_covariances(self.joint, components)), (len(poses), 1, 1))
-        group = factors.FactorGroup([attitudes.tolist(), *fixture], evaluate, [])
-        self._add(kind, windows, owners, covariance, group)
+        linear: list[factors.Term] = []
+        if kind.by_errors is not None:
+            key, members, sign = kind.quantity, kind.readings.tolist(), 1.0 if kind.scaled else -1.0
+            whole = np.zeros((len(self.compensated.drift_form[key]), *kind.by_errors.shape[1:]))
+            whole[kind.readings] = kind.by_errors
+            owners = np.zeros(len(whole), dtype=np.intp)
+            owners[kind.readings] = kind.owner
+            linear = self._linear(whole, owners, key, self.compensated.drift_form[key], sign)
+            linear = [([keys[k] for k in members], J[kind.readings]) for keys, J in linear]
+        keys = [self._keys(*unknown) for unknown in kind.unknowns]
+        group = factors.FactorGroup(keys, evaluate, linear, scaled=kind.scaled)
+        self._add(kind.name, kind.number, kind.owner, total(kind.noise), group)
 
     def _priors(self, prior: Prior | None) -> None:
         joint, graph = self.joint, self.graph
@@ -343,7 +298,7 @@ class FactorGraph:
         if self.compensated.drift:
             self._drift_chain()
         if self.compensated.stated.sequences.size:
-            graph.add(gtsam.PriorFactorVector(T(0), np.full(1, -self.state.table_rate), isotropic(1, 1.0)))
+            graph.add(gtsam.PriorFactorVector(T(0), np.zeros(1), isotropic(1, 1.0)))
         if joint.choice.drift.size:
             wide = factors.gaussian(np.diag(joint.choice.drift.sigma**2))
             graph.add(gtsam.PriorFactorVector(S(0), -self.state.drift, wide))

@@ -11,27 +11,19 @@ from scipy.sparse import csr_array, vstack
 
 from srt.estimation.error_sources import shared_edges
 from srt.joint.linear_system import FIXTURE, N_ERRORS, Columns, LinearSystem, RowGroup, total, whiten
-from srt.joint.measurement_kinds import (
-    alignment_covariances,
-    fixed_headings,
-    fixture_attitudes,
-    rotation_kinds,
-    rotation_noise,
-    start_covariances,
-)
-from srt.model import measurement_model as model
+from srt.joint.measurement_kinds import alignment_covariances, fixed_headings, measurement_kinds
 from srt.model.rotations import inverse_right_jacobian, rotation_vector
 from srt.sensor_errors import N_PARAMETERS
 
 if TYPE_CHECKING:
     from srt.joint.joint_model import JointModel
     from srt.joint.joint_state import CompensatedData, JointState
+    from srt.joint.measurement_kinds import MeasurementKind
     from srt.model.prior import Prior
     from srt.types import Array, Indices, Mask
 
     Block = tuple[str, Indices | int, Array]
     """Name of the columns, number of each member within them (−1: none), Jacobian (n or 1, d, width)."""
-    Members = Indices | slice
 
 _RECORDING = np.array([-1], dtype=np.intp)
 """Owner of rows that belong to no sequence."""
@@ -86,10 +78,7 @@ def linearise(
         Prior of the sensor errors.
     """
     builder = _Builder(joint, state, compensated)
-    builder.add_windows()
-    builder.add_rotations()
-    builder.add_stated_rates()
-    builder.add_fixture_attitudes()
+    builder.add_measurements()
     builder.add_drift()
     builder.add_alignment()
     builder.add_site()
@@ -173,8 +162,7 @@ class _Builder:
     """Rows of a linear system, group by group."""
 
     def __init__(self, joint: JointModel, state: JointState, compensated: CompensatedData) -> None:
-        assert state.attitude is not None
-        self.joint, self.state, self.compensated, self.attitude = joint, state, compensated, state.attitude
+        self.joint, self.state, self.compensated = joint, state, compensated
         self.columns = _columns(joint, compensated)
         self.entries: list[tuple[Indices, Indices, Array]] = []
         self.b: list[Array] = []
@@ -252,141 +240,51 @@ class _Builder:
         unit = np.eye(len(value))[None]
         self.add(kind or name, _RECORDING, value[None], covariance, [(name, number, unit)])
 
-    def add_windows(self) -> None:
-        """Specific force and rate of every window."""
-        joint, compensated, A = self.joint, self.compensated, self.attitude
-        to_body = np.swapaxes(A, 1, 2)
-        windows, sequence = np.arange(len(A)), joint.window_sequence
-        gravity = joint.data.gravity + self.state.gravity
-        residual, by_attitude, by_gravity = model.specific_force_residual(compensated.force, A, gravity)
-        self.add(
-            "force",
-            sequence,
-            residual,
-            compensated.force_noise,
-            [
-                ("errors", 0, -compensated.force_jacobian[:, :, :N_ERRORS]),
-                ("attitude", windows, by_attitude @ to_body),
-                ("gravity", 0, by_gravity[:, :, None]),
-                ("drift_form", 0, -compensated.drift_form["force"]),
-                *self.drift_blocks("accel", "force", -1.0),
-            ],
-        )
-        residual, by_attitude, by_earth = model.angular_rate_residual(compensated.rate, A, joint.earth_rate(self.state))
-        self.add(
-            "rate",
-            sequence,
-            residual,
-            compensated.rate_noise,
-            [
-                ("errors", 0, -compensated.rate_jacobian[:, :, :N_ERRORS]),
-                ("bias", sequence if joint.bias_walks else 0, -compensated.rate_jacobian[:, :, N_ERRORS:]),
-                ("attitude", windows, by_attitude @ to_body),
-                ("earth_rate", joint.window_frame, by_earth),
-                *self.edge_blocks("rate", -1.0),
-                ("drift_form", 0, -compensated.drift_form["rate"]),
-                *self.drift_blocks("gyro", "rate", -1.0),
-            ],
-        )
-
-    def add_rotations(self) -> None:
-        """Rotation between the windows of every sequence."""
-        joint, compensated, data = self.joint, self.compensated, self.joint.data
-        for kind, members in rotation_kinds(joint):
-            first, last = data.start[members], data.end[members]
-            start, end = self.attitude[first], self.attitude[last]
-            found = model.rotation_residual(
-                compensated.rotation[members],
-                start,
-                end,
-                joint.earth_rate(self.state)[first],
-                np.asarray(compensated.duration_s)[members],
-            )
-            if kind == "heading":
-                found = model.heading_residual(found, start)
-            by_rotation = found.by_rotation
-            by_errors = by_rotation @ compensated.rotation_jacobian[members]
-            self.add(
-                kind,
-                members,
-                found.residual,
-                rotation_noise(joint, self.state, compensated.rotation_noise, kind),
-                [
-                    ("errors", 0, by_errors[:, :, :N_ERRORS]),
-                    ("bias", members if joint.bias_walks else 0, by_errors[:, :, N_ERRORS:]),
-                    ("attitude", first, found.by_start @ np.swapaxes(start, 1, 2)),
-                    ("attitude", last, found.by_end @ np.swapaxes(end, 1, 2)),
-                    ("earth_rate", joint.sequence_frame[members], found.by_earth_rate),
-                    *self.edge_blocks("turn", by_rotation, members),
-                    ("drift_form", 0, by_rotation @ compensated.drift_form["turn"][members]),
-                    *self.drift_blocks("gyro", "turn", by_rotation, members),
-                ],
-            )
-
-    def add_stated_rates(self) -> None:
-        """Mean rates of runs at a stated rate, and the prior of the error of the table's rate."""
-        joint, state, runs, data = self.joint, self.state, self.compensated.stated, self.joint.data
-        if not runs.sequences.size:
-            return
-        windows = data.start[runs.sequences]
-        start, earth = self.attitude[windows], joint.earth_rate(state)[windows]
-        residual, by_start, by_earth = runs.residual(start, earth, state.table_rate)
-        self.add(
-            "stated_rate",
-            runs.sequences,
-            residual,
-            runs.noise,
-            [
-                ("errors", 0, -runs.jacobian[:, :, :N_ERRORS]),
-                ("bias", runs.sequences if joint.bias_walks else 0, -runs.jacobian[:, :, N_ERRORS:]),
-                ("attitude", windows, by_start @ np.swapaxes(start, 1, 2)),
-                ("earth_rate", joint.window_frame[windows], by_earth),
-                ("table_rate", 0, runs.by_table_rate),
-                ("drift_form", 0, -self.compensated.drift_form["stated_rate"]),
-                *self.drift_blocks("gyro", "stated_rate", -1.0),
-            ],
-        )
-        self.add_prior_of("table_rate", 0, np.array([state.table_rate]), {"stated_rate": np.ones((1, 1, 1))})
-
-    def add_fixture_attitudes(self) -> None:
-        """Start attitudes in the angles of the fixture; end attitudes in the non-orthogonality of its axes alone."""
+    def add_measurements(self) -> None:
+        """Measurements of all kinds, and the prior of the error of a rate table."""
         joint, state = self.joint, self.state
-        if not joint.fixture_states:
-            return
-        for kind, poses, components in fixture_attitudes(joint):
-            owner, windows = (np.array([pose[i] for pose in poses], dtype=np.intp) for i in (0, 1))
-            A = self.attitude[windows]
-            residual, by_attitude, by_base, by_U, by_angle = model.start_attitude_residual(
-                A,
-                np.stack([nominal for _, _, nominal in poses]),
-                state.base,
-                state.U,
-                joint.heading_rad,
-                state.non_orthogonality,
-            )
-            self.add(
-                kind,
-                owner,
-                residual[:, components],
-                {s: np.tile(R, (len(owner), 1, 1)) for s, R in start_covariances(joint, components).items()},
-                [
-                    ("attitude", windows, (by_attitude @ np.swapaxes(A, 1, 2))[:, components]),
-                    ("base", 0, by_base[:, components]),
-                    ("mounting", 0, by_U[:, components]),
-                    ("non_orthogonality", 0, by_angle[:, components]),
-                ],
-            )
+        assert state.attitude is not None
+        values = {
+            "attitude": state.attitude,
+            "earth_rate": np.stack([frame.earth_rate for frame in joint.level_frames]) + state.earth_rate,
+            "base": state.base[None],
+            "mounting": state.U[None],
+            "gravity": np.array([[state.gravity]]),
+            "non_orthogonality": np.array([[state.non_orthogonality]]),
+            "table_rate": np.array([[state.table_rate]]),
+        }
+        for kind in measurement_kinds(joint, state, self.compensated):
+            at = (values[name][number] for name, number in kind.unknowns)
+            residual, derivatives = kind.evaluate(np.arange(len(kind.owner)), *at)
+            blocks: list[Block] = []
+            for (name, number), J in zip(kind.unknowns, derivatives, strict=False):
+                turned = J @ np.swapaxes(state.attitude[number], 1, 2) if name == "attitude" else J
+                blocks.append((name, number, turned))
+            if kind.by_errors is not None:
+                blocks += self.reading_blocks(kind, derivatives[-1] if kind.scaled else -1.0)
+            self.add(kind.name, kind.owner, residual, kind.noise, blocks)
+        if self.compensated.stated.sequences.size:
+            self.add_prior_of("table_rate", 0, np.array([state.table_rate]), {"stated_rate": np.ones((1, 1, 1))})
 
-    def edge_blocks(self, kind: str, by_effect: Array | float, members: Members = slice(None)) -> list[Block]:
+    def reading_blocks(self, kind: MeasurementKind, by_quantity: Array | float) -> list[Block]:
+        """Blocks of what acts on the readings: sensor errors, bias, errors at window edges, and drift."""
+        assert kind.by_errors is not None
+        by_errors, key, members = _product(by_quantity, kind.by_errors), kind.quantity, kind.readings
+        blocks: list[Block] = [("errors", 0, by_errors[:, :, :N_ERRORS])]
+        if key != "force":
+            blocks.append(("bias", kind.owner if self.joint.bias_walks else 0, by_errors[:, :, N_ERRORS:]))
+        blocks.append(("drift_form", 0, _product(by_quantity, self.compensated.drift_form[key][members])))
+        blocks += self.edge_blocks(key, by_quantity, members)
+        return blocks + self.drift_blocks("accel" if key == "force" else "gyro", key, by_quantity, members)
+
+    def edge_blocks(self, kind: str, by_effect: Array | float, members: Indices) -> list[Block]:
         """Blocks of the errors at window edges; ``by_effect`` is the derivative of the residual by their effect."""
         return [
             ("edge", number[members], _product(by_effect, J if len(J) == 1 else J[members]))
             for number, J in self.compensated.edges.shared.get(kind, ())
         ]
 
-    def drift_blocks(
-        self, sensor: str, kind: str, by_drift: Array | float, members: Members = slice(None)
-    ) -> list[Block]:
+    def drift_blocks(self, sensor: str, kind: str, by_drift: Array | float, members: Indices) -> list[Block]:
         """Blocks of the drift of a sensor; ``by_drift`` is the derivative of the residual by the drift's effect."""
         drift = self.compensated.drift.get(sensor)
         if drift is None:

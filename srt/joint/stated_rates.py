@@ -157,20 +157,24 @@ class StatedRates:
     jacobian: Array
     noise: dict[str, Array]
 
-    def residual(self, start: Array, earth_rate: Array, table_rate: float) -> tuple[Array, Array, Array]:
-        """Residuals (n, 2) of all runs, and derivatives by rotations of B_Strt and by the Earth's rate, (n, 2, 3).
+    def residual(
+        self, runs: Indices, start: Array, earth_rate: Array, table_rate: float
+    ) -> tuple[Array, Array, Array, Array]:
+        """Residuals (n, 2) of n runs, and derivatives by rotations of B_Strt, Earth's rate and error of the table.
 
         Parameters
         ----------
-        start : ndarray, shape (R, 3, 3)
+        runs : ndarray of int, shape (n,)
+        start : ndarray, shape (n, 3, 3)
             Attitudes from which the runs start, B to L.
-        earth_rate : ndarray, shape (R, 3), rad/s
+        earth_rate : ndarray, shape (n, 3), rad/s
             In L.
         table_rate : float
             Error of the table's rate in sigmas.
         """
         to_body = np.swapaxes(start, 1, 2)
         earth = (to_body @ earth_rate[:, :, None])[:, :, 0]
-        residual, _, by_earth = model.stated_rate_residual(self.rate, earth[:, None], self.stated[:, None])
-        residual = residual + self.by_table_rate[:, :, 0] * table_rate
-        return residual, by_earth @ cross_matrix(earth), by_earth @ to_body
+        by_table_rate = self.by_table_rate[runs]
+        residual, _, by_earth = model.stated_rate_residual(self.rate[runs], earth[:, None], self.stated[runs, None])
+        residual = residual + by_table_rate[:, :, 0] * table_rate
+        return residual, by_earth @ cross_matrix(earth), by_earth @ to_body, by_table_rate
