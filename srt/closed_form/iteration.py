@@ -271,7 +271,7 @@ class _Iteration:
         return np.asarray(np.sqrt(np.einsum("uab,ub->ua", measurements.gyro.inverse**2, self.wander**2)))
 
     def _scatter(self, measurements: SrtMeasurements) -> Array:
-        """1-sigma of the bias between sequences, from the variation of their rest rates beyond noise (sensor axes)."""
+        """1-sigma (units, 3) of the bias between sequences, from rest rates beyond noise, sensor axes."""
         left = np.broadcast_to(measurements.scatter_left(), len(self.number))
         if self.data.K < 3:
             return np.zeros((len(left), 3))

@@ -165,12 +165,12 @@ def bias_of_test(data: PreparedRecording, wander: Array) -> Array:
 
 
 def squared(root: Array) -> Array:
-    """Covariance of unit draws with this effect."""
+    """Covariance (..., n, n) of unit draws with this effect (..., n, q)."""
     return np.asarray(root @ np.swapaxes(root, -1, -2))
 
 
 def _of_own(projected: Draws, found: Iterable[Source | Draws]) -> Array:
-    """The part of :func:`covariance` by the errors of single windows and rotations."""
+    """The part of :func:`covariance`, (..., n, n), by the errors of single windows and rotations."""
     rows = projected["turn"].shape[:-2]
     own: dict[str, Array] = {}
     for source in found:

@@ -41,7 +41,7 @@ class _Conditional:
 
     @cached_property
     def inverse(self) -> Array:
-        """R⁻¹."""
+        """R⁻¹, shape (n, n)."""
         return np.asarray(solve_triangular(self.R, np.eye(len(self.R))))
 
 

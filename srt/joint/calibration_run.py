@@ -104,7 +104,7 @@ def run(joint: JointModel, solver: JointSolver, progress: Progress | None) -> Ca
 
 
 def _fixed_sigma(joint: JointModel) -> Array:
-    """1-sigma of every parameter where it is fixed, with the accuracy of the fixture as found."""
+    """1-sigma of every parameter where it is fixed, shape (27,), with the accuracy of the fixture as found."""
     return fixed_sigma(as_found(joint.data, joint.choice.unmodelled_sigma), joint.options)
 
 

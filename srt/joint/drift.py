@@ -241,7 +241,7 @@ class DriftTerms:
 
     @property
     def sigma(self) -> Array:
-        """Prior standard deviations of all coefficients."""
+        """Prior standard deviations of all coefficients, shape (size,)."""
         of_drift = np.repeat([term.sigma for term in self.terms], [s.stop - s.start for s in self.slices])
         return np.concatenate([np.full(self.of_force.stop, _WIDE_G_SENSITIVITY), of_drift])
 

@@ -55,7 +55,7 @@ def initial_attitudes(joint: JointModel, state: JointState, compensated: Compens
 
 
 def _any_level_attitude(down: Array) -> Array:
-    """Arbitrary attitude, B to L, with a given down vector."""
+    """Arbitrary attitude, B to L, shape (3, 3), with a given down vector (3,)."""
     first = np.cross(down, np.eye(3)[np.argmin(rounded(np.abs(down)))])
     first /= np.linalg.norm(first)
     return np.stack([first, np.cross(down, first), down])

@@ -149,7 +149,7 @@ def whiten(covariance: Array) -> Array:
 
 
 def total(noise: dict[str, Array]) -> Array:
-    """Sum of the covariances of all sources."""
+    """Sum of the covariances of all sources, shape (n, d, d)."""
     return np.asarray(sum(noise.values()))
 
 

@@ -223,7 +223,7 @@ def _fixture_attitude(
 
 
 def start_covariances(joint: JointModel, components: slice) -> dict[str, Array]:
-    """Covariance of components of a start by source of error: as stated, and what the residuals show beyond it."""
+    """Covariance (d, d) of components of a start by source: as stated, and what the residuals show beyond it."""
     excess = joint.choice.unmodelled_sigma
     inner, outer, wobble = error_sources.start_sigma(joint.data.recording).tolist()
     sigmas = {
@@ -235,7 +235,7 @@ def start_covariances(joint: JointModel, components: slice) -> dict[str, Array]:
 
 
 def alignment_covariances(joint: JointModel, size: int) -> dict[str, Array]:
-    """Covariance of ``size`` components of the alignment by source of error, as :func:`start_covariances`."""
+    """Covariance (size, size) of components of the alignment by source of error, as :func:`start_covariances`."""
     stated, excess = error_sources.alignment_sigma(joint.data.recording), joint.choice.unmodelled_sigma.alignment
     sigmas = {"earth_rate_alignment": stated, "alignment_excess": excess}
     return {source: sigma**2 * np.eye(size) for source, sigma in sigmas.items()}

@@ -25,14 +25,14 @@ _MOUNTING_LIMIT: Final = 5.0
 
 
 def pose_nominal(label: SequenceLabel) -> Array:
-    """Nominal start attitude C_nom of a label."""
+    """Nominal start attitude C_nom of a label, shape (3, 3)."""
     sequence = sequence_of_label(label)
     assert sequence is not None
     return nominal_attitude(sequence)
 
 
 def nominal_start(sequence: RotationSequence | None) -> Array | None:
-    """Nominal start attitude C_nom; None if it needs IMU z along the outer axis, which the fixture cannot do."""
+    """Nominal start attitude C_nom (3, 3); None if it needs IMU z along the outer axis, which no fixture can do."""
     if sequence is None or sequence.along_outer[-1] == "z":
         return None
     return nominal_attitude(sequence)
@@ -40,7 +40,7 @@ def nominal_start(sequence: RotationSequence | None) -> Array | None:
 
 @cache
 def nominal_end(sequence: RotationSequence | None) -> Array | None:
-    """Nominal attitude after the rotations of a sequence, if all are about an axis of the fixture."""
+    """Nominal attitude (3, 3) after the rotations of a sequence, if all are about an axis of the fixture."""
     C = nominal_start(sequence)
     if C is None or sequence is None:
         return None

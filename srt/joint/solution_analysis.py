@@ -375,7 +375,7 @@ def _latitude(joint: JointModel, solution: BlockSolution) -> Array:
 
 
 def _fixed_values(solution: BlockSolution, uncertain: Array, free: Mask) -> Array:
-    """Covariance of the estimated parameters due to errors of the fixed values with sigma ``uncertain``."""
+    """Covariance (27, 27) of the estimated parameters due to errors of the fixed values with sigma ``uncertain``."""
     system = solution.system
     E = system.columns.parameter_map()
     effect = system.A @ E.T * np.where(free, 0.0, uncertain)
