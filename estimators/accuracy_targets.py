@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.estimation.convergence import PARAMETER_UNITS
+from srt.estimation.iterations import PARAMETER_UNITS
 from srt.ranking import significant
 from srt.result.diagnostics import Targets
 from srt.sensor_errors import INDEX

@@ -12,7 +12,7 @@ from estimators.kalman_filter import KalmanSolver
 from estimators.sequential_filter import SequentialFilter, initial_prior, run_sequentially
 from estimators.square_root_filter import SquareRootFilter
 from estimators.unscented_filter import UnscentedFilter
-from srt.estimation.convergence import PARAMETER_UNITS
+from srt.estimation.iterations import PARAMETER_UNITS
 from srt.estimation.observability import default_prior
 from srt.joint.calibration_run import run
 from srt.joint.recording_opening import open_joint_model

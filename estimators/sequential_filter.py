@@ -23,9 +23,9 @@ from threadpoolctl import threadpool_limits
 from estimators.kalman_filter import FilterRun, filter_diagnostics, hand_on, padded, prior_root
 from estimators.nuisance_elimination import eliminate_nuisances
 from estimators.square_root_filter import SquareRootFilter
-from srt.estimation.convergence import PARAMETER_UNITS
 from srt.estimation.fixed_parameters import determined_by_fixture, fixed_sigma, reason_on_request
 from srt.estimation.initial_estimates import estimate_from_fixture
+from srt.estimation.iterations import PARAMETER_UNITS
 from srt.exceptions import InputError
 from srt.joint.initial_attitudes import placed
 from srt.joint.iteration import apply_correction

@@ -30,10 +30,10 @@ from srt.closed_form.measurement_covariance import (
 )
 from srt.closed_form.solution import Solution, residuals_of_units
 from srt.constants import EARTH_RATE_RAD_S
-from srt.estimation.convergence import CONVERGED_CORRECTION, CONVERGED_SIGMAS, MAX_STEP, PARAMETER_UNITS
 from srt.estimation.error_sources import earth_rate_sigma
 from srt.estimation.g_sensitivity import LEAST_SCATTER
 from srt.estimation.g_sensitivity import MODE as G_SENSITIVE
+from srt.estimation.iterations import CONVERGED_CORRECTION, CONVERGED_SIGMAS, MAX_STEP, PARAMETER_UNITS
 from srt.estimation.rest_rate_scatter import bias_gain, excess_variance, rest_rate_variance
 from srt.estimation.srt_measurements import SrtProcessor
 from srt.exceptions import DataError

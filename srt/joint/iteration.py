@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from scipy.sparse import hstack
 
-from srt.estimation.convergence import CONVERGED_CORRECTION, CONVERGED_SIGMAS, MAX_STEP, PARAMETER_UNITS
+from srt.estimation.iterations import CONVERGED_CORRECTION, CONVERGED_SIGMAS, MAX_STEP, PARAMETER_UNITS
 from srt.estimation.observability import admission_sigma, admit
 from srt.joint.block_solution import eliminate
 from srt.joint.initial_attitudes import initial_attitudes

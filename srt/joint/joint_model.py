@@ -20,10 +20,10 @@ import numpy as np
 
 from srt.constants import EARTH_RATE_RAD_S
 from srt.estimation import error_sources as sources
-from srt.estimation.convergence import PARAMETER_UNITS
 from srt.estimation.fixed_parameters import fixed_values
 from srt.estimation.g_sensitivity import LEAST_SCATTER, RestRates, pose_regression
 from srt.estimation.g_sensitivity import MODE as G_SENSITIVE
+from srt.estimation.iterations import PARAMETER_UNITS
 from srt.estimation.observability import admission_sigma
 from srt.estimation.rest_rate_scatter import excess_variance
 from srt.estimation.srt_measurements import SrtProcessor

@@ -17,9 +17,9 @@ from srt.closed_form.fixture_accuracy import fixture_excess
 from srt.closed_form.formulas import SelectedFormulas
 from srt.closed_form.iteration import iterate, iterate_units
 from srt.constants import DEG_PER_H, DEG_PER_SQRT_H, MICRO_G
-from srt.estimation.convergence import CONVERGED_CORRECTION, CONVERGED_SIGMAS, PARAMETER_UNITS
 from srt.estimation.error_sources import NO_ERRORS
 from srt.estimation.initial_estimates import initial_estimate
+from srt.estimation.iterations import CONVERGED_CORRECTION, CONVERGED_SIGMAS, PARAMETER_UNITS
 from srt.estimation.options import Options
 from srt.model.rotations import rotation_matrix
 from srt.model.sensor_model import Triad, outside_model, triads

@@ -20,7 +20,7 @@ from sims.scenarios.simulation import draw_errors
 from srt import exporters
 from srt.constants import DEG, DEG_PER_H, DEG_PER_SQRT_H, EARTH_RATE_RAD_S, MICRO_G, STANDARD_GRAVITY_M_S2
 from srt.estimation import g_sensitivity_report
-from srt.estimation.convergence import CONVERGED_CORRECTION
+from srt.estimation.iterations import CONVERGED_CORRECTION
 from srt.estimation.options import Options
 from srt.estimation.srt_measurements import SrtProcessor
 from srt.model.measurement_model import attitude_to_horizontal

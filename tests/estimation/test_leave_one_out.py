@@ -16,7 +16,7 @@ import srt
 from sims.physics.imu import read_out
 from sims.physics.sequences import TABLE_1
 from sims.physics.table_motion import table1_motion
-from srt.estimation.convergence import CONVERGED_SIGMAS
+from srt.estimation.iterations import CONVERGED_SIGMAS
 from srt.estimation.leave_one_out import (
     SequenceDiagnostics,
     consistency,

@@ -8,7 +8,7 @@ from scipy.stats import chi2
 import sims
 import srt
 from sims.scenarios.scenario import scenario_from_dict
-from srt.estimation.convergence import CONVERGED_SIGMAS
+from srt.estimation.iterations import CONVERGED_SIGMAS
 from srt.recording.recording import Fixture
 from srt.sensor_errors import GROUP_SLICES, INDEX
 

@@ -14,7 +14,7 @@ from sims.physics.table_motion import table1_motion
 from sims.robustness.campaign import load_campaign
 from sims.robustness.trial import score
 from srt.constants import EARTH_RATE_RAD_S
-from srt.estimation.convergence import PARAMETER_UNITS
+from srt.estimation.iterations import PARAMETER_UNITS
 from srt.estimation.options import Options
 from srt.estimation.srt_measurements import SrtProcessor
 from srt.model.rotations import rotation_vector

@@ -22,7 +22,7 @@ pytest.importorskip("filterpy")
 pytest.importorskip("gtsam")
 from estimators.kalman_filter import run_filter
 from estimators.unscented_filter import SequenceModel
-from srt.estimation.convergence import PARAMETER_UNITS
+from srt.estimation.iterations import PARAMETER_UNITS
 from srt.estimation.observability import default_prior
 from srt.joint.block_solution import BlockSolution
 from srt.joint.initial_attitudes import placed
