@@ -1,5 +1,6 @@
 """Compensation inverts the reading model exactly; composition and gauge; ten readings worked by hand."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -25,7 +26,7 @@ from srt.model.sensor_model import (
     outside_model,
     to_mars,
 )
-from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SensorErrors
+from srt.sensor_errors import GROUP_SLICES, GROUPS, N_PARAMETERS, SensorErrors
 
 EPS = np.finfo(float).eps
 G = 9.80665
@@ -326,3 +327,26 @@ def test_outside_model_says_what_is_wrong(named, message):
 def test_octants_number_the_signs():
     np.testing.assert_array_equal(octants(SIGNS), np.arange(8))
     np.testing.assert_array_equal(octants(np.zeros((1, 3))), [0])
+
+
+QUADRATIC = replace(GROUPS[3], name="accel_quadratic", effect=lambda f: (f**2)[..., None] * np.eye(3))
+"""A group of errors that the list does not have."""
+
+
+@pytest.mark.parametrize("units", [(), (2,)])
+def test_further_errors_are_read_and_compensated(units):
+    rng = np.random.default_rng(20261129)
+    matrix = np.eye(3) + 0.05 * rng.normal(size=(*units, 3, 3))
+    further = ((QUADRATIC, 1e-3 * rng.normal(size=(*units, 3))),)
+    triad = Triad(matrix, 0.01 * rng.normal(size=(*units, 3)), rng.normal(size=(*units, 3)), further)
+    v = 10.0 * rng.normal(size=(*units, 40, 3))
+    of_unit = [triad.of(u) for u in range(2)] if units else [triad]
+    readings = np.reshape([one.read(w) for one, w in zip(of_unit, v.reshape(-1, 40, 3), strict=True)], v.shape)
+    np.testing.assert_allclose(triad.compensate(readings), v, atol=1e-13)
+    one, w, y = of_unit[0], v.reshape(-1, 40, 3)[0], readings.reshape(-1, 40, 3)[0]
+    expected = w @ one.matrix.T + one.asymmetry * np.abs(w) + one.bias + one.further[0][1] * w**2
+    np.testing.assert_allclose(y, expected, atol=1e-13)
+    step = 1e-5
+    differences = [(one.compensate(y + d) - one.compensate(y - d)) / (2.0 * step) for d in step * np.eye(3)]
+    # The effect is of second order: central differences have rounding alone, 1e-15 of 30 over the step.
+    np.testing.assert_allclose(one.sensitivity(w), np.stack(differences, axis=-1), atol=1e-8)
