@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from srt.comparison.comparison_run import compare
     from srt.comparison.fleet import calibrate_fleet
     from srt.comparison.merge import merge_calibrations
+    from srt.comparison.thermal import calibrate_thermal
     from srt.diagnosis import diagnose
     from srt.estimation.options import Options
     from srt.estimation.registry import estimators
@@ -50,6 +51,7 @@ _HOME = {
     "import_file": "recording.reading:read",
     "compare": "comparison.comparison_run",
     "calibrate_fleet": "comparison.fleet",
+    "calibrate_thermal": "comparison.thermal",
     "certificate": "reports.certificate.issue",
     "inspect": "reports.inspection",
     "mount_from_calibration": "mount.alignment",
@@ -106,6 +108,7 @@ __all__ = [
     "SrtError",
     "calibrate",
     "calibrate_fleet",
+    "calibrate_thermal",
     "certificate",
     "compare",
     "diagnose",

@@ -1,6 +1,6 @@
 """The 27 sensor errors as a declared list: names, order, units, effects on readings, priors; and their values.
 
-A further error is a row of :data:`GROUPS`: estimators, covariances, reports, files and certificates take all from
+A further error is a row of ``GROUPS``: estimators, covariances, reports, files and certificates take all from
 there. Sensor model of a triad in the MARS frame B (``ω`` the true angular rate, ``f`` the true specific force)::
 
     ω̃ = Mg ω + κ_Asym ∘ |ω| + κ_Bias + noise      Mg = I + κ_LinScal + κ_Mis,  κ_ij = κ_ji = υ_ij / 2

@@ -26,6 +26,7 @@ SECTIONS: Final = {
         "inspect": ("srt.cli.inspect:inspect", "Show what a recording holds, and look for faults."),
         "noise": ("srt.cli.noise:noise", "Show the noise terms of a unit at rest."),
         "calibrate": ("srt.cli.calibrate:calibrate", "Calibrate IMUs from their recordings."),
+        "thermal": ("srt.cli.thermal:thermal", "Calibrate a unit over temperature."),
         "apply": ("srt.cli.apply:apply", "Correct a recording, or write the correction in C."),
         "export": ("srt.cli.export:export", "Write a calibration in the format of another tool."),
         "certificate": ("srt.cli.certificate:certificate", "Make a certificate of a calibrated unit."),

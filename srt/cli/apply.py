@@ -90,7 +90,8 @@ def apply(
         source_format = samples_suffix(recording_path)
         if not force:
             check_match(calibration, recording, calibration_file, recording_path)
-            rests = check_rests(calibration, recording, calibration_file, recording_path)
+            usual = at_mean_temperature(calibration, recording)
+            rests = check_rests(usual, recording, calibration_file, recording_path)
         corrected = correct(calibration, recording, frame, check=not force)
     # All checks are done: the results are written.
     written = []
@@ -239,6 +240,20 @@ def check_match(calibration: Calibration, recording: Recording, calibration_file
         )
 
 
+def at_mean_temperature(calibration: Calibration, recording: Recording) -> Calibration:
+    """Calibration at the mean temperature of a recording, if it is one over temperature. Raises InputError."""
+    if calibration.thermal is None:
+        return calibration
+    if recording.temperature is None:
+        raise InputError(
+            "The errors of this calibration depend on temperature, and the recording has none: record it with the "
+            "samples, state temperature_c in recording.toml, or take the errors of one temperature "
+            "('srt thermal UNIT.json --at T -o UNIT-T.json')."
+        )
+    calibration.thermal.require_inside(recording.temperature, "The recording")
+    return calibration.at(float(recording.temperature.mean()))
+
+
 def check_rests(
     calibration: Calibration, recording: Recording, calibration_file: Path, recording_path: Path
 ) -> CorrectedRest | None:
@@ -284,11 +299,16 @@ def correct(calibration: Calibration, recording: Recording, frame: Any, *, check
     from srt.noise.quantization import reading_steps
     from srt.result.applier import Applier
 
-    applier = Applier(calibration, frame=frame)
     increments = recording.kind == "increment"
+    dt = recording.interval_s if increments else None
     if check:
         check_median_force(recording)
-    gyro, accel = applier.apply(recording.gyro, recording.accel, dt=recording.interval_s if increments else None)
+    if calibration.thermal is None:
+        gyro, accel = Applier(calibration, frame=frame).apply(recording.gyro, recording.accel, dt=dt)
+    else:
+        at_mean_temperature(calibration, recording)
+        choices = {"kind": recording.kind, "dt": dt, "frame": frame, "temperature_c": recording.temperature}
+        gyro, accel = calibration.apply(recording.gyro, recording.accel, **choices)
     # The correction mixes the steps of three axes, so that corrected readings do not show their pulses any more.
     steps = reading_steps(recording).reshape(2, 3).max(axis=1).tolist()
     pulses = zip(("gyro_quantization", "accel_quantization"), steps, strict=True)

@@ -77,7 +77,7 @@ def merge_calibrations(
     for each in given:
         require_type("Merging", "calibrations (srt.calibrate, srt.load_calibration)", each, Calibration)
     titles = [str(n + 1) for n in range(len(given))] if names is None else list(names)
-    _check(given, titles)
+    check_members(given, titles)
     left_out = {t: c.status for t, c in zip(titles, given, strict=True) if c.status not in USABLE}
     used = {t: c for t, c in zip(titles, given, strict=True) if t not in left_out}
     if not used:
@@ -113,7 +113,7 @@ def _merged(
     observed = np.zeros(N_PARAMETERS, dtype=np.bool_)
     observed[seen] = True
     fixed = {name: members[0].fixed[name] for i, name in enumerate(NAMES) if not observed[i]}
-    U, U_sigma, U_note = _mounting(members)
+    U, U_sigma, U_note = common_mounting(members)
     p_value = float(chdtrc(freedom, statistic)) if freedom else None
     unseen = tuple(dict.fromkeys(row for c in members for row in c.diagnostics.unseen_errors or ()))
     lacking = {name for c in members for name in c.diagnostics.not_shown or ()}
@@ -129,11 +129,11 @@ def _merged(
         contributions={source: _padded(np.sqrt(np.maximum(np.diag(P), 0.0)), seen) for source, P in by_source.items()},
         U=U,
         U_sigma_rad=U_sigma,
-        site=_shared([c.site for c in members]),
+        site=shared_statements([c.site for c in members]),
         noise=NoiseFigures(between_recordings=dict(zip(GROUP_SLICES, sizes.tolist(), strict=True))),
-        alignment=_shared([c.alignment for c in members]),
-        temperature=_temperature(members),
-        provenance=_provenance(members),
+        alignment=shared_statements([c.alignment for c in members]),
+        temperature=whole_temperature(members),
+        provenance=joint_provenance(members),
         diagnostics=Diagnostics(
             repeatability=repeatability(stack, used, left_out, vector, sizes, (statistic, freedom, p_value)),
             unseen_errors=unseen or None,
@@ -174,7 +174,7 @@ def _padded(values: Array, at: Indices) -> Array:
     return out
 
 
-def _check(calibrations: Sequence[Calibration], titles: Sequence[str]) -> None:
+def check_members(calibrations: Sequence[Calibration], titles: Sequence[str]) -> None:
     """Refuse calibrations that are not of several independent recordings of one unit."""
     if len(calibrations) < 2:
         raise InputError(f"Merging needs at least two recordings of a unit (given: {len(calibrations)}).")
@@ -201,7 +201,7 @@ def _check(calibrations: Sequence[Calibration], titles: Sequence[str]) -> None:
             raise InputError(f"{hashes[data]} and {title} hold the same samples, which must not count twice.")
 
 
-def _mounting(members: Sequence[Calibration]) -> tuple[Array | None, float | None, str]:
+def common_mounting(members: Sequence[Calibration]) -> tuple[Array | None, float | None, str]:
     """Mean of U where all recordings agree on it, with a note where they do not."""
     found = [(c.U, c.U_sigma_rad) for c in members if c.U is not None and c.U_sigma_rad]
     if len(found) < len(members):
@@ -226,7 +226,7 @@ def _mounting(members: Sequence[Calibration]) -> tuple[Array | None, float | Non
     return mean, float(np.sqrt(variance.max())), ""
 
 
-def _shared(stated: Sequence[_Stated]) -> _Stated:
+def shared_statements(stated: Sequence[_Stated]) -> _Stated:
     """Values that are equal in all recordings; None for values that differ."""
     first = stated[0]
     names: list[str] = [f.name for f in fields(first) if f.name != "nulls"]
@@ -235,7 +235,7 @@ def _shared(stated: Sequence[_Stated]) -> _Stated:
     return replace(first, **dict.fromkeys(differing), nulls=tuple(nulls))
 
 
-def _temperature(members: Sequence[Calibration]) -> Temperature | None:
+def whole_temperature(members: Sequence[Calibration]) -> Temperature | None:
     """Mean over the recordings that state the value, and the range that includes all their means and ranges."""
     known = [c.temperature for c in members if c.temperature is not None]
     if not known:
@@ -245,7 +245,8 @@ def _temperature(members: Sequence[Calibration]) -> Temperature | None:
     return Temperature(float(means.mean()), float((means + half).max() - (means - half).min()))
 
 
-def _provenance(members: Sequence[Calibration]) -> Provenance:
+def joint_provenance(members: Sequence[Calibration]) -> Provenance:
+    """Origin of a result of several recordings: what they have in common, and each of them."""
     origins = [c.provenance for c in members]
     hashes = [origin.data_sha256 for origin in origins]
     whole = None if None in hashes else hashlib.sha256("".join(map(str, hashes)).encode()).hexdigest()

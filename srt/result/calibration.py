@@ -23,6 +23,8 @@ from srt.result.document import from_document, to_document
 from srt.result.json_file import load_json_file, require_format, require_json, save_json_file
 from srt.result.noise_figures import NoiseFigures
 from srt.result.provenance import Alignment, Provenance, StatedSite, Temperature
+from srt.result.thermal_application import apply_over_temperature, state_at
+from srt.result.thermal_errors import ThermalErrors
 from srt.result.verdict import WITHOUT_VALUES, Verdict, verdict_on
 from srt.sensor_errors import GROUPS, INDEX, N_PARAMETERS, NAMES, SYMBOLS, UNITS, SensorErrors
 from srt.types import Array
@@ -38,6 +40,8 @@ if TYPE_CHECKING:
 
 FORMAT: Final = "srt-calibration"
 VERSION: Final = 1
+THERMAL_VERSION: Final = 2
+"""Version of files with errors over temperature, which programs that know version 1 alone must refuse."""
 STATUSES: Final = ("converged", "partial", "inconsistent", "not_converged", "outside_model")
 
 FORMULA: Final = (
@@ -129,6 +133,8 @@ class Calibration(Presented):
     consistency : Consistency or None
         Consistency of the measurements; None if unknown. :attr:`judgement` states it in words.
     warnings : tuple of str
+    thermal : ThermalErrors or None
+        Errors over temperature; ``errors`` and ``covariance`` are then those at the middle of the range.
     """
 
     estimator: str
@@ -150,6 +156,7 @@ class Calibration(Presented):
     diagnostics: Diagnostics = field(default_factory=Diagnostics)
     consistency: Consistency | None = None
     warnings: tuple[str, ...] = ()
+    thermal: ThermalErrors | None = None
 
     def __post_init__(self) -> None:
         """Refuse what the file of the result could not hold, when it is made and not when it is saved.
@@ -219,15 +226,36 @@ class Calibration(Presented):
         """Raise InputError if the calibration did not converge, so that there is nothing to apply."""
         if not self.has_values:
             raise InputError(f"The calibration has the status {self.status} and no values: calibrate the unit again.")
+        if self.thermal is not None:
+            raise InputError(
+                "The errors of this calibration depend on temperature, and nothing says which one is meant: take those "
+                "of one temperature, at(T) or 'srt thermal UNIT.json --at T -o UNIT-T.json'."
+            )
+
+    def at(self, temperature_c: float, *, clip: bool = False) -> Calibration:
+        """Calibration at a temperature of a unit that was calibrated over temperature.
+
+        Parameters
+        ----------
+        temperature_c : float, °C
+        clip : bool
+            Outside the range of the tests, hold the values of its end, with the slope there in the sigmas.
+
+        Raises
+        ------
+        InputError
+            A calibration of one temperature, or a temperature outside the range that is not clipped.
+        """
+        return replace(self, **state_at(self.thermal, temperature_c, clip=clip))
 
     @property
     def held(self) -> Mapping[str, str]:
-        """Former name of :attr:`fixed`."""
+        """Former name of ``fixed``."""
         return former_name("Calibration.held", "fixed", self.fixed)
 
     @property
     def verdict(self) -> Consistency | None:
-        """Former name of :attr:`consistency`."""
+        """Former name of ``consistency``."""
         return former_name("Calibration.verdict", "consistency", self.consistency)
 
     @property
@@ -261,6 +289,8 @@ class Calibration(Presented):
         dt: float | ArrayLike | None = None,
         frame: Literal["mars", "table"] = "mars",
         out: tuple[Array, Array] | None = None,
+        temperature_c: ArrayLike | None = None,
+        clip: bool = False,
     ) -> tuple[Array, Array]:
         """Correct readings by the exact inverse of the sensor model, sample by sample.
 
@@ -275,6 +305,10 @@ class Calibration(Presented):
             Axes of the result.
         out : (ndarray, ndarray), optional
             Arrays to write the result to: float64, of the shapes of the readings; the readings themselves are allowed.
+        temperature_c : float or array_like, shape (n,), °C
+            Of the samples; needed for a calibration over temperature and for nothing else.
+        clip : bool
+            Hold the errors at the end of the range for temperatures outside it.
 
         Returns
         -------
@@ -299,6 +333,8 @@ class Calibration(Presented):
             raise InputError(f"kind is {kind!r}; it must be 'rate' or 'increment'.")
         if (kind == "increment") != (dt is not None):
             raise InputError("Give dt, the duration of the samples in seconds, with increments and only with them.")
+        if temperature_c is not None or self.thermal is not None:
+            return apply_over_temperature(self, (gyro, accel), temperature_c, clip=clip, out=out, dt=dt, frame=frame)
         # Work arrays no larger than the readings, so that a call with one sample allocates little.
         block = min(max(gyro.size // 3, 1), BLOCK) if isinstance(gyro, np.ndarray) else BLOCK
         return Applier(self, frame=frame, block=block).apply(gyro, accel, dt=dt, out=out)
@@ -324,7 +360,7 @@ class Calibration(Presented):
             parameters.append(row)
         return {
             "format": FORMAT,
-            "version": VERSION,
+            "version": VERSION if self.thermal is None else THERMAL_VERSION,
             "estimator": self.estimator,
             "status": self.status,
             "message": self.message,
@@ -344,6 +380,7 @@ class Calibration(Presented):
             "noise": {**to_document(self.noise), "contributions": to_document(self.contributions)},
             "alignment": to_document(self.alignment),
             "temperature": to_document(self.temperature),
+            **({} if self.thermal is None else {"thermal": to_document(self.thermal)}),
             "residuals": to_document(self.residuals),
             "provenance": to_document(self.provenance),
             "diagnostics": to_document(self.diagnostics),
@@ -376,7 +413,8 @@ def load_calibration(path: str | PathLike[str], *, trust: bool = False, signed: 
 
 
 def _from_dict(document: dict[str, Any]) -> Calibration:
-    require_format(document, "calibration file", FORMAT, VERSION)
+    thermal = document.get("thermal") if isinstance(document, dict) else None
+    require_format(document, "calibration file", FORMAT, VERSION if thermal is None else THERMAL_VERSION)
     parameters = document["parameters"]
     names = tuple(p["name"] for p in parameters)
     if names != NAMES:
@@ -416,6 +454,7 @@ def _from_dict(document: dict[str, Any]) -> Calibration:
         diagnostics=from_document(Diagnostics, document.get("diagnostics", {}), "diagnostics"),
         consistency=from_document(Consistency, verdict, "verdict") if verdict else None,
         warnings=from_document(tuple[str, ...], document.get("warnings", []), "warnings"),
+        thermal=None if thermal is None else from_document(ThermalErrors, thermal, "thermal"),
     )
 
 

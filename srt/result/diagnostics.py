@@ -310,5 +310,5 @@ class Diagnostics:
 
     @property
     def held(self) -> "Diagnostics | None":
-        """Former name of :attr:`before_integration`."""
+        """Former name of ``before_integration``."""
         return former_name("Diagnostics.held", "before_integration", self.before_integration)

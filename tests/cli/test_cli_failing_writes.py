@@ -8,6 +8,7 @@ import os
 import re
 import shutil
 import tempfile
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -21,6 +22,7 @@ from sims.physics.imu import ImuModel, read_out
 from srt.cli import main
 from srt.cli.app import COMMANDS
 from srt.exporters import export, save
+from srt.result.provenance import Temperature
 from srt.sensor_errors import SensorErrors
 
 pytestmark = pytest.mark.usefixtures("blank_figures")
@@ -61,6 +63,7 @@ ROWS = {
     "plan": "plan {lab}/plan.toml -o {out}/s.toml --sheet {out}/s.md --json {out}/s.json",
     "align-mount": "align-mount {lab}/mount --calibration {lab}/3.json -o {out}/mount.json",
     "merge": "calibrate --merge {lab}/3.json {lab}/4.json -o {out}/both.json",
+    "thermal": "thermal {lab}/cold.json {lab}/warm.json -o {out}/thermal.json",
     "watch": "watch {lab}/3 --idle 0 -o {out}/w.json",
     "compare": "compare {lab}/3 --estimator closed-form --estimator least-squares -o {out}/c.json",
     "calibrate log": "calibrate {lab}/3/samples.csv -o {out}/log --to c-header --gyro-unit rad/s --accel-unit m/s^2"
@@ -104,7 +107,11 @@ def lab(tmp_path_factory):
     for seed in (3, 4, 5):
         simulated(folder / str(seed), seed=seed, dwell_s=2.0, sample_rate_hz=50.0, recording='format = "csv"')
         srt.calibrate(srt.load_recording(folder / str(seed))).save(folder / f"{seed}.json")
-    save(export(srt.load_calibration(folder / "3.json"), "pyins"), folder / "3-pyins.json")
+    calibrated = srt.load_calibration(folder / "3.json")
+    save(export(calibrated, "pyins"), folder / "3-pyins.json")
+    for name, seed, mean_c in (("cold", 3, -10.0), ("warm", 4, 50.0)):
+        soaked = replace(srt.load_calibration(folder / f"{seed}.json"), temperature=Temperature(mean_c, 0.0))
+        soaked.save(folder / f"{name}.json")
     noise = np.random.default_rng(1).normal([0.0, 0.0, 0.0, 0.0, 0.0, 9.81], 1e-4, (2000, 6))
     at_rest = srt.Recording(0.02 * np.arange(1, 2001), noise[:, :3], noise[:, 3:], srt.Site(9.81))
     srt.write_recording(at_rest, folder / "rest")
