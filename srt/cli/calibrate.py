@@ -332,6 +332,7 @@ def load_prior(path: Path, *, trust: bool) -> Prior:
     from srt.result.verdict import FAILED
 
     calibration = load_calibration(path, trust=trust)
+    calibration.require_one_temperature()
     if calibration.judgement.word == FAILED:
         raise InputError(f"The prior {path} has the status {calibration.status}: give a calibration that converged.")
     return Prior.from_calibration(calibration)

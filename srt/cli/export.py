@@ -83,6 +83,7 @@ def _list(context: click.Context, _: click.Parameter, wanted: bool) -> None:
     metavar="FORMAT:FILE",
     help="Correction that the readings had before they were logged, or none; default: that in the recording.",
 )
+@click.option("--temperature", type=float, metavar="°C", help="Errors at it, of a calibration over temperature.")
 @click.option("--force", is_flag=True, help="Accept an inconsistent calibration and any serial.")
 @click.option("--trust", is_flag=True, help="Accept a calibration file that was changed after it was written.")
 @overwrite_option()
@@ -139,6 +140,7 @@ def export_one(
     frame: str | None,
     fit_asymmetry: bool,
     applied: str | None,
+    temperature: float | None,
     force: bool,
     trust: bool,
     quiet: bool,
@@ -157,6 +159,10 @@ def export_one(
     if fit_asymmetry and recording is None:
         raise InputError("--fit-asymmetry needs the motion to fit to: add --recording DIR.")
     calibration = load_fit(calibration_file, force=force, trust=trust)
+    if temperature is not None:
+        calibration = calibration.at(temperature)
+    if calibration.thermal is not None:
+        return _export_curves(calibration, target, output, instance=settings["instance"] or 0, quiet=quiet)
     readings, measured_rate = None, None
     if recording is not None:
         readings, measured_rate = _readings(calibration, calibration_file, recording, force=force)
@@ -179,6 +185,21 @@ def export_one(
 
         show(export_text(made))
         show("".join(f"\nWritten to {place}" for place in written) or "\nNothing is written: add -o FILE.")
+    return 0
+
+
+def _export_curves(calibration: Calibration, target: str, output: Path | None, *, instance: int, quiet: bool) -> int:
+    """Write the offsets of a calibration over temperature as the parameters of an autopilot."""
+    from srt.exporters.thermal_offsets import thermal_file
+    from srt.recording.atomic_file import atomic_write_text
+    from srt.reports.text.thermal import thermal_file_text
+
+    made = thermal_file(calibration, target, instance)
+    if output is not None:
+        atomic_write_text(output, made.text)
+    if not quiet:
+        show(thermal_file_text(made))
+        show("\nNothing is written: add -o FILE." if output is None else f"\nWritten to {output}")
     return 0
 
 

@@ -198,6 +198,7 @@ def propose(chosen: PlanFile, after: Path, *, trust: bool, quiet: bool) -> int:
     from srt.planning.plan_text import proposals_text
 
     calibration = srt.load_calibration(after, trust=trust)
+    calibration.require_one_temperature()
     fixture, conditions = chosen.stand.kinematics(), chosen.conditions()
     known = known_information(calibration, conditions)
     with _progress(quiet=quiet) as progress:

@@ -183,6 +183,7 @@ def check_members(calibrations: Sequence[Calibration], titles: Sequence[str]) ->
     serials = {t: c.provenance.serial for t, c in zip(titles, calibrations, strict=True)}
     first = next((t for t in titles if serials[t] is not None), titles[0])
     for title, c in zip(titles, calibrations, strict=True):
+        c.require_one_temperature()
         if c.estimator == ESTIMATOR:
             raise InputError(f"{title} is already merged: merge its recordings instead.")
         if c.provenance.options.get("prior") is not None:

@@ -226,6 +226,10 @@ class Calibration(Presented):
         """Raise InputError if the calibration did not converge, so that there is nothing to apply."""
         if not self.has_values:
             raise InputError(f"The calibration has the status {self.status} and no values: calibrate the unit again.")
+        self.require_one_temperature()
+
+    def require_one_temperature(self) -> None:
+        """Raise InputError if the errors depend on temperature, for uses that are made of one."""
         if self.thermal is not None:
             raise InputError(
                 "The errors of this calibration depend on temperature, and nothing says which one is meant: take those "

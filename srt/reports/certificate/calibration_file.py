@@ -57,8 +57,10 @@ def calibration_file(source: Calibration | str | PathLike[str]) -> CalibrationFi
     """
     require_type("A certificate", "a calibration, or the path of one", source, Calibration, str, PathLike)
     if isinstance(source, Calibration):
+        source.require_one_temperature()
         return CalibrationFile(source, "not saved", hashlib.sha256(json_text(source.to_dict()).encode()).hexdigest())
     calibration = load_calibration(source, signed=True)
+    calibration.require_one_temperature()
     path = Path(source)
     return CalibrationFile(calibration, path.name, hashlib.sha256(read_bounded(path)).hexdigest())
 

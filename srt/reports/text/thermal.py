@@ -1,4 +1,4 @@
-"""Text of a calibration over temperature: each parameter at five temperatures."""
+"""Texts of a calibration over temperature: each parameter at five temperatures, and what a file does not hold."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from srt.sensor_errors import NAMES, SYMBOLS
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from srt.exporters.thermal_offsets import ThermalFile
     from srt.result.calibration import Calibration
     from srt.result.thermal_errors import ThermalErrors
 
@@ -54,3 +55,19 @@ def thermal_table(calibration: Calibration, thermal: ThermalErrors) -> list[str]
     table = text_table(head, rows, "lr" + "r" * COLUMNS + "rl", gap=1)
     legend = "sigma: the largest over the range, for a later visit; deg.: degree of the curve that the tests show."
     return [table, "", *wrap(legend)]
+
+
+def thermal_file_text(made: ThermalFile) -> str:
+    """What the parameter file of an autopilot leaves out of the curves, in lines of at most 80 characters."""
+    rows: list[Sequence[str] | None] = []
+    for s, (sensor, factor, unit) in enumerate((("gyro", 206264.8, "°/h"), ("accel", 1e6 / 9.80665, "µg"))):
+        for axis in range(3):
+            cells = [f"{factor * part[s, axis]:.3g}" for part in (made.residual, made.step)]
+            rows.append([f"{sensor} {'xyz'[axis]}", *cells, unit])
+    table = text_table(["offset", "off the curve", "step of 1 K", "unit"], rows, "lrrl", gap=2)
+    gyro, accel = made.lost
+    lost = (
+        "Not held: scale factors and misalignments over temperature, up to "
+        f"{206264.8 / 3600.0 * gyro:.3g} °/s at 1 rad/s and {1e3 / 9.80665 * accel:.3g} mg at 1 g over the range."
+    )
+    return "\n".join([table, "", *wrap(lost)])
