@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from srt.cli.messages import announce, is_seen, show, warn
-from srt.cli.output_paths import RESULT_SUFFIXES, check_file
+from srt.cli.messages import announce, figure_title, is_seen, show, warn
+from srt.cli.output_paths import PLOT_SUFFIXES, RESULT_SUFFIXES, check_file
 from srt.cli.overwriting import overwrite_option
 from srt.cli.path_type import PATH
 from srt.exceptions import DataError, InputError
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 @click.command()
 @click.argument("tests", metavar="TEST...", nargs=-1, required=True, type=PATH)
 @click.option("-o", "--output", type=PATH, metavar="FILE.json", help="Write the result.")
+@click.option("--plot", type=PATH, metavar="FILE", help="Draw the curves (.png, .pdf, .svg).")
 @click.option("--estimator", default="auto", show_default=True, help="Estimator of recordings.")
 @click.option("--at", "temperature_c", type=float, metavar="°C", help="Errors at one temperature, as a calibration.")
 @click.option("--clip", is_flag=True, help="With --at outside the range: hold the values at its end.")
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
 def thermal(
     tests: tuple[Path, ...],
     output: Path | None,
+    plot: Path | None,
     estimator: str,
     temperature_c: float | None,
     clip: bool,
@@ -51,6 +53,7 @@ def thermal(
     from srt.result.verdict import DOUBTFUL, FAILED
 
     check_file(output, RESULT_SUFFIXES, "The result")
+    check_file(plot, PLOT_SUFFIXES, "The figure")
     if clip and temperature_c is None:
         raise InputError("--clip is for --at: add the temperature.")
     found = [srt.load_calibration(p) if p.suffix == ".json" else srt.read(p) for p in tests]
@@ -68,7 +71,12 @@ def thermal(
         title = str(output) if output is not None else ", ".join(names)
         text = calibration_summary if result.thermal is None else thermal_text
         show(text(result, title=title))
-    announce(output, None, quiet=quiet)
+    if plot is not None and whole.thermal is not None:
+        from srt.reports.figures.style import save_figure
+        from srt.reports.figures.thermal import thermal_figure
+
+        save_figure(thermal_figure(whole, title=figure_title(", ".join(names))), plot)
+    announce(output, plot, quiet=quiet)
     seen = is_seen(quiet=quiet)
     for warning in () if seen else whole.warnings:
         warn(warning)

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -127,8 +128,9 @@ def test_from_tests_to_a_corrected_recording_on_the_command_line(tmp_path, capsy
     tests = drawn.tests(rng)
     for n, test in enumerate(tests):
         test.save(f"test-{n}.json")
-    assert main(["thermal", *(f"test-{n}.json" for n in range(5)), "-o", "unit.json"]) == 0
+    assert main(["thermal", *(f"test-{n}.json" for n in range(5)), "-o", "unit.json", "--plot", "curves.png"]) == 0
     out = capsys.readouterr().out
+    assert Path("curves.png").read_bytes()[1:4] == b"PNG"
     assert "Curves over -20.0 to 60.0 °C from 5 tests." in out
     assert max(len(line) for line in out.splitlines()) <= 80
     assert main(["thermal", "unit.json", "--at", "25", "-o", "unit-25.json", "-q"]) == 0

@@ -74,6 +74,7 @@ print(json.dumps({
     "losses": {target: export(first, target).losses for target in ("kalibr", "ros2", "c-header", "gtsam")},
     "certificate": str(srt.certificate(folder / "unit.json")),
     "closed": [closed.judgement.word, closed.fixed],
+    "figure": len(srt.plot(first).axes),
 }))
 """
 
@@ -115,6 +116,10 @@ def test_it_is_printed_saved_loaded_and_certified(made):
         assert name in [row["name"] for row in made["file"]["parameters"]]
     assert "Readings have gyro_cubic * v^3 besides." in made["file"]["formula"]
     assert made["loaded"]
+
+
+def test_each_unit_of_its_errors_has_panels_in_the_figure(made):
+    assert made["figure"] == 2 * (4 + 2) + 2  # values and sigmas of six units, convergence and residuals
 
 
 def test_readings_are_corrected_to_rounding(made):

@@ -39,7 +39,7 @@ from srt.reports.figures.style import (
     symbol,
 )
 from srt.reports.parameters import units_for
-from srt.sensor_errors import DISPLAY_UNITS, GROUP_SLICES, SYMBOLS
+from srt.sensor_errors import DISPLAY_UNITS, GROUP_SLICES, NAMES, SYMBOLS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -149,7 +149,8 @@ def draw_values(axes: Axes, calibration: Calibration, truth: SensorErrors | None
         axes.plot(at, true, "D", markersize=9.0, markerfacecolor="none", markeredgecolor=VERMILION)
     axes.errorbar(at[seen], values[seen], sigma[seen], fmt="o", color=BLUE, markersize=4.5, capsize=3.0)
     axes.plot(at[~seen], values[~seen], "x", color=GREY, markersize=6.0)
-    axes.set_title(f"{_TITLES[DISPLAY_UNITS[which[0]]]}, {unit}", fontsize=MEDIUM, color=INK, loc="left")
+    shown = DISPLAY_UNITS[which[0]]
+    axes.set_title(f"{_TITLES.get(shown, NAMES[which[0]][:-2])}, {unit}", fontsize=MEDIUM, color=INK, loc="left")
     axes.margins(y=0.1)
     axes.yaxis.set_major_locator(MaxNLocator(5))
     _separate_groups(axes, which)
