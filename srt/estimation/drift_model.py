@@ -16,7 +16,9 @@ from srt.noise.bias_steps import LARGEST_SHARE, STEP, within_span
 from srt.noise.drift_forms import (
     FALSE_ALARM,
     LINEAR,
+    TEMPERATURE,
     WALK,
+    WARM_UP,
     Statistics,
     drift_test,
     form_or_scatter,
@@ -48,7 +50,9 @@ _POSSIBLE: Final = 0.05
 """p-value of a linear accelerometer drift below which the covariance includes it, although it is not selected."""
 MOST_TERMS: Final = 4
 """Largest number of forms that are modelled: searching ends when as many, or more, have been selected."""
-_COURSES: Final = {LINEAR: "linearly with time", "temperature": "with temperature", WALK: "as a random walk"}
+_COURSES: Final = {LINEAR: "linearly with time", TEMPERATURE: "with temperature", WALK: "as a random walk"} | (
+    dict.fromkeys(WARM_UP, "as in a warm-up")
+)
 _UNITS: Final = {"gyro": (DEG_PER_H, "°/h"), "accel": (1e3 * MICRO_G, "mg")}
 _NAMES: Final = {"gyro": "gyro", "accel": "accelerometer"}
 
@@ -120,7 +124,7 @@ class DriftEstimate:
         """Warning that names the drift and its size."""
         factor, unit = _UNITS[self.sensor]
         sizes = ", ".join(f"{value / factor:+.3g}" for value in self.change.tolist())
-        form = f"by a {self.form}," if self.form.startswith(STEP) else _COURSES.get(self.form, "as in a warm-up")
+        form = f"by a {self.form}," if self.form.startswith(STEP) else _COURSES[self.form]
         end = (
             "the estimate includes this drift, and the sigmas allow for it."
             if self.modelled

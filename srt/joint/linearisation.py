@@ -271,11 +271,11 @@ class _Builder:
         assert kind.by_errors is not None
         by_errors, key, members = _product(by_quantity, kind.by_errors), kind.quantity, kind.readings
         blocks: list[Block] = [("errors", 0, by_errors[:, :, :N_ERRORS])]
-        if key != "force":
+        if kind.sensor == "gyro":
             blocks.append(("bias", kind.owner if self.joint.bias_walks else 0, by_errors[:, :, N_ERRORS:]))
         blocks.append(("drift_form", 0, _product(by_quantity, self.compensated.drift_form[key][members])))
         blocks += self.edge_blocks(key, by_quantity, members)
-        return blocks + self.drift_blocks("accel" if key == "force" else "gyro", key, by_quantity, members)
+        return blocks + self.drift_blocks(kind.sensor, key, by_quantity, members)
 
     def edge_blocks(self, kind: str, by_effect: Array | float, members: Indices) -> list[Block]:
         """Blocks of the errors at window edges; ``by_effect`` is the derivative of the residual by their effect."""

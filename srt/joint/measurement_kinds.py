@@ -61,6 +61,8 @@ class MeasurementKind:
         unknowns, a derivative for each. Those with respect to attitudes are by small rotations behind them.
     quantity : str
         "force", "rate", "turn" or "stated_rate": what errors of the readings act on. Empty: they do not.
+    sensor : str
+        "gyro" or "accel": of whose readings the quantity is made.
     readings : ndarray of int, shape (n,)
         Place of each member among the members of the quantity.
     by_errors : ndarray, shape (n, d, 27), or None
@@ -79,6 +81,7 @@ class MeasurementKind:
     readings: Indices = field(default_factory=lambda: np.zeros(0, np.intp))
     by_errors: Array | None = None
     scaled: bool = False
+    sensor: str = "gyro"
 
 
 def measurement_kinds(joint: JointModel, state: JointState, compensated: CompensatedData) -> list[MeasurementKind]:
@@ -108,7 +111,7 @@ def _forces(joint: JointModel, data: CompensatedData) -> MeasurementKind:
     unknowns = ("attitude", windows), ("gravity", np.zeros_like(windows))
     return MeasurementKind(
         "force", joint.window_sequence, windows, data.force_noise, unknowns, evaluate, "force", windows,
-        data.force_jacobian,
+        data.force_jacobian, sensor="accel",
     )  # fmt: skip
 
 

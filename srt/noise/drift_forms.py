@@ -37,6 +37,7 @@ It is part of the 1e-4 that all checks share, see ``srt.diagnosis.false_alarms``
 drift of 7.9 sigma is selected in 90 % of the recordings; at 1e-4 a drift of 7.3 sigma would be.
 """
 LINEAR: Final = "linear"
+TEMPERATURE: Final = "temperature"
 WALK: Final = "random walk"
 MOST_WALK_TERMS: Final = 100
 """Most components of a random walk, which recordings of more windows have; others would have 0.2 % of its variance."""
@@ -125,7 +126,7 @@ class DriftShapes(Mapping[str, DriftShape]):
     def __init__(self, intervals: Intervals) -> None:
         self._intervals = intervals
         warm = None if intervals.temperature is None else np.ptp(intervals.temperature[: intervals.windows])
-        temperature = () if warm is None or warm <= _LEAST_TEMPERATURE_RANGE else ("temperature",)
+        temperature = () if warm is None or warm <= _LEAST_TEMPERATURE_RANGE else (TEMPERATURE,)
         self._shapes: dict[str, DriftShape | None] = dict.fromkeys((LINEAR, *WARM_UP, *temperature, WALK))
 
     def __getitem__(self, form: str) -> DriftShape:
@@ -152,7 +153,8 @@ class DriftShapes(Mapping[str, DriftShape]):
             share = WARM_UP[form]
             falls = [(-share * np.exp(-x / share), -(x + share) * np.exp(-x / share)) for x in (a, b)]
             return _scaled(np.column_stack([_mean(begin, end, b - a) for begin, end in zip(*falls, strict=True)]), own)
-        values = 0.5 * (a + b) if own.temperature is None or form == LINEAR else own.temperature
+        values = {LINEAR: 0.5 * (a + b), TEMPERATURE: own.temperature}[form]
+        assert values is not None
         return _scaled(values[:, None], own)
 
 
