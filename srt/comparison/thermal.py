@@ -41,6 +41,7 @@ from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES, SensorErrors
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from os import PathLike
 
     from srt.recording.recording import Recording
     from srt.types import Array, Indices
@@ -63,7 +64,7 @@ _SIZES: Final = 16
 
 
 def calibrate_thermal(
-    tests: Sequence[Recording | Calibration],
+    tests: Sequence[Recording | Calibration | str | PathLike[str]],
     estimator: str = "auto",
     *,
     names: Sequence[str] | None = None,
@@ -73,7 +74,7 @@ def calibrate_thermal(
 
     Parameters
     ----------
-    tests : sequence of Recording or Calibration
+    tests : sequence of Recording, path of one, or Calibration
         Of one unit, at two temperatures or more.
     estimator : str
         Of recordings.

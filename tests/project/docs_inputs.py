@@ -4,6 +4,7 @@ Recordings of one unit, short and at 50 Hz, and what follows from them. Every na
 pages.
 """
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -39,6 +40,13 @@ def simulated(seed: int = 8, fixture: str = "lab-1mrad", **schedule: object) -> 
 
 def recording(path: Path, seed: int = 8, fixture: str = "lab-1mrad") -> None:
     srt.write_recording(simulated(seed, fixture).recording, path, samples_format="npz")
+
+
+def soaked(path: Path, seed: int, temperature_c: float) -> None:
+    """At a temperature that does not change."""
+    found = simulated(seed).recording
+    warm = replace(found, temperature=np.full(found.time.size, temperature_c), data_sha256=None)
+    srt.write_recording(warm, path, samples_format="npz")
 
 
 def calibration(path: Path, seed: int = 8) -> None:
@@ -149,6 +157,8 @@ def campaign(path: Path) -> None:
 INPUTS = {
     **dict.fromkeys(("recording", "raw", "rec", "unit-42", "monday"), recording),
     "tuesday": lambda path: recording(path, 9),
+    "cold": lambda path: soaked(path, 9, -10.0),
+    "warm": lambda path: soaked(path, 10, 45.0),
     "poses": lambda path: recording(path, 10, "perfect"),
     "unit.json": calibration,
     "unit-42-last-year.json": lambda path: calibration(path, 9),
