@@ -174,9 +174,9 @@ def _padded(values: Array, at: Indices) -> Array:
     return out
 
 
-def check_members(calibrations: Sequence[Calibration], titles: Sequence[str]) -> None:
-    """Refuse calibrations that are not of several independent recordings of one unit."""
-    if len(calibrations) < 2:
+def check_members(calibrations: Sequence[Calibration], titles: Sequence[str], *, least: int = 2) -> None:
+    """Refuse calibrations that are not of several independent recordings of one unit, ``least`` or more."""
+    if len(calibrations) < least:
         raise InputError(f"Merging needs at least two recordings of a unit (given: {len(calibrations)}).")
     if len(set(titles)) != len(calibrations):
         raise InputError(f"Each of the recordings to merge needs its own name: {', '.join(titles)}.")
