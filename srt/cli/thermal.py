@@ -39,8 +39,9 @@ def thermal(
     """Calibrate a unit over temperature from TESTs of it, each at a temperature of its own (soak points).
 
     A TEST is a recording, or the calibration (.json) of one. The temperature of each is that of its samples, or
-    temperature_c in recording.toml. A recording at rest over 5 K or more is a ramp: it shows how biases change. The result has every error as a curve over the range of the tests, with its sigma
-    for a later visit of a temperature: 'srt apply' corrects recordings with it that have a temperature.
+    temperature_c in recording.toml. A recording at rest over 5 K or more is a ramp: it shows how biases change. The
+    result has every error as a curve over the range of the tests, with its sigma for a later visit of a temperature:
+    'srt apply' corrects recordings with it that have a temperature.
 
     One TEST that is such a result (.json) is shown; with --at T the calibration at that temperature is written, which
     'srt export' and 'srt certificate' take.
