@@ -1,4 +1,4 @@
-"""Pictures of README and docs: fixture with the 17 sequences, demo, unit turned by hand, convergence.
+"""Pictures of README and docs: fixture with the 17 sequences, demo, unit turned by hand, convergence, temperature.
 
 ``python benchmarks/pictures.py`` writes them to docs/images. The picture of convergence shows a table of
 docs/studies/filters.md. A test draws all again and compares, so that they are those of the present software.
@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from soaked_units import Unit
 
 import sims
 import srt
@@ -37,6 +38,7 @@ from srt.reports.figures.style import (
     save_figure,
     style,
 )
+from srt.reports.figures.thermal import thermal_figure
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -210,11 +212,18 @@ def convergence_figure() -> Figure:
     return figure
 
 
+def temperature_figure() -> Figure:
+    """Draw the errors of a unit over temperature."""
+    rng = np.random.default_rng(20261202)
+    return thermal_figure(srt.calibrate_thermal(Unit(rng).tests(rng)), title="Simulated unit")
+
+
 PICTURES = {
     "fixture.png": fixture_figure,
     "calibration.png": demo_figure,
     "inspection.png": hand_figure,
     "convergence.png": convergence_figure,
+    "temperature.png": temperature_figure,
 }
 
 
