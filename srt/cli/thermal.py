@@ -49,6 +49,7 @@ def thermal(
     Exit codes: 0 success; 1 the tests cannot be used, or the verdict is failed; 2 wrong usage or unreadable input.
     """
     import srt
+    from srt.cli.progress import iteration_progress
     from srt.reports.text.calibration_summary import calibration_summary
     from srt.reports.text.thermal import thermal_text
     from srt.result.verdict import DOUBTFUL, FAILED
@@ -62,7 +63,8 @@ def thermal(
     if len(found) == 1 and isinstance(found[0], srt.Calibration) and found[0].thermal is not None:
         result = found[0]
     else:
-        result = srt.calibrate_thermal(found, estimator, names=names, force=force)
+        with iteration_progress(", ".join(names), quiet=quiet) as progress:
+            result = srt.calibrate_thermal(found, estimator, names=names, force=force, progress=progress)
     whole = result
     if temperature_c is not None:
         result = result.at(temperature_c, clip=clip)
