@@ -40,7 +40,10 @@ class Unit:
         """Calibrations at soak points, all from one side or each from a random one, with the noise of one test."""
         root = np.linalg.cholesky(one_test().covariance)
         sides = rng.choice([-1, 1], len(soaks)) if rng.random() < 0.5 else np.full(len(soaks), rng.choice([-1, 1]))
-        return [at(T, self.errors(T, side) + root @ rng.normal(size=N_PARAMETERS)) for T, side in zip(soaks, sides)]  # noqa: B905
+        return [
+            at(T, self.errors(T, side) + root @ rng.normal(size=N_PARAMETERS))
+            for T, side in zip(soaks, sides, strict=True)
+        ]
 
 
 def at(T, vector):

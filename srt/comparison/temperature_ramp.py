@@ -45,7 +45,7 @@ class RampVisits:
     readings : ndarray, shape (n, 6)
         Gyros, rad/s, and accelerometers, m/s².
     sigma : ndarray, shape (n, 6)
-        Of the noise of the means.
+        Noise of the means.
     effect : ndarray, shape (6, 27)
         Derivative of the readings with respect to the sensor errors.
     both_ways : bool

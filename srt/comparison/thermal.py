@@ -146,7 +146,7 @@ def calibrate_thermal(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Rows:
-    """What tests and ramps say: n values, each of an error at a temperature.
+    """Measurements of tests and ramps: n values, each of an error at a temperature.
 
     Attributes
     ----------

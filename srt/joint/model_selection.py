@@ -417,7 +417,7 @@ EXPLANATIONS: Final = (
     Explanation(_unmodelled_noise, beside_noise=True),
     DRIFT,
 )
-"""What is tried where no more is known, in this order."""
+"""Explanations in the order in which they are tried."""
 
 
 def search(iteration: IterationState, solution: BlockSolution, freedom: int) -> DriftSearch:

@@ -310,7 +310,7 @@ class Calibration(Presented):
         out : (ndarray, ndarray), optional
             Arrays to write the result to: float64, of the shapes of the readings; the readings themselves are allowed.
         temperature_c : float or array_like, shape (n,), °C
-            Of the samples; needed for a calibration over temperature and for nothing else.
+            Temperature of the samples; needed for a calibration over temperature and for nothing else.
         clip : bool
             Hold the errors at the end of the range for temperatures outside it.
 

@@ -29,7 +29,7 @@ real units, 64 temperatures leave 2e-6 of a reading.
 
 
 class OverTemperature(ErrorsInFrames, Protocol):
-    """What is read of a calibration over temperature; :class:`srt.Calibration` has it."""
+    """Attributes of a calibration over temperature; :class:`srt.Calibration` has them."""
 
     @property
     def thermal(self) -> ThermalErrors | None:
@@ -38,7 +38,7 @@ class OverTemperature(ErrorsInFrames, Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _AtTemperature:
-    """What an applier reads of a calibration, at one temperature."""
+    """Attributes that an applier reads of a calibration, at one temperature."""
 
     whole: OverTemperature
     errors: SensorErrors

@@ -58,7 +58,7 @@ def thermal_table(calibration: Calibration, thermal: ThermalErrors) -> list[str]
 
 
 def thermal_file_text(made: ThermalFile) -> str:
-    """What the parameter file of an autopilot leaves out of the curves, in lines of at most 80 characters."""
+    """Text on the parts of the curves that the parameter file of an autopilot leaves out, 80 characters wide."""
     rows: list[Sequence[str] | None] = []
     for s, (sensor, factor, unit) in enumerate((("gyro", 206264.8, "°/h"), ("accel", 1e6 / 9.80665, "µg"))):
         for axis in range(3):
