@@ -53,6 +53,7 @@ def test_a_curve_is_found_and_its_degree(unit):
     drawn, found = unit
     thermal = found.thermal
     assert found.judgement.word == "sound"
+    assert "those at 20.0 °C, the middle of the range" in " ".join(str(found).split())
     assert (thermal.lowest_c, thermal.highest_c) == (-20.0, 60.0)
     assert thermal.degree.max() <= 4
     assert np.median(thermal.degree[SIZES > 1e-3]) == 3

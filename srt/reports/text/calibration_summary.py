@@ -144,7 +144,10 @@ def verdict_lines(calibration: Calibration, title: str) -> Iterator[str]:
 
 
 def _notes(calibration: Calibration) -> Iterator[str]:
-    """Warnings, and the parameters that are fixed with the reason."""
+    """Warnings, the temperature of values that depend on it, and the parameters that are fixed with the reason."""
+    if (thermal := calibration.thermal) is not None:
+        middle = 0.5 * (thermal.lowest_c + thermal.highest_c)
+        yield f"Note: the values are those at {middle:.1f} °C, the middle of the range; at(T) gives those of another."
     if calibration.fixed and calibration.has_values:
         yield f"Fixed, not observed: {held_summary(calibration)}."
     yield from (f"Note: {sentence}" for sentence in calibration.warnings)
