@@ -50,6 +50,7 @@ def thermal(
     """
     import srt
     from srt.cli.progress import iteration_progress
+    from srt.cli.recording_arguments import unit_names
     from srt.reports.text.calibration_summary import calibration_summary
     from srt.reports.text.thermal import thermal_text
     from srt.result.verdict import DOUBTFUL, FAILED
@@ -59,7 +60,9 @@ def thermal(
     if clip and temperature_c is None:
         raise InputError("--clip is for --at: add the temperature.")
     found = [srt.load_calibration(p) if p.suffix == ".json" else srt.read(p) for p in tests]
-    names = [path.stem if path.suffix == ".json" else path.resolve().name for path in tests]
+    recordings = [path for path in tests if path.suffix != ".json"]
+    named = dict(zip(recordings, unit_names(recordings), strict=True)) if recordings else {}
+    names = [named.get(path, path.stem) for path in tests]
     if len(found) == 1 and isinstance(found[0], srt.Calibration) and found[0].thermal is not None:
         result = found[0]
     else:

@@ -174,12 +174,17 @@ def _padded(values: Array, at: Indices) -> Array:
     return out
 
 
+def require_names(titles: Sequence[str], count: int) -> None:
+    """Raise InputError unless each of ``count`` recordings has a name of its own."""
+    if len(titles) != count or len(set(titles)) != count:
+        raise InputError(f"Each of the recordings needs its own name: {', '.join(titles)}.")
+
+
 def check_members(calibrations: Sequence[Calibration], titles: Sequence[str], *, least: int = 2) -> None:
     """Refuse calibrations that are not of several independent recordings of one unit, ``least`` or more."""
     if len(calibrations) < least:
-        raise InputError(f"Merging needs at least two recordings of a unit (given: {len(calibrations)}).")
-    if len(set(titles)) != len(calibrations):
-        raise InputError(f"Each of the recordings to merge needs its own name: {', '.join(titles)}.")
+        raise InputError(f"At least two recordings of a unit are needed (given: {len(calibrations)}).")
+    require_names(titles, len(calibrations))
     serials = {t: c.provenance.serial for t, c in zip(titles, calibrations, strict=True)}
     first = next((t for t in titles if serials[t] is not None), titles[0])
     for title, c in zip(titles, calibrations, strict=True):

@@ -28,6 +28,7 @@ from srt.comparison.merge import (
     check_members,
     common_mounting,
     joint_provenance,
+    require_names,
     shared_statements,
     whole_temperature,
 )
@@ -112,6 +113,7 @@ def calibrate_thermal(
     require_type("Thermal calibration", "a list of recordings or calibrations", tests, list, tuple)
     given = [test if isinstance(test, Calibration) else read(test) for test in tests]
     titles = [str(n + 1) for n in range(len(given))] if names is None else list(names)
+    require_names(titles, len(given))
     ramps = {t: each for t, each in zip(titles, given, strict=True) if isinstance(each, Recording) and is_ramp(each)}
     found = {
         t: each if isinstance(each, Calibration) else calibrate(each, estimator, **options)

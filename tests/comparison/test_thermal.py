@@ -102,7 +102,7 @@ def test_files_are_of_version_2_and_hold_the_curves(unit, tmp_path):
 @pytest.mark.parametrize(
     ("change", "fragment"),
     [
-        (lambda t: t[:1], "at least two"),
+        (lambda t: t[:1], "At least two"),
         (lambda t: [t[0], replace(t[1], temperature=None)], "temperature of 2 is not known"),
         (lambda t: [t[0], replace(t[1], temperature=Temperature(-19.8, 0.0))], "All tests were at"),
     ],
@@ -155,3 +155,19 @@ def test_from_tests_to_a_corrected_recording_on_the_command_line(tmp_path, capsy
     assert "depend on temperature" in capsys.readouterr().err
     assert main(["export", "unit.json", "--to", "kalibr"]) == 2
     assert "add --temperature T" in capsys.readouterr().err
+
+
+def test_tests_of_one_name_are_refused_and_none_is_lost(tmp_path, capsys, monkeypatch):
+    """Two folders "rec" in other folders have other names; the same folder twice is no second test."""
+    tests = Unit(np.random.default_rng(5)).tests(np.random.default_rng(5))
+    with pytest.raises(InputError, match="its own name: cold, warm, warm"):
+        srt.calibrate_thermal(tests[:3], names=["cold", "warm", "warm"])
+    monkeypatch.chdir(tmp_path)
+    recording = replace(sims.simulate(sims.load_scenario("industrial-mems")).recording, data_sha256=None)
+    for folder, T in (("cold", -5.0), ("warm", 40.0)):
+        soaked = replace(recording, gyro=recording.gyro + 1e-9 * T, temperature=np.full(recording.time.size, T))
+        write_recording(soaked, Path(folder) / "rec", samples_format="npz")
+    assert main(["thermal", "cold/rec", "warm/rec"]) == 0
+    assert "from 2 tests" in capsys.readouterr().out
+    assert main(["thermal", "cold/rec", "cold/rec"]) == 2
+    assert "named twice" in capsys.readouterr().err
