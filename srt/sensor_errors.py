@@ -82,6 +82,8 @@ class ParameterGroup:
         Value, SI, that changes readings of 1 g or 1 rad/s by their whole size.
     prior_sigma, widest_sigma : float
         Standard deviation without any data, SI, on a fixture; and without one, which also decides what is observed.
+    per_kelvin : float
+        Usual change with temperature, SI, where no test shows it.
     omissible : bool
         True if a test may leave it out: such parameters are the first to be fixed.
     shown_by : str
@@ -104,6 +106,7 @@ class ParameterGroup:
     widest_sigma: float
     shown_by: str
     heading: str
+    per_kelvin: float
     omissible: bool = False
     formula: str = ""
 
@@ -134,39 +137,39 @@ _SYMMETRIC = MatrixElements(tuple((_place(pair), _place(pair[::-1])) for pair in
 _SINGLE = MatrixElements(tuple((_place(pair),) for pair in _ORDERED_PAIRS))
 
 # Name, suffixes, symbols, unit, displayed unit and its number in an SI unit, effect, value of full size, prior sigma on
-# a fixture and without one, motion that shows it, heading
+# a fixture and without one, motion that shows it, heading, usual change per kelvin
 GROUPS: Final = (
     ParameterGroup(
         "gyro_scale", _AXES, ("κxx", "κyy", "κzz"), "1", "ppm", 1e6, _DIAGONAL, 1.0, 0.3, 0.3,
-        "a rotation about the axis while it is horizontal, or a run at a stated rate about it", "gyro\nscale",
+        "a rotation about the axis while it is horizontal, or a run at a stated rate about it", "gyro\nscale", 1e-4,
     ),
     ParameterGroup(
         "gyro_asymmetry", _AXES, ("κxxx", "κyyy", "κzzz"), "1", "ppm", 1e6, rectified, 1.0, 1e-3, 0.01,
-        "rotations about the axis in both senses while it is horizontal", "gyro\nasym.", omissible=True,
+        "rotations about the axis in both senses while it is horizontal", "gyro\nasym.", 2e-6, omissible=True,
     ),
     ParameterGroup(
         "gyro_orthogonality", _PAIRS, ("υxy", "υyz", "υzx"), "rad", "µrad", 1e6, _SYMMETRIC, 1.0, 0.3, 0.3,
-        "half turns about both axes in alternation", "gyro\northo.",
+        "half turns about both axes in alternation", "gyro\northo.", 5e-6,
     ),
     ParameterGroup(
         "accel_bias", _AXES, ("λx", "λy", "λz"), "m/s^2", "µg", 1e6 / _G, constant, _G, 3.0, 3.0,
-        "poses with the axis up, down and horizontal", "accel\nbias",
+        "poses with the axis up, down and horizontal", "accel\nbias", 2e-3,
     ),
     ParameterGroup(
         "accel_scale", _AXES, ("λxx", "λyy", "λzz"), "1", "ppm", 1e6, _DIAGONAL, 1.0, 0.3, 0.3,
-        "poses with the axis up and down", "accel\nscale",
+        "poses with the axis up and down", "accel\nscale", 1e-4,
     ),
     ParameterGroup(
         "accel_asymmetry", _AXES, ("λxxx", "λyyy", "λzzz"), "1", "ppm", 1e6, rectified, 1.0, 3e-3, 0.01,
-        "poses with the axis up, down, horizontal and inclined", "accel\nasym.", omissible=True,
+        "poses with the axis up, down, horizontal and inclined", "accel\nasym.", 2e-6, omissible=True,
     ),
     ParameterGroup(
         "accel_misalignment", _ORDERED_PAIRS, ("μxy", "μxz", "μyx", "μyz", "μzx", "μzy"), "rad", "µrad", 1e6, _SINGLE,
-        1.0, 0.3, 0.3, "half turns about axes near both, and poses between them", "mis-\nalign.",
+        1.0, 0.3, 0.3, "half turns about axes near both, and poses between them", "mis-\nalign.", 5e-6,
     ),
     ParameterGroup(
         "gyro_bias", _AXES, ("κx", "κy", "κz"), "rad/s", "°/h", _DEG_H, constant, 1.0, 0.3, 0.3, "longer rests",
-        "gyro\nbias",
+        "gyro\nbias", 1.5e-4,
     ),
 )  # fmt: skip
 """Groups in the order of the state, which the file format fixes; the gyro biases are the last."""

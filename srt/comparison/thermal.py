@@ -43,7 +43,7 @@ from srt.result.calibration import Calibration
 from srt.result.consistency import Consistency
 from srt.result.thermal_errors import ThermalErrors
 from srt.result.verdict import USABLE
-from srt.sensor_errors import GROUP_SLICES, GROUPS, N_PARAMETERS, NAMES, SensorErrors
+from srt.sensor_errors import GROUP_SLICES, GROUPS, N_PARAMETERS, NAMES, SensorErrors, by_parameter
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -57,15 +57,12 @@ ORDER: Final = 4
 """Highest order of the polynomials: curves of real units are cubic to a few per cent of their span."""
 _DECAY: Final = 0.35
 """Expected ratio of the size of one order to that of the one before: 19 to 42 % of the span of real units is curved."""
-_HYSTERESIS: Final = 0.15
-"""Expected hysteresis over the size of the linear term: of a real unit heating and cooling differ by up to 0.46 of it.
+_HYSTERESIS: Final = 0.16
+"""Expected hysteresis over the size of the linear term, of a later visit from a random side.
 
-A visit from the other side is off by all of the difference, one from the same side by none."""
-_PER_K: Final = {
-    "gyro_scale": 1e-4, "gyro_asymmetry": 2e-6, "gyro_orthogonality": 5e-6, "accel_bias": 2e-3, "accel_scale": 1e-4,
-    "accel_asymmetry": 2e-6, "accel_misalignment": 5e-6, "gyro_bias": 1.5e-4,
-}  # fmt: skip
-"""Expected change of the errors of a unit, SI, 1/K, where tests at one temperature alone show them."""
+On the worst axis of a real unit heating and cooling differ by up to 0.46 of that size, and by half as much on average.
+A visit from the other side is off by the difference, one from the same side by none: 0.46 / 2 / √2 = 0.16.
+"""
 _APART_K: Final = 1.0
 """Distance of temperatures that count as two."""
 _SHOWN: Final = 3.0
@@ -268,7 +265,7 @@ def _sizes(rows: _Rows, curves: Array, seen: Indices, half_range_k: float) -> tu
 
     They are those of a group, or of each channel where ramps show it.
     """
-    usual = np.array([_PER_K.get(g.name, 1e-3 * g.prior_sigma) for g in GROUPS])[GROUP_OF] * half_range_k
+    usual = by_parameter("per_kelvin") * half_range_k
     size, visit = usual.copy(), _HYSTERESIS * usual
     of_ramp = np.unique(rows.parameter[rows.offset.any(axis=1)])
     cells = [np.flatnonzero(g == GROUP_OF) for g in range(len(GROUPS))]

@@ -90,7 +90,7 @@ def measurement_kinds(joint: JointModel, state: JointState, compensated: Compens
     ``compensated`` is the data at ``state``, whose attitudes project the noise of headings.
     """
     kinds = [_forces(joint, compensated), _rates(joint, compensated)]
-    # Of a run at a stated rate, many revolutions, only the component about the vertical is used: the "heading" of the
+    # A run at a stated rate has many revolutions. It gives the component about the vertical alone: the "heading" of the
     # end attitude, which the specific force does not show.
     rated = joint.steady.rated
     kinds.append(_rotations(joint, compensated, np.setdiff1d(np.arange(joint.data.K), rated)))

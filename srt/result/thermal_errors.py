@@ -32,7 +32,7 @@ class ThermalErrors:
         Mean temperature of each test, °C.
     coefficients : ndarray, shape (D + 1, 27), SI
     covariance : ndarray, shape ((D + 1) 27, (D + 1) 27), SI
-        Of the coefficients, those of one order together.
+        Covariance of the coefficients, those of one order together.
     visit_sigma : ndarray, shape (27,), SI
         1-sigma of a later visit of a temperature about the curve: repeatability between tests and hysteresis.
     degree : ndarray of int, shape (27,)

@@ -23,7 +23,7 @@ LATER = (-15.0, 0.0, 10.0, 30.0, 52.0)
 
 @pytest.mark.parametrize("units", [12, pytest.param(120, marks=pytest.mark.slow)])
 def test_sigmas_cover_later_visits(units):
-    """Of a temperature between the soak points or at one, from a random side; sigmas are not idle either."""
+    """Visits at and between the soak points, from a random side; sigmas are not idle either."""
     rng = np.random.default_rng(20261201)
     inside, sigma, error = [], [], []
     for _ in range(units):

@@ -66,7 +66,7 @@ def test_the_autopilots_own_formula_reproduces_the_curves(unit, target, formula)
             off = np.abs(formula(found, T, sensor) - expected)
             # Between the temperatures of the table: a fraction of the residual.
             assert np.all(off <= 1.02 * made.residual[s] + 1e-9), (T, off, made.residual[s])
-    # What is of the fourth order in curves that are cubic is noise: within their sigmas.
+    # The fourth order of curves that are cubic is noise: within their sigmas.
     assert np.all(made.residual[1] < unit.at(20.0).sigma[GROUP_SLICES["accel_bias"]])
     assert np.any(made.step > 0.0) == (target == "px4")
     assert np.all(made.lost > 0.0)

@@ -14,11 +14,11 @@ ROOT = Path(__file__).parents[2]
 ROWS = """\
     ParameterGroup(
         "accel_quadratic", _AXES, ("λxx2", "λyy2", "λzz2"), "s^2/m", "µg/g²", 1e6 * _G, lambda f: _each(f**2),
-        1.0 / _G, 1e-3, 1e-3, "poses at many inclinations", "accel\\nquadr.", True, "accel_quadratic * v^2",
+        1.0 / _G, 1e-3, 1e-3, "poses at many inclinations", "accel\\nquadr.", 1e-6, True, "accel_quadratic * v^2",
     ),
     ParameterGroup(
         "gyro_cubic", _AXES, ("κx3", "κy3", "κz3"), "s^2", "ppm s²", 1e6, lambda w: _each(w**3),
-        1.0, 1e-3, 1e-3, "turns at many rates", "gyro\\ncubic", True, "gyro_cubic * v^3",
+        1.0, 1e-3, 1e-3, "turns at many rates", "gyro\\ncubic", 1e-6, True, "gyro_cubic * v^3",
     ),
 """
 EFFECT = """\
